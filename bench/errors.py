@@ -24,7 +24,9 @@ import numpy as np
 from orograph import store
 from orograph.error import KINDS
 from orograph.error.diamonds import diamonds
+from orograph.progress import SILENT
 from orograph.store.diamonds import NESTED, surface
+from orograph.store.executing import Threads
 from orograph.store.levels import subsample
 from orograph.store.survey import Errors
 from orograph.store.writer import ShardWriter
@@ -88,10 +90,8 @@ def out_of_core(terrain: store.MemoryTerrain, folder: Path, threads: list[int], 
                 record = built.record
                 writer = ShardWriter(built.storage)
                 writer.digests = record.digests  # by which the heights are read back
-                stage = Errors(built.grid, writer, record.shard, record.chunk, built.tiles(0), (kind,), False)
-                for _ in store_map(stage.run, stage.tasks(), jobs):
-                    pass
-                stage.finish()
+                stage = Errors(built.grid, writer, record.shard, record.chunk, built.tiles(0), (kind,))
+                Threads(jobs, False).run(stage, SILENT)
 
             times.append(best(work, rounds) / samples * 1e9)
         print(f"  {kind:10}" + "".join(f"{ns:10.1f}" for ns in times) + "   ns/sample, with spheres, into the store")
@@ -101,12 +101,6 @@ def out_of_core(terrain: store.MemoryTerrain, folder: Path, threads: list[int], 
     heights = sum(p.stat().st_size for p in (folder / "s/heights").glob("*/height/c/*/*"))
     print(f"  {'heights':10}{heights / samples:10.2f}   bytes per sample on disk (samples: 5.33)")
     tolerances(terrain, built)
-
-
-def store_map(work, items, jobs):
-    from orograph.parallel import map_ordered
-
-    return map_ordered(work, items, jobs)
 
 
 def source_of(terrain: store.MemoryTerrain) -> store.ArraySource:

@@ -194,8 +194,8 @@ def test_errors_are_resumed_and_what_was_damaged_of_them_is_made_again(tmp_path,
     part.write_bytes(part.read_bytes()[:50])
     made = []
     with monkeypatch.context() as patch:
-        make = Errors._make
-        patch.setattr(Errors, "_make", lambda self, spot: (made.append(spot), make(self, spot))[1])
+        make = Errors.make
+        patch.setattr(Errors, "make", lambda self, spot: (made.append(spot), make(self, spot))[1])
         store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
     assert files(tmp_path / "s") == whole
     assert len(made) == 25 - len(done) + 2 and {(0, 1), (1, 1), (2, 2)} <= set(made)

@@ -110,6 +110,10 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     help="Put light into it as well: sky-view-factor,aperture… (see orograph bake --help, which has options for it).",
 )
 @click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
+@click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
+@click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
+@click.option("--workers", type=click.IntRange(1), help="Build in so many processes, which share --max-memory (Dask).")
+@click.option("--dask", metavar="ADDRESS", help="Build on the workers of this Dask scheduler (tcp://HOST:8786).")
 @click.option(
     "--repair",
     is_flag=True,
@@ -135,6 +139,10 @@ def command(
     products: tuple[str, ...] | None,
     keep_source: bool,
     as_json: bool,
+    part: str | None,
+    finish: bool,
+    workers: int | None,
+    dask: str | None,
     **options: Any,
 ) -> None:
     """Build a terrain store from DEM files: one raster at all its resolutions, read tile by tile.
@@ -156,6 +164,9 @@ def command(
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
       orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
       orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
+      orograph build tiles/*.tif -o area.oro --part 3/64
+      orograph build tiles/*.tif -o area.oro --finish
+      orograph build tiles/*.tif -o area.oro --workers 4 --jobs 1 --max-memory 4GiB
       orograph build -o area.oro --repair
     """
     if repair:
@@ -175,12 +186,14 @@ def command(
     progress = progress_of(ctx)
     kinds, legs = _needed(methods, progress, tins)
     errors = (*errors, *(kind for kind in kinds if kind not in errors))
+    if part is not None and (products or color_errors):
+        raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
     for warning in getattr(source, "warnings", ()):
         progress.warn(warning)
     try:
-        terrain = build(
+        terrain: StoredTerrain | None = build(
             source,
             store,
             overwrite=overwrite,
@@ -191,10 +204,17 @@ def command(
             tins=legs,
             keep_source=keep_source,
             progress=progress,
+            part=part,
+            finish=finish,
+            workers=workers,
+            dask=dask,
         )
     except KeyboardInterrupt:
         click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
         raise
+    if terrain is None:
+        click.echo(json.dumps({"path": store, "part": part}) if as_json else f"{store}: part {part} is made")
+        return
     if products:
         from orograph.cli.bake import run
 
@@ -274,6 +294,10 @@ def _repair(
         "keep_source",
         "color_errors",
         "drape",
+        "part",
+        "finish",
+        "workers",
+        "dask",
         *(() if dem else options),
     }
     for option in ctx.command.params:

@@ -194,6 +194,17 @@ class ShardedArray:
             self.watch.explain(self.spec.path)
             raise
 
+    def prove(self, shard: Spot, whole: bool) -> None:
+        """Read a shard, whole or its end alone, which says what all of it must be.
+
+        Raises:
+            DamagedChunkError: as ``read``.
+        """
+        if whole:
+            self.read(*self.spec.window(shard))
+        else:
+            self._index(shard)
+
     def _window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
         out = np.empty((row1 - row0, col1 - col0), self.spec.dtype)
         if out.size == 0:

@@ -13,7 +13,7 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -24,7 +24,9 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.store.diamond_table import DIAMONDS
+from orograph.store.executing import Executor
 from orograph.store.given import source_of
+from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import CHUNK, FORMAT, PARTS, Record, dumps
@@ -32,13 +34,13 @@ from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric
 from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied, partial, publish
-from orograph.store.shards import go_through
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.tin_kind import TINS
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
+from orograph.store.ways import AtOnce, check_ways, executor_of
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
@@ -50,6 +52,34 @@ BASE = 280 << 20  # the interpreter, its libraries and their caches
 READER = 160 << 20  # what a mosaic may hold while it reads one window
 
 Path_ = str | os.PathLike[str]
+
+
+@overload
+def build(source: Any, url: Path_, *, part: str | tuple[int, int], **options: Any) -> None: ...
+
+
+@overload
+def build(
+    source: Any,
+    url: Path_,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    max_memory: int = MEMORY,
+    jobs: int | None = None,
+    errors: Sequence[ErrorKind] = ("exact",),
+    tins: int | None = None,
+    keep_source: bool = True,
+    progress: Progress | bool | None = None,
+    storage_options: dict[str, Any] | None = None,
+    shard: int | None = None,
+    chunk: int = CHUNK,
+    part: None = None,
+    finish: bool = False,
+    workers: int | None = None,
+    dask: Any = None,
+    **options: Any,
+) -> StoredTerrain: ...
 
 
 def build(
@@ -67,8 +97,12 @@ def build(
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
     chunk: int = CHUNK,
+    part: str | tuple[int, int] | None = None,
+    finish: bool = False,
+    workers: int | None = None,
+    dask: Any = None,
     **options: Any,
-) -> StoredTerrain:
+) -> StoredTerrain | None:
     """Build a store and open it.
 
     Args:
@@ -88,16 +122,19 @@ def build(
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
+        part: make only this part of the heights, "3/64" or (3, 64), and return nothing: for job arrays (``in_parts``).
+        finish: make the rest of a store whose parts are all there.
+        workers: build in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        dask: build on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         options: how the source is read, as for ``store.terrain``: ``crs``, ``resolution``, ``nodata``…
 
     Raises:
-        StoreError: something is there already, what was begun differs, the sources were changed meanwhile, or it cannot
-            be written (disk full).
+        StoreError: something is there already, what was begun differs, the sources were changed meanwhile, parts are
+            missing, or it cannot be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
     progress = reporting(progress)
-    if overwrite and resume:
-        raise UsageError("A build either resumes or overwrites, not both.")
+    check_ways(overwrite, resume, part, finish, workers, dask)
     kinds = tuple(kind for kind in KINDS if kind in errors)
     if len(kinds) != len(set(errors)):
         raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
@@ -108,6 +145,8 @@ def build(
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
+    if workers is not None:
+        jobs = jobs or 1
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
     keep = keep_source and bool(_lattices(raster))
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
@@ -117,9 +156,14 @@ def build(
             f"{needed >> 20} MiB."
         )
     plan = _plan(raster, shard, chunk, kinds, tins, keep)
+    storage = final if final.remote else FolderStorage(partial(final.url))
+    if part is not None:
+        build_part(raster, final, storage, plan, part_of(part), jobs, overwrite, progress)
+        return None
     with alone(final, "building this store"):
-        storage = final if final.remote else FolderStorage(partial(final.url))
-        if overwrite:
+        count = parts_begun(final, storage) if finish else 0
+        resume = resume or finish
+        if overwrite and not finish:
             _may_replace(final, storage)
         else:
             plan, complete = _compared(final, storage, plan, resume)
@@ -132,7 +176,13 @@ def build(
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
         if not storage.exists(ROOT):
-            _fill(raster, storage, plan, jobs, going_on, progress)
+            label = "Resuming the store" if going_on else "Building the store"
+            at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
+            with executor_of(raster, storage, storage_options, plan, at_once, going_on, workers, dask) as does:
+                executor = Gathering(final.url, count, does) if count else does
+                _fill(raster, storage, plan, jobs, label, executor, progress)
+        if isinstance(storage, FolderStorage) and going_on:
+            storage.sweep()
         storage.remove(PARTS)
         storage.remove(PLAN)
         storage.close()
@@ -314,24 +364,26 @@ def _interrupted(final: Storage) -> StoreError:
 
 
 def _fill(
-    raster: HeightSource, storage: Storage, plan: dict[str, Any], jobs: int, resume: bool, progress: Progress
-) -> None:
+    raster: HeightSource, storage: Storage, plan: dict[str, Any], jobs: int, label: str, executor: Executor,
+    progress: Progress,
+) -> None:  # fmt: skip
     """Do all tasks and write all metadata, the root's last."""
+    from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
-    from orograph.store.pyramid import Pyramid, tasks
+    from orograph.store.pyramid import Pyramid
     from orograph.store.resampling import look_back
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
-    pyramid = Pyramid(raster, writer, plan["shard"], plan["chunk"], resume)
-    spots = tasks(raster.grid.shape, plan["shard"])
-    go_through("Resuming the store" if resume else "Building the store", spots, pyramid.run, jobs, progress)
-    first = pyramid.finish()
+    levels = executor.groups(raster.grid.shape, plan["shard"])
+    pyramid = Pyramid(raster, writer, plan["shard"], plan["chunk"], label, levels)
+    executor.run(Groups(pyramid.finest, levels, pyramid) if levels else pyramid, progress)
+    first = pyramid.first()
     valid_samples = pyramid.valid_samples
     del pyramid
     lattices = _lattices(raster)
     sizes, keep = (plan["shard"], plan["chunk"]), plan["keep_source"]
-    lost = look_back(lattices, raster.grid, writer, sizes, keep, jobs, resume, progress) if lattices else None
+    lost = look_back(lattices, raster.grid, writer, sizes, keep, executor, progress) if lattices else None
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
@@ -349,7 +401,7 @@ def _fill(
         digests=writer.digests,
     )
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins")))
+        record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins")))
     if raster.fingerprint() != plan["source"]:
         storage.remove()
         raise StoreError(

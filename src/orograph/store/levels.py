@@ -110,13 +110,25 @@ class BoxMeans:
         strip = slice(row // 2, row // 2 + (len(heights) + 1) // 2)
         box_sums(heights, self.total[strip], self.count[strip])
 
-    def next(self) -> Heights:
+    @classmethod
+    def of_sums(cls, total: F64, count: Counts) -> BoxMeans:
+        """Those whose next means are those of these sums."""
+        made = cls((0, 0))
+        made.total, made.count = total, count
+        return made
+
+    def ahead(self) -> None:
+        """Make ``total`` and ``count`` those of the means that come next."""
         if self._summed:
             rows, cols = self.total.shape
             total = np.empty(((rows + 1) // 2, (cols + 1) // 2))
             count = np.empty(total.shape, np.int32)
             halve_sums(self.total, self.count, total, count)
             self.total, self.count = total, count
+        self._summed = False
+
+    def next(self) -> Heights:
+        self.ahead()
         self._summed = True
         mean = np.empty(self.total.shape, np.float32)
         divide(self.total, self.count, mean)

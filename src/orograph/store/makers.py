@@ -14,9 +14,9 @@ from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
+from orograph.store.executing import Executor
 from orograph.store.layout import Record
 from orograph.store.patches import KAPPA, LEGS, PATCHES, patch_errors, spec, stored_levels
-from orograph.store.shards import go_through
 from orograph.store.stored import CACHE_BYTES, StoredTerrain
 from orograph.store.terrain import diamond_shape, exponent
 from orograph.store.tin_kind import TINS
@@ -31,14 +31,14 @@ class Work(NamedTuple):
     Attributes:
         errors: the kinds of errors that are wanted.
         writer: of shards; all heights, means and tables are written.
-        jobs: threads. resume: use what an interrupted build left. progress: is told of tasks.
+        jobs: threads. executor: runs what is done by shard. progress: is told of tasks.
         tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
     """
 
     errors: tuple[ErrorKind, ...]
     writer: ShardWriter
     jobs: int
-    resume: bool
+    executor: Executor
     progress: Progress
     tins: int | None = None
 
@@ -54,9 +54,9 @@ def make_diamonds(record: Record, work: Work) -> Record:
     if not work.errors:
         return record
     first = work.terrain(record).tiles(0)
-    survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, work.errors, work.resume)
+    survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, work.errors)
     with while_compiling("orograph.error.ahead", *work.errors):
-        go_through("Finding errors", survey.tasks(), survey.run, work.jobs, work.progress, survey.finish)
+        work.executor.run(survey, work.progress)
     return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))
 
 

@@ -1,4 +1,4 @@
-"""The work of a build: one task per full-resolution shard, from which every coarser level follows.
+"""The heights of a build: one task per full-resolution shard, from which every coarser level follows.
 
 A task reads its square of 2^m samples and the row and column beyond it that its tiles share with their neighbours,
 writes the shard, and works out all it will ever contribute: its samples of every nested level, its box means, its tile
@@ -24,6 +24,7 @@ from orograph.errors import DamagedChunkError
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import Spot
+from orograph.store.executing import Stage
 from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
 from orograph.store.levels import (
     BoxMeans,
@@ -56,24 +57,120 @@ def _spread(value: int) -> int:
     return sum((value >> bit & 1) << (2 * bit) for bit in range(value.bit_length()))
 
 
-class Pyramid:
+class Finest:
+    """The first part of tasks: shards of level 0, and what follows from them and a row and a column beyond.
+
+    Args:
+        source: the heights.
+        writer: of shards.
+        shard, chunk: samples along their sides; powers of two.
+    """
+
+    def __init__(self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int) -> None:
+        self.source, self.writer, self.shard, self.chunk = source, writer, shard, chunk
+        self.shape = source.grid.shape
+        self.direct = min(shard.bit_length(), level_count(self.shape)) - 1
+        self.spec = heights_spec(self.shape, 0, shard, chunk)
+
+    def make(self, spot: Spot) -> tuple[Heights, Facts]:
+        """Read, write the shard, look at its tiles, and keep what was found; the shard's samples, and that."""
+        (rows, cols), size = self.shape, self.shard
+        row, col = spot[0] * size, spot[1] * size
+        heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
+        heights = np.ascontiguousarray(heights, np.float32)
+        own = heights[:size, :size]
+        digest = self.writer.shard(self.spec, spot, own)
+        low, high, valid = extrema(heights)
+        facts: Facts = {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
+        facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
+        empty = not valid.any()
+        for level in range(1, self.direct + 1):
+            if empty:
+                facts[f"worst{level}"] = np.zeros((1, 1))
+            else:
+                facts[f"worst{level}"] = tile_errors(heights, level, (row, col))
+        self.writer.keep(self.key(spot), pack(facts))
+        return own, facts
+
+    def key(self, spot: Spot) -> str:
+        """Where what was found is kept."""
+        return f"{PARTS}/{spot[0]}.{spot[1]}.part"
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Samples along the sides of shards and chunks."""
+        return self.shard, self.chunk
+
+    def found(self, spot: Spot) -> tuple[Heights, Facts] | None:
+        """The same of a shard that was finished before; None if it was not, or is damaged."""
+        data = self.writer.storage.get(self.key(spot))
+        if data is None:
+            return None
+        array = ShardedArray(self.spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
+        try:
+            facts = unpack(data)
+            self.writer.take(self.spec, spot, facts["digest"].tobytes())
+            return array.read(*self.spec.window(spot)), facts
+        except (DamagedChunkError, ValueError):
+            return None
+
+
+class Above:
+    """The heights and means of some levels, put together from what comes from below them.
+
+    Args:
+        finest: the level at the bottom.
+        levels: those that are put together; they follow one another.
+        below: the level whose shards are as large as what is added.
+    """
+
+    def __init__(self, finest: Finest, levels: range, below: int = 0) -> None:
+        self.levels, self.area = levels, finest.shard << below
+        self.heights = {k: self._canvas(finest, heights_spec, k) for k in levels}
+        self.means = {k: self._canvas(finest, mean_spec, k) for k in levels}
+
+    def _canvas(self, finest: Finest, kind: Kind, level: int) -> Canvas:
+        spec = kind(finest.shape, level, finest.shard, finest.chunk)
+        return Canvas(spec, finest.writer, spans(finest.shape, self.area, level, spec.shape))
+
+    def add(self, row: int, col: int, end: tuple[bool, bool], nested: Heights, means: BoxMeans, level: int) -> Heights:
+        """Put what an area has into the levels above ``level``; its samples of the last of them.
+
+        Args:
+            row, col: the area's first sample of level 0.
+            end: whether it reaches the raster's last row and column.
+            nested, means: of the area, at ``level``.
+        """
+        for above in range(level + 1, self.levels.stop):
+            nested = halve(nested, end)
+            self.heights[above].add(row >> above, col >> above, nested)
+            self.means[above].add(row >> above, col >> above, means.next())
+        return nested
+
+
+class Pyramid(Stage[tuple[Heights, Facts]]):
     """All arrays of a store under construction.
 
     Args:
         source: the heights.
         writer: of its shards.
         shard, chunk: samples along their sides; powers of two.
-        resume: use what an interrupted build left.
+        label: what is done.
+        groups: levels of the groups that are added (``groups``); 0: shards are.
     """
 
-    def __init__(self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, resume: bool) -> None:
-        self.source, self.writer, self.shard, self.chunk, self.resume = source, writer, shard, chunk, resume
+    name = "heights"
+
+    def __init__(
+        self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, label: str = "Building the store",
+        groups: int = 0,
+    ) -> None:  # fmt: skip
+        self.label, self.writer, self.shard, self.chunk = label, writer, shard, chunk
+        self.finest = Finest(source, writer, shard, chunk)
         self.shape = shape = source.grid.shape
         self.levels = level_count(shape)
-        self.direct = min(shard.bit_length() - 1, self.levels - 1)  # the coarsest level that tasks make themselves
-        self.finest = heights_spec(shape, 0, shard, chunk)
-        self.heights = {k: self._canvas(heights_spec, k) for k in range(1, self.direct + 1)}
-        self.means = {k: self._canvas(mean_spec, k) for k in range(1, self.direct + 1)}
+        self.direct = self.finest.direct  # the coarsest level that tasks make themselves
+        self.above = Above(self.finest, range(groups + 1, self.direct + 1), groups)
         tiles = tile_shape(shape, 0)
         self.low, self.high = np.full(tiles, np.nan, np.float32), np.full(tiles, np.nan, np.float32)
         self.least, self.most = np.full(tiles, 2, np.uint8), np.zeros(tiles, np.uint8)
@@ -85,66 +182,45 @@ class Pyramid:
         self.last_total = np.zeros(mean_shape(shape, self.direct))
         self.last_count = np.zeros(mean_shape(shape, self.direct), np.int64)
 
-    def _canvas(self, kind: Kind, level: int) -> Canvas:
-        spec = kind(self.shape, level, self.shard, self.chunk)
-        return Canvas(spec, self.writer, spans(self.shape, self.shard, level, spec.shape))
+    def tasks(self) -> list[Spot]:
+        return tasks(self.shape, self.shard)
 
-    def run(self, spot: Spot) -> None:
-        """Do one task, or take over what an interrupted build did of it."""
-        found = self._finished(spot) if self.resume else None
-        own, facts = found or self._make(spot)
-        row, col = spot[0] * self.shard, spot[1] * self.shard
-        end = row + own.shape[0] == self.shape[0], col + own.shape[1] == self.shape[1]
-        nested, means = own, BoxMeans(own)
-        for level in range(1, self.direct + 1):
-            nested = halve(nested, end)
-            self.heights[level].add(row >> level, col >> level, nested)
-            self.means[level].add(row >> level, col >> level, means.next())
+    def key(self, spot: Spot) -> str:
+        return self.finest.key(spot)
+
+    def make(self, spot: Spot) -> tuple[Heights, Facts]:
+        return self.finest.make(spot)
+
+    def found(self, spot: Spot, proof: bool = True) -> tuple[Heights, Facts] | None:
+        return self.finest.found(spot)
+
+    def add(self, spot: Spot, found: tuple[Heights, Facts]) -> None:
+        own, facts = found
+        self.rise(spot, own, BoxMeans(own), 0)
+        self.combine(spot, facts)
+
+    def rise(self, spot: Spot, nested: Heights, means: BoxMeans, level: int) -> None:
+        """Put an area into the levels above ``level``.
+
+        Args:
+            spot: its (row, col) among the areas of one shard of ``level``.
+            nested, means: of the area, at ``level``.
+        """
+        row, col = (at * self.shard << level for at in spot)
+        end = row + (self.shard << level) >= self.shape[0], col + (self.shard << level) >= self.shape[1]
+        nested = self.above.add(row, col, end, nested, means, level)
         if self.direct < self.levels - 1:
             r, c = row >> self.direct, col >> self.direct
             self.last[r : r + nested.shape[0], c : c + nested.shape[1]] = nested
             area = slice(r, r + means.total.shape[0]), slice(c, c + means.total.shape[1])
             self.last_total[area], self.last_count[area] = means.total, means.count
+
+    def combine(self, spot: Spot, facts: Facts) -> None:
+        """Add what was found of a shard to the tables of the whole raster."""
         with self._lock:
-            self._combine(row, col, facts)
-
-    def _make(self, spot: Spot) -> tuple[Heights, Facts]:
-        """Read, write the shard, look at its tiles, and keep what was found."""
-        (rows, cols), size = self.shape, self.shard
-        row, col = spot[0] * size, spot[1] * size
-        heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
-        heights = np.ascontiguousarray(heights, np.float32)
-        own = heights[:size, :size]
-        digest = self.writer.shard(self.finest, spot, own)
-        low, high, valid = extrema(heights)
-        facts: Facts = {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
-        facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
-        empty = not valid.any()
-        for level in range(1, self.direct + 1):
-            if empty:
-                facts[f"worst{level}"] = np.zeros((1, 1))
-            else:
-                facts[f"worst{level}"] = tile_errors(heights, level, (row, col))
-        self.writer.keep(_part(spot), pack(facts))
-        return own, facts
-
-    def _finished(self, spot: Spot) -> tuple[Heights, Facts] | None:
-        """The samples and facts of a task an interrupted build finished; None if it did not, or they are damaged."""
-        data = self.writer.storage.get(_part(spot))
-        if data is None:
-            return None
-        row, col = spot[0] * self.shard, spot[1] * self.shard
-        array = ShardedArray(self.finest, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
-        try:
-            facts = unpack(data)
-            self.writer.take(self.finest, spot, facts["digest"].tobytes())
-            rows, cols = min(row + self.shard, self.shape[0]), min(col + self.shard, self.shape[1])
-            return array.read(row, rows, col, cols), facts
-        except (DamagedChunkError, ValueError):
-            return None
+            self._combine(spot[0] * self.shard, spot[1] * self.shard, facts)
 
     def _combine(self, row: int, col: int, facts: Facts) -> None:
-        """Add a task's facts to the tables of the whole raster."""
         self.valid_samples += int(facts["samples"])
         at = row // TILE, col // TILE
         low = facts["low"]
@@ -161,11 +237,15 @@ class Pyramid:
             area = slice(r, r + worst.shape[0]), slice(c, c + worst.shape[1])
             table[area] = np.maximum(table[area], worst)
 
-    def finish(self) -> TileTable:
-        """Write the levels that no task could make, and all tile tables; returns those of level 0."""
+    def first(self) -> TileTable:
+        """The tile table of level 0, when all is added."""
         valid = np.where(self.least == 2, 2, np.minimum(self.most, 1)).astype(np.uint8)
-        low, high = self.low, self.high
-        first = TileTable(low, high, np.zeros(low.shape, np.float32), valid)
+        return TileTable(self.low, self.high, np.zeros(self.low.shape, np.float32), valid)
+
+    def finish(self) -> None:
+        """Write the levels that no task could make, and all tile tables."""
+        first = self.first()
+        low, high, valid = first.minimum, first.maximum, first.valid
         self._write_tables(0, first)
         nested, total, count = self.last, self.last_total, self.last_count
         for level in range(1, self.levels):
@@ -183,7 +263,6 @@ class Pyramid:
                 self._write_whole(mean_spec, level, mean)
             error = round_up(self.worst[level], magnitude(low, high))
             self._write_tables(level, TileTable(low, high, error, valid))
-        return first
 
     def _sum_of_errors(self, level: int, finer: Heights, low: Heights, high: Heights, valid: NDArray[np.uint8]) -> None:
         """The error of a level from that of the level below; where samples are missing, the height range."""
@@ -212,7 +291,3 @@ def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spo
         for starts, last in (([b * area >> level for b in range(-(-s // area))], n) for s, n in zip(shape, samples))
     )
     return rows, cols
-
-
-def _part(spot: Spot) -> str:
-    return f"{PARTS}/{spot[0]}.{spot[1]}.part"

@@ -23,6 +23,7 @@ from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
+from orograph.store.executing import Threads
 from orograph.store.inputs import changes, reopened
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import Record, array_specs, derived_arrays, heights_spec, metadata, rebuild
@@ -153,7 +154,7 @@ class _Repair:
             if self._any(*(f"{spec.path}/c/" for kind, spec, _ in derived_arrays(self.record) if kind.name == name)):
                 errors = tuple(DIAMONDS.of(self.record).errors)
                 tins = TINS.of(self.record).get("legs")
-                make(self.record, Work(errors, self.mender, self.jobs, False, self.progress, tins))
+                make(self.record, Work(errors, self.mender, self.jobs, Threads(self.jobs, False), self.progress, tins))
         self._prove()
         if self.mender.damaged:
             raise self._left()
@@ -229,9 +230,8 @@ class _Repair:
     def _coarse(self) -> None:
         """Coarser levels, means and tables, from level 0."""
         record = self.record
-        pyramid = Pyramid(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, resume=False)
-        spots = tasks(record.grid.shape, record.shard)
-        go_through("Mending levels", spots, pyramid.run, self.jobs, self.progress, pyramid.finish)
+        pyramid = Pyramid(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, "Mending levels")
+        Threads(self.jobs, False).run(pyramid, self.progress)
 
     def _prove(self) -> None:
         """Read back what was written."""

@@ -25,11 +25,11 @@ from orograph.progress import Progress
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import Spot
+from orograph.store.executing import Executor, Stage
 from orograph.store.lattices import LatticeRecord, StoredLattice
 from orograph.store.layout import PARTS, heights_spec
 from orograph.store.parts import pack, unpack
 from orograph.store.pyramid import tasks
-from orograph.store.shards import go_through
 from orograph.store.terrain import Heights, Resampled
 from orograph.store.writer import ShardWriter
 
@@ -45,7 +45,7 @@ Facts = dict[str, NDArray[Any]]
 
 def look_back(
     lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int], keep: bool,
-    jobs: int, resume: bool, progress: Progress,
+    executor: Executor, progress: Progress,
 ) -> Resampled:  # fmt: skip
     """Keep the lattices a terrain was resampled from, and compare it with them.
 
@@ -55,18 +55,14 @@ def look_back(
         writer: of its shards.
         sizes: samples along the sides of shards and chunks.
         keep: whether the samples are written.
-        resume: use what an interrupted build left.
+        executor: runs the tasks.
     """
-    level = heights_spec(grid.shape, 0, *sizes)
-    surface = StoredLattice(grid, ShardedArray(level, writer.storage, writer.digests, ChunkCache(0), 1))
     total = _Total()
-    for number, lattice in enumerate(lattices):
-        look = _Look(number, lattice, lattices[:number], surface, writer, sizes, keep, resume)
-        spots = tasks(lattice.grid.shape, sizes[0])
-        label = "Keeping the source's samples" if keep else "Comparing with the source"
-        go_through(label, spots, look.run, jobs, progress)
-        for spot in sorted(spots):
-            total.add(look.found[spot])
+    for number in range(len(lattices)):
+        look = Look(number, lattices, grid, writer, sizes, keep)
+        executor.run(look, progress)
+        for spot in sorted(look.tasks()):
+            total.add(look.facts[spot])
     return total.result()
 
 
@@ -94,31 +90,41 @@ class _Total:
         return Resampled(rms, self.largest, self.summit_loss, self.highest, self.highest_loss)
 
 
-class _Look:
-    """The tasks of one lattice; ``found`` has what they found."""
+class Look(Stage[Facts]):
+    """The tasks of one lattice; ``facts`` has what they found.
+
+    Args:
+        number: of the lattice; the others are as of ``look_back``.
+    """
+
+    name = "source"
 
     def __init__(
-        self, number: int, lattice: SourceLattice, finer: Sequence[SourceLattice], surface: StoredLattice,
-        writer: ShardWriter, sizes: tuple[int, int], keep: bool, resume: bool,
+        self, number: int, lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int],
+        keep: bool,
     ) -> None:  # fmt: skip
         from orograph.dem.coordinates import Coordinates
         from orograph.dem.layers import LatticeMap, layer_of
 
-        self.number, self.lattice, self.writer, self.keep, self.resume = number, lattice, writer, keep, resume
-        self.record = LatticeRecord.of(lattice)
+        self.label = "Keeping the source's samples" if keep else "Comparing with the source"
+        self.number, self.lattice, self.writer, self.keep = number, lattices[number], writer, keep
+        self.record = LatticeRecord.of(self.lattice)
         self.spec = self.record.spec(number, *sizes)
-        self.finer = [layer_of(each, lattice.grid, "nearest") for each in finer]
-        rows, cols = lattice.grid.shape
-        self.surface = LatticeMap(
-            surface, None, Coordinates(lattice.grid, surface.grid, EXACT), (1, 1), (0, rows, 0, cols)
-        )
-        self.found: dict[Spot, Facts] = {}
+        here = self.lattice.grid
+        self.finer = [layer_of(each, here, "nearest") for each in lattices[:number]]
+        level = heights_spec(grid.shape, 0, *sizes)
+        surface = StoredLattice(grid, ShardedArray(level, writer.storage, writer.digests, ChunkCache(0), 1))
+        exact = Coordinates(here, grid, EXACT)
+        self.surface = LatticeMap(surface, None, exact, (1, 1), (0, here.rows, 0, here.cols))
+        self.facts: dict[Spot, Facts] = {}
 
-    def run(self, spot: Spot) -> None:
-        """Do one task, or take over what an interrupted build did of it."""
-        self.found[spot] = (self._finished(spot) if self.resume else None) or self._make(spot)
+    def tasks(self) -> list[Spot]:
+        return tasks(self.lattice.grid.shape, self.spec.shard)
 
-    def _make(self, spot: Spot) -> Facts:
+    def add(self, spot: Spot, found: Facts) -> None:
+        self.facts[spot] = found
+
+    def make(self, spot: Spot) -> Facts:
         from orograph.dem.layers import fill
 
         row0, row1, col0, col1 = self.spec.window(spot)
@@ -134,12 +140,11 @@ class _Look:
         if not np.isnan(own).all():
             fill("ground", self.surface, row0, row1, col0, col1, ground)
         facts["found"], facts["squares"] = _compared(around, np.isnan(covered), ground[..., 0], ground[..., 1])
-        self.writer.keep(self._part(spot), pack(facts))
+        self.writer.keep(self.key(spot), pack(facts))
         return facts
 
-    def _finished(self, spot: Spot) -> Facts | None:
-        """What an interrupted build found; None if it did not come to it, or its shard is damaged."""
-        data = self.writer.storage.get(self._part(spot))
+    def found(self, spot: Spot, proof: bool = True) -> Facts | None:
+        data = self.writer.storage.get(self.key(spot))
         if data is None:
             return None
         try:
@@ -147,12 +152,12 @@ class _Look:
             if self.keep:
                 self.writer.take(self.spec, spot, facts["digest"].tobytes())
                 array = ShardedArray(self.spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
-                array.read(*self.spec.window(spot))
+                array.prove(spot, proof)
         except (DamagedChunkError, ValueError):
             return None
         return facts
 
-    def _part(self, spot: Spot) -> str:
+    def key(self, spot: Spot) -> str:
         return f"{PARTS}/source/{self.number}.{spot[0]}.{spot[1]}.part"
 
 

@@ -25,9 +25,11 @@ from typing import Any, TypeVar
 
 from orograph.errors import StoreError, UsageError
 from orograph.output import remove
+from orograph.processes import host
 from orograph.store.ranges import Range, cut, merged
 
 OPEN_FILES = 128
+WRITING = ".writing"  # how the names of files end that are not complete
 SILENCE = 10.0  # seconds that a web server may let pass without a byte
 AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
 BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})  # HTTP: not now
@@ -95,12 +97,18 @@ class _File:
 
 
 class FolderStorage(Storage):
-    """A folder on a local disk; the files read last stay open."""
+    """A folder on a local disk; the files read last stay open.
+
+    Args:
+        path: of the folder.
+        many: whether several processes may write the same objects (of the same bytes) at once. What one that is killed
+            leaves beside them is only removed by ``sweep``, then.
+    """
 
     remote = False
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | os.PathLike[str], many: bool = False) -> None:
+        self.path, self.many = Path(path), many
         self.url = str(self.path)
         self._lock = threading.Lock()
         self._open: OrderedDict[str, _File] = OrderedDict()
@@ -150,7 +158,8 @@ class FolderStorage(Storage):
 
     def put(self, key: str, parts: Sequence[bytes]) -> None:
         path = self.path / key
-        beside = path.with_name(f".{path.name}.writing")
+        own = f".{host()}.{os.getpid()}.{threading.get_ident()}" if self.many else ""
+        beside = path.with_name(f".{path.name}{own}{WRITING}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -186,6 +195,11 @@ class FolderStorage(Storage):
             raise self._failed("moved", key, error) from error
         with self._lock:
             self._open.clear()
+
+    def sweep(self) -> None:
+        """Remove what processes that were killed left of objects they were writing."""
+        for path in self.path.rglob(f".*{WRITING}"):
+            remove(path)
 
     def stamp(self, key: str) -> tuple[int, ...] | None:
         try:

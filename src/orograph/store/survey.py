@@ -24,6 +24,7 @@ from orograph.store.cache import ChunkCache
 from orograph.store.diamond_table import diamond_spec
 from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
 from orograph.store.digests import Spot
+from orograph.store.executing import Stage
 from orograph.store.layout import PARTS, heights_spec
 from orograph.store.levels import subsample
 from orograph.store.parts import pack, unpack
@@ -35,7 +36,10 @@ Codes = dict[tuple[int, str], NDArray[np.uint8]]
 """By octave and name (a kind of errors, or "radius")."""
 
 
-class Errors:
+Surveyed = tuple[Codes, list[Rest]]
+
+
+class Errors(Stage[Surveyed]):
     """The diamonds' arrays of a store under construction.
 
     Args:
@@ -44,8 +48,9 @@ class Errors:
         shard, chunk: samples along their sides; powers of two.
         first: the tile table of level 0.
         kinds: which errors.
-        resume: use what an interrupted build left.
     """
+
+    name, label = "errors", "Finding errors"
 
     def __init__(
         self,
@@ -55,9 +60,8 @@ class Errors:
         chunk: int,
         first: TileTable,
         kinds: tuple[ErrorKind, ...],
-        resume: bool,
     ) -> None:
-        self.shape, self.writer, self.sizes, self.resume = grid.shape, writer, (shard, chunk), resume
+        self.shape, self.writer, self.sizes = grid.shape, writer, (shard, chunk)
         self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
         self.area = max(shard, 32)
         low, high = _range(first)
@@ -79,7 +83,7 @@ class Errors:
                 writer,
                 spans(grid.shape, self.area, level, diamond_shape(grid.shape, level)),
             )
-            for level in range(min(SMALL, self.top))
+            for level in range(1, min(SMALL, self.top))
             for name in self.names
         }
 
@@ -87,10 +91,8 @@ class Errors:
         """The areas (row, col) in Morton order."""
         return tasks(self.shape, self.area)
 
-    def run(self, spot: Spot) -> None:
-        """Do one task, or take over what an interrupted build did of it."""
-        found = self._finished(spot) if self.resume else None
-        codes, rests = found or self._make(spot)
+    def add(self, spot: Spot, found: Surveyed) -> None:
+        codes, rests = found
         row, col = spot[0] * self.area, spot[1] * self.area
         for (octave, name), values in codes.items():
             if octave == 0 and self.top:
@@ -102,7 +104,10 @@ class Errors:
         for rest in rests:
             self.survey.add(rest)
 
-    def _make(self, spot: Spot) -> tuple[Codes, list[Rest]]:
+    def key(self, spot: Spot) -> str:
+        return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
+
+    def make(self, spot: Spot) -> Surveyed:
         """Survey an area, write its shards of octave 0, and keep the rest."""
         rows, cols = self.shape
         row, col = spot[0] * self.area, spot[1] * self.area
@@ -128,14 +133,15 @@ class Errors:
         }
         if self.top:
             for name in self.names:
-                self.canvases[0, name].add(row, col, codes[0, name])
                 spec = self._spec(0, name)
                 for number, shard in enumerate(self._shards(spot, spec)):
-                    digest = self.writer.digests.get(spec.path, spec.shards, shard)
+                    row0, row1, col0, col1 = spec.window(shard)
+                    own = codes[0, name][row0 - row : row1 - row, col0 - col : col1 - col]
+                    digest = self.writer.shard(spec, shard, own)
                     kept[f"digest.{number}.{name}"] = np.frombuffer(digest, np.uint8)
         for index, rest in enumerate(rests):
             kept.update({f"rest.{index}.{name}": array for name, array in rest.to_arrays().items()})
-        self.writer.keep(_part(spot), pack(kept))
+        self.writer.keep(self.key(spot), pack(kept))
         return codes, rests
 
     def _encode(self, part: Part, row: int, col: int, codes: Codes) -> None:
@@ -160,9 +166,8 @@ class Errors:
             coded["radius"] = self.encoder.radii(part.radii, part.i, part.j, part.octave)
         return coded
 
-    def _finished(self, spot: Spot) -> tuple[Codes, list[Rest]] | None:
-        """What an interrupted build found in an area; None if it did not, or that is damaged."""
-        data = self.writer.storage.get(_part(spot))
+    def found(self, spot: Spot, proof: bool = True) -> Surveyed | None:
+        data = self.writer.storage.get(self.key(spot))
         if data is None:
             return None
         codes: Codes = {}
@@ -179,21 +184,19 @@ class Errors:
                     kept.setdefault(int(number), {})[name] = array
             rests = [Rest.from_arrays(arrays) for _, arrays in sorted(kept.items())]
             if self.top:
-                self._prove(spot, digests)
+                self._prove(spot, digests, proof)
         except (DamagedChunkError, ValueError):
             return None
         return codes, rests
 
-    def _prove(self, spot: Spot, digests: dict[str, list[bytes]]) -> None:
-        """Read an area's shards of octave 0, which checks them."""
-        rows, cols = diamond_shape(self.shape, 0)
-        row, col = spot[0] * self.area, spot[1] * self.area
+    def _prove(self, spot: Spot, digests: dict[str, list[bytes]], whole: bool) -> None:
+        """Read an area's shards of octave 0, or their ends, which checks them."""
         for name in self.names:
             spec = self._spec(0, name)
+            array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
             for shard, digest in zip(self._shards(spot, spec), digests[name], strict=True):
                 self.writer.take(spec, shard, digest)
-            array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
-            array.read(row, min(row + self.area, rows), col, min(col + self.area, cols))
+                array.prove(shard, whole)
 
     def _shards(self, spot: Spot, spec: ArraySpec) -> list[Spot]:
         """The shards of octave 0 in an area."""
@@ -245,7 +248,3 @@ def memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     task = window * (5 + 2 * (kinds + 1)) + block * (24 + 14 * kinds)
     shards = sum(min(4 * shard * shard, shape[0] * shape[1] >> 2 * level) for level in range(1, SMALL))
     return jobs * task + shards * (kinds + 1) + (shape[0] * shape[1] >> 2 * NESTED) * (16 + 8 * kinds)
-
-
-def _part(spot: Spot) -> str:
-    return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"

@@ -65,11 +65,8 @@ class Canvas:
         self.spec, self.writer = spec, writer
         self._lock = threading.Lock()
         self._open: dict[Spot, NDArray[Any]] = {}
-        rows, cols = (
-            [sum(a < (s + 1) * spec.shard and b > s * spec.shard for a, b in axis) for s in range(count)]
-            for axis, count in zip(spans, spec.shards, strict=True)
-        )
-        self._awaited = {(i, j): rows[i] * cols[j] for i in range(len(rows)) for j in range(len(cols))}
+        self._spans = spans
+        self._awaited: dict[Spot, int] = {}
 
     def add(self, row: int, col: int, part: NDArray[Any]) -> None:
         """Put a part in its place, and write the shards it completes."""
@@ -81,6 +78,7 @@ class Canvas:
                     if block is None:
                         side = min(size, shape[0] - i * size), min(size, shape[1] - j * size)
                         block = self._open[i, j] = np.full(side, self.spec.fill, self.spec.dtype)
+                        self._awaited[i, j] = self._parts_of((i, j))
                 top, left = row - i * size, col - j * size
                 r, c = max(top, 0), max(left, 0)
                 piece = part[r - top : block.shape[0] - top, c - left : block.shape[1] - left]
@@ -89,6 +87,15 @@ class Canvas:
                     self._awaited[i, j] -= 1
                     done = self._awaited[i, j] == 0
                     if done:
-                        del self._open[i, j]
+                        del self._open[i, j], self._awaited[i, j]
                 if done:
                     self.writer.shard(self.spec, (i, j), block)
+
+    def _parts_of(self, spot: Spot) -> int:
+        """How many parts a shard consists of."""
+        size = self.spec.shard
+        rows, cols = (
+            sum(a < (at + 1) * size and b > at * size for a, b in axis)
+            for axis, at in zip(self._spans, spot, strict=True)
+        )
+        return rows * cols

@@ -1,0 +1,238 @@
+"""Builds on the workers of a Dask cluster, of this machine or of many that share a file system (or a bucket).
+
+To Dask a task is opaque and a few bytes: the stage, and where (``workshop`` has what workers do with it). This process
+alone plans, holds the store's lock, adds up what tasks found, and lets the store take its place. It keeps a bounded
+number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so nothing that
+is done is lost with a worker, and what is found there is not made again. A task that fails, or whose workers die, is
+tried again; what fails every time is given up, and told when all others are done.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import queue
+import time
+import uuid
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from orograph.errors import OrographError, StoreError, UsageError
+from orograph.progress import Progress, Task
+from orograph.store.digests import Spot
+from orograph.store.executing import Stage
+from orograph.store.groups import group_levels
+from orograph.store.layout import dumps
+from orograph.store.terrain import Shape
+from orograph.store.workshop import KNOWN, Recipe, do
+
+TRIES = 4
+"""How often a task is begun before it is given up; Dask itself moves those of dead workers several times before."""
+
+GIVEN_UP = 16
+"""Tasks that are given up before the others are not even begun: it is not the tasks, then."""
+
+AHEAD = 2
+"""Tasks that are under way for each thread of the workers."""
+
+EACH = 8
+"""Groups of heights for each thread of the workers, at least, if there are so many."""
+
+SILENCE = 60.0
+"""Seconds without a scheduler after which the build ends."""
+
+
+@contextlib.contextmanager
+def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed: int) -> Iterator[Any]:
+    """A client of a cluster: of one that is there, or of processes of this machine, which end with it.
+
+    Args:
+        workers: processes to start. dask: instead, a client, or the address of a scheduler.
+        jobs: threads of each process. max_memory: bytes of all of them together. needed: bytes that one must have.
+
+    Raises:
+        UsageError: Dask is not installed, or the scheduler does not answer.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise UsageError(
+            f"Clusters need Dask, which is not installed ({error}).", remedy="pip install 'orograph[cluster]'."
+        ) from error
+    made: Any = distributed.Client
+    local: Any = distributed.LocalCluster
+    if isinstance(dask, distributed.Client):
+        yield dask
+        return
+    if dask is not None:
+        try:
+            client = made(dask)
+        except (OSError, ValueError, TypeError) as error:
+            raise UsageError(
+                f"No scheduler of Dask answers at {dask!r}: {error}.", remedy="Give its address, tcp://HOST:8786."
+            ) from error
+        with client:
+            yield client
+        return
+    limit = max((max_memory // (workers or 1)), needed * 5 // 4)  # Dask ends processes that come near their limit
+    with (
+        local(
+            n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
+        ) as cluster,
+        made(cluster) as client,
+    ):  # fmt: skip
+        yield client
+
+
+def threads_of(client: Any) -> int:
+    """Threads of all workers there are now, at least 1."""
+    return max(1, int(sum(client.nthreads().values())))
+
+
+def levels_of(client: Any, shape: Shape, shard: int) -> int:
+    """Levels of the groups of heights."""
+    return group_levels(shape, shard, EACH * threads_of(client))
+
+
+class Cluster:
+    """Runs the stages of a build on a cluster.
+
+    Args:
+        client: of Dask. recipe: what workers are told once.
+    """
+
+    def __init__(self, client: Any, recipe: Recipe) -> None:
+        self.client, self.recipe, self.ident = client, recipe, uuid.uuid4().hex
+
+    def groups(self, shape: Shape, shard: int) -> int:
+        return self.recipe.levels
+
+    def run(self, stage: Stage[Any], progress: Progress) -> None:
+        """As of all executors.
+
+        Raises:
+            StoreError: tasks were given up, or the scheduler is gone; or what workers wrote is not seen here.
+        """
+        from orograph.store.dask_plugin import Telling
+
+        if stage.number or stage.name != "heights":
+            stage.writer.keep(KNOWN, dumps(stage.writer.digests.to_json()))
+        ident = f"orograph-{self.ident}-{stage.name}-{stage.number}"
+        self.client.register_plugin(Telling(ident, self.recipe), name=ident)
+        try:
+            tasks = stage.tasks()
+            with progress.task(stage.label, total=len(tasks)) as task:
+                _Round(self.client, stage, ident, task).go()
+                stage.finish()
+        finally:
+            with contextlib.suppress(Exception):  # the scheduler may be gone
+                self.client.unregister_worker_plugin(ident)
+
+
+class _Round:
+    """All tasks of one stage, once round."""
+
+    def __init__(self, client: Any, stage: Stage[Any], ident: str, task: Task) -> None:
+        self.client, self.stage, self.ident, self.task = client, stage, ident, task
+        self.todo: Iterator[Spot] = iter(stage.tasks())
+        self.again: list[Spot] = []
+        self.pending: dict[Any, Spot] = {}
+        self.done: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.begun: Counter[Spot] = Counter()
+        self.given_up: dict[Spot, str] = {}
+        self.heard = time.monotonic()
+
+    def go(self) -> None:
+        """Do them."""
+        try:
+            while self._fill():
+                try:
+                    future = self.done.get(timeout=1.0)
+                except queue.Empty:
+                    self._listen()
+                    continue
+                self._take(future)
+        finally:
+            for future in self.pending:
+                with contextlib.suppress(Exception):
+                    future.cancel()
+        if self.given_up:
+            raise self._failed()
+
+    def _fill(self) -> bool:
+        """Begin tasks as far as there is room; whether any are under way."""
+        room = AHEAD * threads_of(self.client) - len(self.pending)
+        if len(self.given_up) < GIVEN_UP:
+            for spot in itertools.islice(self._next(), max(room, 0)):
+                self.begun[spot] += 1
+                future = self.client.submit(
+                    do, self.ident, self.stage.name, self.stage.number, spot, pure=False,
+                    key=f"{self.ident}-{spot[0]}-{spot[1]}-{self.begun[spot]}",
+                )  # fmt: skip
+                self.pending[future] = spot
+                future.add_done_callback(self.done.put)
+        return bool(self.pending)
+
+    def _next(self) -> Iterator[Spot]:
+        while self.again:
+            yield self.again.pop()
+        yield from self.todo
+
+    def _take(self, future: Any) -> None:
+        """Add what a task found, or see to it that it is tried again."""
+        spot = self.pending.pop(future, None)
+        if spot is None:
+            return
+        try:
+            error = future.exception(timeout=10) if future.status == "error" else None
+            why = "it was cancelled" if error is None and future.status != "finished" else _said(error)
+        except Exception as failure:  # the scheduler is gone, and what it knew with it
+            error, why = failure, _said(failure)
+        future.release()
+        if why is None:
+            found = self.stage.found(spot, proof=False)
+            if found is not None:
+                self.stage.add(spot, found)
+                self.task.advance()
+                return
+            why = "what the worker made of it is not seen by the process that builds"
+        if self.begun[spot] < TRIES and not isinstance(error, UsageError):
+            self.again.append(spot)
+            self.task.note(f"tried again: {why}")
+        else:
+            self.given_up[spot] = why
+        self._listen()
+
+    def _listen(self) -> None:
+        """Notice when the scheduler, or every worker, is gone."""
+        if self.client.status == "running":
+            self.heard = time.monotonic()
+            if not self.client.nthreads():
+                self.task.note("waiting for workers")
+            return
+        if self.client.status == "closed" or time.monotonic() - self.heard > SILENCE:
+            raise StoreError(
+                "The scheduler of the cluster is gone.", path=self.stage.writer.storage.url,
+                remedy="What was done is kept: finish the build with `resume=True`.",
+            )  # fmt: skip
+
+    def _failed(self) -> StoreError:
+        """What was given up, and why."""
+        left = len(self.stage.tasks()) - sum(1 for _ in self.begun)
+        told = [f"{self.stage.key(spot).removesuffix('.part')}: {why}" for spot, why in list(self.given_up.items())[:4]]
+        more = len(self.given_up) - len(told)
+        others = f" and {more} more" if more > 0 else ""
+        never = f" {left} tasks were not begun." if left else ""
+        return StoreError(
+            f"{len(self.given_up)} tasks of {self.stage.label!r} were given up after {TRIES} tries each: "
+            f"{'; '.join(told)}{others}.{never}", path=self.stage.writer.storage.url,
+            remedy="What was done is kept: see to the cause, then finish the build with `resume=True`.",
+        )  # fmt: skip
+
+
+def _said(error: BaseException | None) -> str | None:
+    if error is None:
+        return None
+    text = str(error) if isinstance(error, OrographError) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())[:300]

@@ -1,0 +1,101 @@
+"""How the work of a build is done: stages of tasks over shards, by whatever runs them.
+
+A *stage* is all work of one kind: the heights, the samples of a lattice, the errors. Its tasks may be done in any
+order, by any threads, processes or machines, and again at any time: each reads what earlier stages and the sources
+have, writes whole shards that no other task writes, the same bytes every time, and keeps beside them what the rest of
+the build needs of it (``parts/``). Whoever finishes the stage adds up what the tasks found, and makes what no task
+could. Stages follow one another; tasks of one stage need nothing of each other.
+
+An *executor* runs stages: ``Threads`` in this process, ``clusters.Cluster`` on the workers of a Dask cluster, and
+``in_parts`` has those of job arrays, where processes that know nothing of each other do a share each.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from orograph.progress import Progress
+from orograph.store.digests import Spot
+from orograph.store.shards import go_through
+from orograph.store.terrain import Shape
+from orograph.store.writer import ShardWriter
+
+Found = TypeVar("Found")
+
+
+class Stage(ABC, Generic[Found]):
+    """Work of one kind over all shards. Its methods are safe from any thread, for different tasks.
+
+    Attributes:
+        name: of the kind. number: which of several stages of that kind. label: what is done, for the progress line.
+        writer: of its shards.
+    """
+
+    name: ClassVar[str]
+    number: int = 0
+    label: str
+    writer: ShardWriter
+
+    def kept(self, spot: Spot) -> bool:
+        """Whether a task was done before, without a look at its shards."""
+        return self.writer.storage.exists(self.key(spot))
+
+    @abstractmethod
+    def tasks(self) -> Sequence[Spot]:
+        """Its tasks, in the order in which they are best added up."""
+
+    @abstractmethod
+    def make(self, spot: Spot) -> Found:
+        """Do a task: write its shards, keep what it found, and return that."""
+
+    @abstractmethod
+    def key(self, spot: Spot) -> str:
+        """Where what a task found is kept."""
+
+    @abstractmethod
+    def found(self, spot: Spot, proof: bool = True) -> Found | None:
+        """What was kept of a task that was done before; None if it was not, or its shards are damaged.
+
+        Args:
+            proof: read its shards whole; else only what their ends say is compared with what was kept.
+        """
+
+    @abstractmethod
+    def add(self, spot: Spot, found: Found) -> None:
+        """Add what a task found to what follows of all."""
+
+    def finish(self) -> None:
+        """Make what no task could, when all are added."""
+
+
+class Executor(Protocol):
+    """Runs stages."""
+
+    def groups(self, shape: Shape, shard: int) -> int:
+        """Levels of the groups in which heights are made (``groups.group_levels``); 0: shard by shard."""
+
+    def run(self, stage: Stage[Any], progress: Progress) -> None:
+        """Do what is left of a stage's tasks, add all up and finish the stage."""
+
+
+class Threads:
+    """Threads of this process.
+
+    Args:
+        jobs: threads. resume: whether anything may have been done before.
+    """
+
+    def __init__(self, jobs: int, resume: bool) -> None:
+        self.jobs, self.resume = jobs, resume
+
+    def groups(self, shape: Shape, shard: int) -> int:
+        return 0
+
+    def run(self, stage: Stage[Any], progress: Progress) -> None:
+        def do(spot: Spot) -> None:
+            found = stage.found(spot) if self.resume else None
+            stage.add(spot, stage.make(spot) if found is None else found)
+
+        go_through(stage.label, stage.tasks(), do, self.jobs, progress, stage.finish)

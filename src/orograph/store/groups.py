@@ -1,0 +1,196 @@
+"""Heights in larger tasks: whole subtrees of the pyramid, each done in one place, and handed on as little.
+
+A group is a square of 2^s × 2^s shards of level 0 with all coarser shards that follow from it alone: those of the
+levels up to s. (A group at the raster's end also has what sticks out beyond the last whole shard.) What the levels
+above need of it are its samples of level s, which lie in its shards, the sums of its means, and its tile tables; these
+are kept as one object, some 12 bytes for 4^(s+1) samples. Sums are added up in the same order as in one process, so the
+bytes do not depend on groups. A group that was interrupted goes on shard by shard.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import DamagedChunkError
+from orograph.parallel import for_each
+from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.cache import ChunkCache
+from orograph.store.digests import SIZE, Spot
+from orograph.store.executing import Stage
+from orograph.store.layout import PARTS, heights_spec, mean_spec
+from orograph.store.levels import F64, BoxMeans, Counts
+from orograph.store.parts import pack, unpack
+from orograph.store.pyramid import Above, Facts, Finest, Pyramid, tasks
+from orograph.store.terrain import Heights, Shape, level_count, mean_shape
+from orograph.store.writer import ShardWriter
+
+MOST = 4
+"""Levels of a group at most: 256 shards."""
+
+
+def group_levels(shape: Shape, shard: int, wanted: int) -> int:
+    """Levels s of groups, the most of which there are at least ``wanted``; 0 if there are not so many shards."""
+    most = min(MOST, shard.bit_length() - 1, level_count(shape) - 1)
+    return next((s for s in range(most, 0, -1) if len(tasks(shape, shard << s)) >= wanted), 0)
+
+
+class Handed(NamedTuple):
+    """What a group hands on.
+
+    Attributes:
+        nested: its samples of level s. total, number: sums of the means that come next (of level s + 1; of s itself
+            where no task makes more levels). facts: of each of its shards of level 0.
+    """
+
+    nested: Heights
+    total: F64
+    number: Counts
+    facts: dict[Spot, Facts]
+
+
+class Groups(Stage[Handed]):
+    """The heights of a store, group by group.
+
+    Args:
+        finest: makes the shards of level 0.
+        levels: s, at least 1.
+        pyramid: to which groups are added; None where they are only made.
+        jobs: threads within a group.
+    """
+
+    name = "heights"
+
+    def __init__(self, finest: Finest, levels: int, pyramid: Pyramid | None = None, jobs: int = 1) -> None:
+        self.finest, self.levels, self.pyramid, self.jobs = finest, levels, pyramid, jobs
+        self.writer = finest.writer
+        self.label = "" if pyramid is None else pyramid.label
+        self.shape, self.shard = self.finest.shape, self.finest.shard
+        self.summed = min(levels + 1, self.finest.direct)
+
+    def tasks(self) -> list[Spot]:
+        return tasks(self.shape, self.shard << self.levels)
+
+    def make(self, spot: Spot) -> Handed:
+        noting = _Noting(self.writer)
+        finest = Finest(self.finest.source, noting, self.shard, self.finest.chunk)
+        above = Above(finest, range(1, self.levels + 1))
+        row, col, shape = self._area(spot, self.summed)
+        total, count = np.zeros(shape), np.zeros(shape, np.int32)
+        facts: dict[Spot, Facts] = {}
+
+        def one(shard: Spot) -> None:
+            own, facts[shard] = finest.found(shard) or finest.make(shard)
+            top, left = shard[0] * self.shard, shard[1] * self.shard
+            means = BoxMeans(own)
+            end = top + self.shard >= self.shape[0], left + self.shard >= self.shape[1]
+            above.add(top, left, end, own, means, 0)
+            if self.summed > self.levels:
+                means.ahead()
+            r, c = (top >> self.summed) - row, (left >> self.summed) - col
+            area = slice(r, r + means.total.shape[0]), slice(c, c + means.total.shape[1])
+            total[area], count[area] = means.total, means.count
+
+        for_each(one, self._shards(spot), self.jobs)
+        kept: Facts = {"total": total, "count": count, **noting.packed()}
+        kept.update({f"facts.{i}.{j}": np.frombuffer(pack(each), np.uint8) for (i, j), each in sorted(facts.items())})
+        self.writer.keep(self.key(spot), pack(kept))
+        return Handed(self._nested(spot), total, count, facts)
+
+    def found(self, spot: Spot, proof: bool = True) -> Handed | None:
+        data = self.writer.storage.get(self.key(spot))
+        if data is None:
+            return None
+        try:
+            kept = unpack(data)
+            for spec, shard, digest in _noted(kept, self._specs()):
+                self.writer.take(spec, shard, digest)
+                self._array(spec).prove(shard, proof)
+            facts = {}
+            for name in kept:
+                if name.startswith("facts."):
+                    _, i, j = name.split(".")
+                    facts[int(i), int(j)] = unpack(kept[name].tobytes())
+            return Handed(self._nested(spot), kept["total"], kept["count"], facts)
+        except (DamagedChunkError, ValueError, KeyError):
+            return None
+
+    def add(self, spot: Spot, found: Handed) -> None:
+        assert self.pyramid is not None
+        self.pyramid.rise(spot, found.nested, BoxMeans.of_sums(found.total, found.number), self.levels)
+        for shard, facts in found.facts.items():
+            self.pyramid.combine(shard, facts)
+
+    def finish(self) -> None:
+        assert self.pyramid is not None
+        self.pyramid.finish()
+
+    def key(self, spot: Spot) -> str:
+        return f"{PARTS}/groups/{self.levels}.{spot[0]}.{spot[1]}.part"
+
+    def _shards(self, spot: Spot) -> list[Spot]:
+        """Its shards of level 0, in Morton order."""
+        side = 1 << self.levels
+        inner = tasks((side * self.shard, side * self.shard), self.shard)
+        rows, cols = (-(-size // self.shard) for size in self.shape)
+        shards = [(spot[0] * side + i, spot[1] * side + j) for i, j in inner]
+        return [(i, j) for i, j in shards if i < rows and j < cols]
+
+    def _area(self, spot: Spot, level: int) -> tuple[int, int, Shape]:
+        """Where its blocks of a level begin, and how many there are each way."""
+        size = self.shard << self.levels >> level
+        rows, cols = mean_shape(self.shape, level)
+        row, col = spot[0] * size, spot[1] * size
+        return row, col, (min(size, rows - row), min(size, cols - col))
+
+    def _nested(self, spot: Spot) -> Heights:
+        """Its samples of level s, with the last ones of the raster if it reaches its end."""
+        spec = heights_spec(self.shape, self.levels, self.shard, self.finest.chunk)
+        spans = []
+        for at, side, samples in zip(spot, self.shape, spec.shape, strict=True):
+            last = (at + 1) * self.shard << self.levels >= side
+            spans += [at * self.shard, samples if last else (at + 1) * self.shard]
+        nested: Heights = self._array(spec).read(*spans)
+        return nested
+
+    def _array(self, spec: ArraySpec) -> ShardedArray:
+        return ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
+
+    def _specs(self) -> dict[str, ArraySpec]:
+        """Its arrays by their paths."""
+        sizes = self.shard, self.finest.chunk
+        specs = [heights_spec(self.shape, k, *sizes) for k in range(self.levels + 1)]
+        specs += [mean_spec(self.shape, k, *sizes) for k in range(1, self.levels + 1)]
+        return {spec.path: spec for spec in specs}
+
+
+class _Noting(ShardWriter):
+    """A writer that knows which shards went through it."""
+
+    def __init__(self, writer: ShardWriter) -> None:
+        self.storage, self.digests = writer.storage, writer.digests
+        self._noted: dict[tuple[str, Spot], bytes] = {}
+        self._lock = threading.Lock()
+
+    def take(self, spec: ArraySpec, spot: Spot, digest: bytes) -> None:
+        super().take(spec, spot, digest)
+        with self._lock:
+            self._noted[spec.path, spot] = digest
+
+    def packed(self) -> dict[str, NDArray[np.uint8]]:
+        """What was noted, as arrays."""
+        noted = sorted(self._noted.items())
+        names = json.dumps([[path, *spot] for (path, spot), _ in noted]).encode()
+        digests = b"".join(digest for _, digest in noted)
+        return {"shards": np.frombuffer(names, np.uint8), "digests": np.frombuffer(digests, np.uint8)}
+
+
+def _noted(kept: Facts, specs: dict[str, ArraySpec]) -> list[tuple[ArraySpec, Spot, bytes]]:
+    """The shards that were noted, with their digests."""
+    names = json.loads(kept["shards"].tobytes())
+    digests = kept["digests"].tobytes()
+    return [(specs[path], (i, j), digests[SIZE * at : SIZE * (at + 1)]) for at, (path, i, j) in enumerate(names)]

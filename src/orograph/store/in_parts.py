@@ -1,0 +1,209 @@
+"""Builds in parts, for job arrays: processes that know nothing of each other, on any number of machines.
+
+``part`` I of N makes its share of the heights, whole groups of shards (``groups``), and ends. Parts run in any order,
+or at once, and never wait for each other; they hold the store's lock together, which only those of an equal plan and N
+may. A part that was killed goes on where it stopped when it is run again. When all are there, ``finish`` makes the
+levels above them and all that follows from the heights, and lets the store take its place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+from orograph.errors import StoreError, UsageError
+from orograph.progress import Progress
+from orograph.store.digests import Spot
+from orograph.store.executing import Executor, Stage
+from orograph.store.groups import Groups, group_levels
+from orograph.store.layout import dumps
+from orograph.store.lock import alone
+from orograph.store.places import PLAN, ROOT, begun, is_store, missing, occupied
+from orograph.store.pyramid import Finest, Pyramid
+from orograph.store.shards import go_through
+from orograph.store.source import HeightSource
+from orograph.store.storage import FolderStorage, Storage
+from orograph.store.terrain import Shape
+from orograph.store.writer import ShardWriter
+
+EACH = 4
+"""Groups that a part is to have at least, if there are so many: so that parts are about equally large."""
+
+Part = tuple[int, int]
+"""I and N: part I of N, from 1 to N."""
+
+
+def part_of(said: str | Sequence[int]) -> Part:
+    """A part as it is said: "3/64", or (3, 64).
+
+    Raises:
+        UsageError: it is none.
+    """
+    if isinstance(said, str):
+        found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", said)
+        numbers = [int(number) for number in found.groups()] if found else []
+    else:
+        numbers = [int(number) for number in said]
+    if len(numbers) != 2 or not 1 <= numbers[0] <= numbers[1]:
+        raise UsageError(f"A part is I/N with I from 1 to N, such as 3/64, not {said!r}.")
+    return numbers[0], numbers[1]
+
+
+def levels_of(shape: Shape, shard: int, count: int) -> int:
+    """Levels of the groups of a build in so many parts."""
+    return group_levels(shape, shard, EACH * count)
+
+
+def share(tasks: Sequence[Spot], part: Part) -> Sequence[Spot]:
+    """The tasks of a part: they follow one another."""
+    index, count = part
+    return tasks[len(tasks) * (index - 1) // count : len(tasks) * index // count]
+
+
+def build_part(
+    raster: HeightSource, final: Storage, storage: Storage, plan: dict[str, Any], part: Part, jobs: int,
+    overwrite: bool, progress: Progress,
+) -> None:  # fmt: skip
+    """Make a part of a store.
+
+    Args:
+        final: where the store will be. storage: where it is made.
+        plan: of the build. jobs: threads.
+        overwrite: whether a store that is there may be replaced in the end.
+
+    Raises:
+        StoreError: a store, or another build, is there; or the sources were changed meanwhile.
+        ReadError: a source cannot be read.
+    """
+    index, count = part
+    plan = {**plan, "parts": count}
+    data = dumps(plan)
+    with alone(final, "building this store in parts", shared=hashlib.blake2b(data, digest_size=16).hexdigest()):
+        _begin(final, storage, data, count, overwrite)
+        if isinstance(storage, FolderStorage):
+            storage = FolderStorage(storage.path, many=True)
+        finest = Finest(raster, ShardWriter(storage), plan["shard"], plan["chunk"])
+        levels = levels_of(raster.grid.shape, plan["shard"], count)
+        stage: Stage[Any] = Groups(finest, levels) if levels else Pyramid(raster, finest.writer, *finest.sizes)
+
+        def do(spot: Spot) -> None:
+            if stage.found(spot) is None:
+                stage.make(spot)
+
+        go_through(f"Building part {index} of {count}", share(stage.tasks(), part), do, jobs, progress)
+        if raster.fingerprint() != plan["source"]:
+            raise StoreError(
+                "Its sources were changed while a part of it was built.", path=final.url,
+                remedy=f"Remove {storage.url} and build all parts again when they are complete.",
+            )  # fmt: skip
+        storage.close()
+
+
+def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite: bool) -> None:
+    """Put the plan where the store is made, or see that it is the one that is there."""
+    there = storage.get(PLAN)
+    if there is not None:
+        if there != plan:
+            said = _said(there)
+            other = f" It is in {said} parts." if said not in (None, count) else ""
+            raise StoreError(
+                f"Another build of this store was begun, of other files or options.{other}", path=final.url,
+                remedy=f"Run the parts with its files and options, or remove {storage.url} to begin anew.",
+            )  # fmt: skip
+        return
+    if begun(storage):
+        raise missing(final)  # complete, but for its last rename
+    if is_store(final) and not (overwrite and not final.remote):
+        remedy = "Use `overwrite=True` in all parts to replace it in the end." if not final.remote else "Remove it."
+        raise StoreError("A store is there already.", path=final.url, remedy=remedy)
+    if not is_store(final) and occupied(final):
+        raise StoreError(
+            "Something is there that is not an Orograph store.", path=final.url, remedy="Choose another place."
+        )
+    storage.put(PLAN, [plan])
+
+
+def _said(plan: bytes) -> int | None:
+    """In how many parts a build is made; None if in none."""
+    try:
+        found = json.loads(plan).get("parts")
+    except (ValueError, AttributeError):
+        return None
+    return found if isinstance(found, int) else None
+
+
+def parts_begun(final: Storage, storage: Storage) -> int:
+    """In how many parts the build is that was begun; 0 if all of it is done (but for the last rename).
+
+    Raises:
+        StoreError: none was begun, or it is not in parts.
+    """
+    count = _said(storage.get(PLAN) or b"")
+    if storage.exists(ROOT) or (is_store(final) and not begun(storage)):
+        return 0
+    if count is None:
+        what = "A build was begun there that is not in parts." if begun(storage) else "No part of it was built."
+        remedy = "Finish it with `resume=True`." if begun(storage) else "Build its parts first: `part=(1, N)`."
+        raise StoreError(what, path=final.url, remedy=remedy)
+    return count
+
+
+class Gathering:
+    """Runs the stages of a build whose heights were made in parts.
+
+    Args:
+        url: of the store. count: of parts. then: runs the other stages.
+    """
+
+    def __init__(self, url: str, count: int, then: Executor) -> None:
+        self.url, self.count, self.then = url, count, then
+
+    def groups(self, shape: Shape, shard: int) -> int:
+        return levels_of(shape, shard, self.count)
+
+    def run(self, stage: Stage[Any], progress: Progress) -> None:
+        """As of all executors.
+
+        Raises:
+            StoreError: parts are missing.
+        """
+        if stage.name != Pyramid.name:
+            self.then.run(stage, progress)
+            return
+        left: list[Spot] = [spot for spot in stage.tasks() if not stage.kept(spot)]
+        if left:
+            raise self._missing(stage, left)
+
+        def take(spot: Spot) -> None:
+            found = stage.found(spot, proof=False)
+            if found is None:
+                left.append(spot)
+            else:
+                stage.add(spot, found)
+
+        go_through("Gathering the parts", stage.tasks(), take, 1, progress)
+        if left:
+            raise self._missing(stage, left)
+        stage.finish()
+
+    def _missing(self, stage: Stage[Any], left: Sequence[Spot]) -> StoreError:
+        parts = [i for i in range(1, self.count + 1) if set(share(stage.tasks(), (i, self.count))) & set(left)]
+        many = len(parts) > 1
+        return StoreError(
+            f"{'Parts' if many else 'Part'} {_runs(parts)} of {self.count} {'are' if many else 'is'} missing, "
+            "or not complete.", path=self.url, remedy=f"Run {'them' if many else 'it'} again, then finish.",
+        )  # fmt: skip
+
+
+def _runs(numbers: Sequence[int]) -> str:
+    """Numbers in ascending order in few words: "1-3, 7"."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)

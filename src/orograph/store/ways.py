@@ -1,0 +1,70 @@
+"""The ways of doing a build: which go together, and what runs the tasks of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from orograph.errors import UsageError
+from orograph.store.executing import Executor, Threads
+from orograph.store.places import PLAN
+from orograph.store.source import HeightSource
+from orograph.store.storage import Storage
+
+
+class AtOnce(NamedTuple):
+    """How much is done at once.
+
+    Attributes:
+        jobs: threads of a process. memory: bytes of all processes together. base: of them, what a process takes without
+            a task. task: what a task takes.
+    """
+
+    jobs: int
+    memory: int
+    base: int
+    task: int
+
+
+def check_ways(overwrite: bool, resume: bool, part: object, finish: bool, workers: int | None, dask: object) -> None:
+    """Raise UsageError where ways of building exclude each other."""
+    if overwrite and resume:
+        raise UsageError("A build either resumes or overwrites, not both.")
+    if workers is not None and workers < 1:
+        raise UsageError(f"A build takes at least one worker, not {workers}.")
+    said = {
+        "`part`": part is not None, "`finish`": finish, "`resume`": resume, "`workers`": workers is not None,
+        "`dask`": dask is not None,
+    }  # fmt: skip
+    apart = [("`part`", other) for other in ("`finish`", "`resume`", "`workers`", "`dask`")]
+    for one, other in (*apart, ("`workers`", "`dask`")):
+        if said[one] and said[other]:
+            raise UsageError(f"{one} and {other} exclude each other.")
+
+
+@contextmanager
+def executor_of(
+    raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
+    at_once: AtOnce, going_on: bool, workers: int | None, dask: Any,
+) -> Iterator[Executor]:  # fmt: skip
+    """What runs the tasks of a build.
+
+    Args:
+        storage: where the store is made; its plan is there.
+        going_on: whether anything may have been done before.
+        workers, dask: as of ``build``.
+
+    Raises:
+        UsageError: there is no such cluster, or this terrain cannot be built on one.
+    """
+    if workers is None and dask is None:
+        yield Threads(at_once.jobs, going_on)
+        return
+    from orograph.store.clusters import Cluster, levels_of, workforce
+    from orograph.store.workshop import recipe_of
+
+    begun = storage.get(PLAN) or b""
+    recipe = recipe_of(raster, storage, storage_options, plan, begun, at_once.task, at_once.base)
+    with workforce(workers, dask, at_once.jobs, at_once.memory, at_once.base + at_once.task) as client:
+        yield Cluster(client, recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"])))

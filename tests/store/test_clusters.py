@@ -1,0 +1,86 @@
+"""Builds on the workers of a Dask cluster: the same bytes as in one process; what fails is told."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from surfaces import rough, source
+from test_in_parts import files
+
+from orograph import store
+from orograph.errors import StoreError, UsageError
+from orograph.store.stored import StoredTerrain
+
+SIZES = {"shard": 64, "chunk": 16, "jobs": 1}
+
+
+def written(path, seed=3):
+    """A DEM in degrees, which has to be resampled."""
+    heights = rough((700, 530), seed).astype(np.float32)
+    place = Affine(0.0003, 0, -120, 0, -0.0003, 38)
+    profile = {"driver": "GTiff", "width": 530, "height": 700, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    with rasterio.open(path, "w", transform=place, **profile) as file:
+        file.write(heights, 1)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def client():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+def test_workers_make_what_one_process_makes(tmp_path, client):
+    dem = written(tmp_path / "a.tif")
+    store.build(dem, tmp_path / "whole", **SIZES).close()
+    built = store.build(dem, tmp_path / "s", dask=client, **SIZES)
+    assert isinstance(built, StoredTerrain) and built.samples is not None
+    built.close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+    part = {"part": (1, 1), **SIZES}
+    store.build(dem, tmp_path / "parts", **part)
+    store.build(dem, tmp_path / "parts", finish=True, dask=client, **SIZES).close()
+    assert files(tmp_path / "parts") == files(tmp_path / "whole")
+
+
+def test_files_that_workers_cannot_have(tmp_path, client):
+    with pytest.raises(UsageError, match="in no files"):
+        store.build(source(rough((200, 200), 1)), tmp_path / "s", dask=client, **SIZES)
+
+
+def test_what_was_given_up_is_told_and_resumed(tmp_path, client):
+    dem = written(tmp_path / "a.tif")
+    store.build(dem, tmp_path / "whole", **SIZES).close()
+    (tmp_path / "s.partial/heights/0/height/c").mkdir(parents=True)
+
+    def spoil():  # a folder where a shard is to be
+        (tmp_path / "s.partial/heights/0/height/c/0/0").mkdir(parents=True)
+
+    def mend():
+        (tmp_path / "s.partial/heights/0/height/c/0/0").rmdir()
+
+    with pytest.MonkeyPatch.context() as patch:
+        from orograph.store import clusters
+
+        run = clusters.Cluster.run
+        patch.setattr(clusters.Cluster, "run", lambda self, *args: (spoil(), run(self, *args))[1])
+        with pytest.raises(StoreError, match=r"1 tasks? .*given up after 4 tries.*could not be written") as caught:
+            store.build(dem, tmp_path / "s", dask=client, overwrite=True, **SIZES)
+    assert caught.value.exit_code == 4
+    mend()
+    store.build(dem, tmp_path / "s", dask=client, resume=True, **SIZES).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
+def test_without_dask(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"orograph\[cluster\]"):
+        store.build(written(tmp_path / "a.tif"), tmp_path / "s", workers=2, **SIZES)

@@ -1,0 +1,92 @@
+"""Builds in groups and in parts: the same bytes as in one process, and clear words where parts are missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from surfaces import rough, source
+
+from orograph import store
+from orograph.errors import StoreError, UsageError
+from orograph.store.groups import Groups
+from orograph.store.in_parts import levels_of, part_of, share
+from orograph.store.lock import alone
+from orograph.store.pyramid import tasks
+from orograph.store.storage import FolderStorage
+
+SIZES = {"shard": 64, "chunk": 16, "jobs": 1}
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("shape", [(700, 530), (513, 512), (640, 129), (1200, 66)])
+@pytest.mark.parametrize("count", [1, 3])
+def test_parts_make_what_one_process_makes(tmp_path, shape, count):
+    given = source(rough(shape, 3, missing=0.01, hole=True))
+    store.build(given, tmp_path / "whole", **SIZES).close()
+    for index in np.random.default_rng(count).permutation(count) + 1:
+        assert store.build(given, tmp_path / "s", part=(int(index), count), **SIZES) is None
+    store.build(given, tmp_path / "s", finish=True, **SIZES).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+    assert levels_of((700, 530), 64, 1) > 0  # so some of these are in groups
+    assert not [p for p in tmp_path.iterdir() if p.name not in ("s", "whole")]
+
+
+def test_every_task_has_one_part():
+    spots = tasks((1000, 900), 64)
+    assert [spot for index in range(1, 8) for spot in share(spots, (index, 7))] == spots
+
+
+def test_missing_parts_are_named(tmp_path):
+    given = source(rough((700, 530), 4))
+    for index in (1, 4):
+        store.build(given, tmp_path / "s", part=f"{index}/5", **SIZES)
+    with pytest.raises(StoreError, match=r"Parts 2-3, 5 of 5 are missing") as caught:
+        store.build(given, tmp_path / "s", finish=True, **SIZES)
+    assert caught.value.exit_code == 4
+    with pytest.raises(StoreError, match="Another build"):
+        store.build(given, tmp_path / "s", part="2/6", **SIZES)
+
+
+def test_a_part_that_was_damaged_is_named_and_made_again(tmp_path):
+    given = source(rough((700, 530), 4))
+    store.build(given, tmp_path / "whole", **SIZES).close()
+    for index in (1, 2):
+        store.build(given, tmp_path / "s", part=(index, 2), **SIZES)
+    (tmp_path / "s.partial/heights/1/height/c/0/0").write_bytes(b"x" * 5000)
+    with pytest.raises(StoreError, match=r"Part 1 of 2 is missing"):
+        store.build(given, tmp_path / "s", finish=True, **SIZES)
+    store.build(given, tmp_path / "s", part=(1, 2), **SIZES)
+    store.build(given, tmp_path / "s", finish=True, **SIZES).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
+def test_a_part_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    given = source(rough((700, 530), 4))
+    store.build(given, tmp_path / "whole", **SIZES).close()
+    made, make = [], Groups.make
+    monkeypatch.setattr(Groups, "make", lambda self, spot: (made.append(spot), make(self, spot))[1])
+    for _ in range(2):
+        store.build(given, tmp_path / "s", part=(1, 1), **SIZES)
+    assert len(made) == len(set(made))
+    store.build(given, tmp_path / "s", resume=True, **SIZES).close()  # one process may finish it, too
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
+def test_finish_waits_for_no_part_and_has_the_store_alone(tmp_path):
+    given = source(rough((200, 200), 4))
+    with pytest.raises(StoreError, match="No part of it was built"):
+        store.build(given, tmp_path / "s", finish=True, **SIZES)
+    with alone(FolderStorage(tmp_path / "s"), "building this store in parts", shared="other"):
+        with pytest.raises(StoreError, match="Another process"):
+            store.build(given, tmp_path / "s", part=(1, 2), **SIZES)
+        with pytest.raises(StoreError, match="Another process"):
+            store.build(given, tmp_path / "s", finish=True, **SIZES)
+
+
+@pytest.mark.parametrize("said", ["0/4", "5/4", "3", "a/b", (1, 2, 3)])
+def test_parts_that_are_none(said):
+    with pytest.raises(UsageError, match="I/N"):
+        part_of(said)
