@@ -220,5 +220,5 @@ def test_a_store_that_needs_more_is_refused(area):
     record["needs"] = ["versions"]
     record["checksum"] = _checksum({k: v for k, v in record.items() if k != "checksum"})
     root.write_text(json.dumps(document))
-    with pytest.raises(StoreError, match=r"needs a reader that knows versions\.*Update Orograph"):
+    with pytest.raises(StoreError, match=r"needs a reader that knows versions.*Update Orograph"):
         store.open(area)
