@@ -22,8 +22,8 @@ from orograph.dem.whole.tiff_tags import (
     COUNTS,
     OFFSETS,
     Directory,
-    block_bytes,
     blocks_fault,
+    plain_bytes,
     row_major,
     tags_fault,
 )
@@ -58,17 +58,17 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
     return (
         tags_fault(tiff, found)
         or _overlap(dataset, tiff, found[0])
-        or _places_fault(dataset, tiff, found)
+        or _places_fault(tiff, found)
         or _behind(dataset, tiff, found, size)
     )
 
 
-def _places_fault(dataset: Any, tiff: _Tiff, found: list[Directory]) -> str | None:
+def _places_fault(tiff: _Tiff, found: list[Directory]) -> str | None:
     """Blocks that lie where they cannot."""
     tiff.file.seek(0)
     ordered = row_major(tiff.file.read(1024))
     at, size = tiff.blocks(found[0])
-    plain = block_bytes(dataset) if tiff.plain(found[0]) else 0
+    plain = plain_bytes(tiff, found[0]) if tiff.plain(found[0]) else 0
     return blocks_fault(tiff, found, at, size, plain, ordered)
 
 
@@ -175,7 +175,7 @@ class _Tiff:
         if not any(tag in tags for tag in (256, *OFFSETS, 513)) and at == self.first:
             raise ValueError("no directory of a picture")
         (following,) = struct.unpack(self.word, self.file.read(struct.calcsize(self.word)))
-        return Directory(tags, at, end, following, twice, list(tags) == sorted(tags))
+        return Directory(tags, at, end, following, twice)
 
     def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
         """The whole numbers of a tag; none if it is not there or not in the file."""
@@ -201,11 +201,22 @@ class _Tiff:
         return not code.size or code[0] == 1
 
 
+def _block_bytes(dataset: Any) -> int:
+    """Bytes of an uncompressed block, at most."""
+    from rasterio.enums import Interleaving
+
+    high, wide = dataset.block_shapes[0]
+    bits = dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS")
+    sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[0]).itemsize
+    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    return int(high * -(-wide * together * sample // 8))
+
+
 def _overlap(dataset: Any, tiff: _Tiff, first: Directory) -> str | None:
     """Blocks of the raster that lie partly in one another (the very same block may stand for several)."""
     at, size = tiff.blocks(first)
     if tiff.plain(first):
-        size = np.minimum(size, block_bytes(dataset))
+        size = np.minimum(size, _block_bytes(dataset))
     order = np.argsort(at, kind="stable")
     at, size = at[order], size[order]
     inside = at[1:] < (at + size)[:-1]
@@ -223,9 +234,9 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str
         at, sizes = tiff.blocks(directory)
         if not at.size:
             continue
-        if directory is found[0] and (at + np.minimum(sizes, block_bytes(dataset)) > size).any():
+        if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
             return None  # it is cut short, and GDAL says where
-        wanted = np.maximum(sizes, block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
+        wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0

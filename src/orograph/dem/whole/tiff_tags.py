@@ -8,7 +8,7 @@ Sources: TIFF 6.0, sections 2, 8 and 15; GeoTIFF 1.1 (OGC 19-008r4); COG as GDAL
 
 from __future__ import annotations
 
-from typing import IO, Any, NamedTuple, Protocol
+from typing import IO, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,6 @@ class Directory(NamedTuple):
     end: int
     following: int
     twice: int = 0
-    sorted: bool = True
 
 
 class Tiff(Protocol):
@@ -157,8 +156,9 @@ def blocks_fault(
             return "A block of it and one of its directories lie in one another."
     if not plain:
         return None
-    if at.size > 1 and (size > plain + 1).any():
+    if at.size > 1 and (size[ends <= tiff.size] > plain + 1).any():
         return f"A block of it has {int(size.max()):,} bytes, and its samples need {plain:,}."
+    at, size = at[ends <= tiff.size], size[ends <= tiff.size]
     if np.unique(at).size < at.size and _unused(tiff, directories, at, size) >= size.min():
         return "It lists a block twice, and has bytes that belong to none: the table of its blocks is damaged."
     return None
@@ -185,12 +185,11 @@ def row_major(head: bytes) -> bool:
     return b"BLOCK_ORDER=ROW_MAJOR" in head and b"KNOWN_INCOMPATIBLE_EDITION=NO" in head
 
 
-def block_bytes(dataset: Any) -> int:
-    """Bytes of an uncompressed block, at most."""
-    from rasterio.enums import Interleaving
-
-    high, wide = dataset.block_shapes[0]
-    bits = dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS")
-    sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[0]).itemsize
-    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
-    return int(high * -(-wide * together * sample // 8))
+def plain_bytes(tiff: Tiff, first: Directory) -> int:
+    """Bytes of a block of a directory's samples, if they are not compressed."""
+    cols, rows = _one(tiff, first, 256, 0), _one(tiff, first, 257, 0)
+    wide, high = _one(tiff, first, 322, 0), _one(tiff, first, 323, 0)
+    if OFFSETS[1] not in first.tags:
+        wide, high = cols, min(_one(tiff, first, 278, rows), rows)
+    together = _one(tiff, first, 277, 1) if _one(tiff, first, 284, 1) == 1 else 1
+    return high * -(-wide * together * _one(tiff, first, 258, 1) // 8)
