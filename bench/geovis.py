@@ -51,6 +51,31 @@ def quakes() -> tuple[Any, orograph.Dataset] | None:
     )
 
 
+def shapes() -> dict[str, dict[str, Any]]:
+    """Pictures of lines and polygons, by name."""
+    from geovis_shapes import COLORS, hexagons, landcover, runs
+
+    made: dict[str, dict[str, Any]] = {}
+    folder = SHARED / "spdatalarge-zion-nz-ecuador"
+    if (folder / "zion_nlcd2011.tif").exists():
+        land = orograph.terrain(folder / "zion_srtm.tif", vertical_unit="metre")
+        common = {"terrain": land, "view": orograph.camera.whole(land, SIZE)}
+        cover = orograph.Dataset(landcover(folder / "zion_nlcd2011.tif"), colormap=COLORS, name="Land cover", width=0.6)
+        made["classes"] = {**common, "data": cover}
+        made["classes, hatching"] = {**common, "data": cover.but(style="hatching")}
+        made["lines"] = {**common, "data": orograph.Dataset(runs(land), name="Fall", unit="m/km", colormap="plasma")}
+    tiles = sorted((SHARED / "california-3s-tiles").glob("N3[67]W1*.tif"))
+    points = SHARED / "fields-and-points" / "earthquakes.geojson"
+    if tiles and points.exists():
+        land = orograph.terrain([str(t) for t in tiles])
+        doubt = orograph.Uncertainty("error", style="palette")
+        made["polygons, palette"] = {
+            "terrain": land, "exaggeration": 5, "view": orograph.camera.around(land, SIZE, 200, 45, exaggeration=5),
+            "data": orograph.Dataset(hexagons(points, "mag"), variable="mean", colormap="magma", uncertainty=doubt),
+        }  # fmt: skip
+    return made
+
+
 def timed(times: int, **options: Any) -> tuple[Picture, float]:
     """A picture, and the median of the seconds that it takes."""
     orograph.render(**options)
@@ -97,6 +122,8 @@ def main() -> None:
                 f"standing {style}", terrain=land, view=around, exaggeration=5, priority="T+D+U+",
                 data=points.but(style=style, uncertainty=doubt),
             )  # fmt: skip
+    for name, options in shapes().items():
+        row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
         for letter, name in zip("abc", ("T+D-U-", "T-D+U-", "T-D-U+")):
             made[f"figure-5{letter}"] = orograph.render(
@@ -111,7 +138,7 @@ def save(made: dict[str, Picture], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
-    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3)):
+    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2)):
         names = [name for name in made if name.startswith(kind)]
         if names:
             sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")

@@ -214,7 +214,7 @@ def test_points_that_cannot_be_meant_are_refused(tmp_path):
     with pytest.raises(ReadError, match="where the points lie"):
         read_points(Dataset({"a": [50.0], "b": [0.0]}), grid)
     (tmp_path / "broken.geojson").write_text("{")
-    with pytest.raises(ReadError, match="cannot be read"):
+    with pytest.raises(ReadError, match="not JSON"):
         read_points(Dataset(str(tmp_path / "broken.geojson")), grid)
 
 

@@ -39,19 +39,22 @@ class Legend:
 
     Attributes:
         scales: one below the other.
-        swatches: (words, colour) of classes, of water and of ground without data: sRGB (uint8 or float); a tile
+        swatches: (words, colour) of signs, of water and of ground without data: sRGB (uint8 or float); a tile
             (rows, cols, 3) is a pattern, repeated pixel by pixel.
+        classes: the same of classes of data.
         note: what else a reader must know.
     """
 
     scales: tuple[Scale, ...] = ()
     swatches: tuple[tuple[str, Any], ...] = ()
+    classes: tuple[tuple[str, Any], ...] = ()
     note: str = ""
 
     @property
     def words(self) -> str:
         """All that is written in it, but for numbers."""
-        return " ".join([*(scale.words for scale in self.scales), *(words for words, _ in self.swatches)])
+        named = (words for words, _ in (*self.classes, *self.swatches))
+        return " ".join([*(scale.words for scale in self.scales), *named])
 
 
 UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",

@@ -26,6 +26,8 @@ def describe(scene: Scene) -> str:
         parts.append("Contour lines show the heights.")
     for key in scene.keys:
         parts += [_scale(scale) for scale in key.scales]
+        if key.classes:
+            parts.append(f"Colours show {', '.join(words for words, _ in key.classes)}.")
         if key.note:
             parts.append(f"{key.note}.")
         if key.swatches:

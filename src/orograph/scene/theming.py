@@ -16,6 +16,7 @@ from orograph.scene.silhouettes import Silhouettes
 if TYPE_CHECKING:
     from orograph.geo.grid import Grid
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.painting import Shown
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.store.terrain import Terrain
@@ -37,10 +38,9 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
     from orograph.geovis.data.dataset import datasets_of
-    from orograph.geovis.data.painting import painted, shown
-    from orograph.geovis.data.points import are_points
+    from orograph.geovis.data.painting import painted
     from orograph.geovis.data.priority import Priority
-    from orograph.geovis.data.standing import Things, stands
+    from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import layers_of
 
     made = dict(options)
@@ -49,26 +49,43 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     if not data and given is None:
         return made, None
     priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
-    texels = int(min(MOST, max(LEAST, FINER * max(size))))
-    standing = [one for one in data if stands(one, are_points(one.source))]
-    flat = [one for one in data if not stands(one, are_points(one.source))]
+    found = [_read(one, terrain.grid, max(size), priority) for one in data]
+    standing, flat = ([one for one in found if isinstance(one, Things) is stands] for stands in (True, False))
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
-    layers = [painted(shown(one, terrain.grid, texels, priority)) for one in flat]
-    made["layers"] = (*layers_of(options.get("layers")), *layers)
-    things = Things.joined([_things(one, terrain.grid, priority) for one in standing]) if standing else None
+    made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat if not isinstance(one, Things)))
+    things = Things.joined([one for one in standing if isinstance(one, Things)]) if standing else None
     return made | {"data": data, "priority": priority}, things
 
 
-def _things(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
-    """What stands for a dataset: for its own points, or for a raster's values on a lattice."""
-    from orograph.geovis.data.points import Points, are_points, read_points
+def _read(dataset: Dataset, grid: Grid, pixels: int, priority: Priority) -> Shown | Things:
+    """What a dataset is shown by: something painted, or things that stand.
+
+    Args:
+        pixels: along the longer side of the picture.
+    """
+    from orograph.geovis.data.features import has_features, read_features
+    from orograph.geovis.data.painting import shown
+    from orograph.geovis.data.points import is_table, read_points
+    from orograph.geovis.data.shape_painting import shown_shapes
+    from orograph.geovis.data.standing import stands, things_of
+
+    texels = int(min(MOST, max(LEAST, FINER * pixels)))
+    features = read_features(dataset, grid) if has_features(dataset.source) else None
+    if features is not None and features.kind != "points":
+        return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
+    if features is not None or is_table(dataset.source):
+        return things_of(dataset, read_points(dataset, grid, features), grid, priority, dataset.unit or "", "")
+    return _on_lattice(dataset, grid, priority) if stands(dataset) else shown(dataset, grid, texels, priority)
+
+
+def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
+    """What stands for a raster's values, on a lattice."""
+    from orograph.geovis.data.points import Points
     from orograph.geovis.data.reading import read
     from orograph.geovis.data.sampling import values_at
     from orograph.geovis.data.standing import lattice_points, things_of
 
-    if are_points(dataset.source):
-        return things_of(dataset, read_points(dataset, grid), grid, priority, dataset.unit or "", "")
     field = read(dataset, grid)
     x, y = lattice_points(grid, dataset.size)
     values = values_at(field.mean, field, grid, x, y)

@@ -39,6 +39,12 @@ LEAST_PITCH = 6.0
 LINE = 2.4
 """Texels that an isoline is wide."""
 
+TURN = 45.0
+"""Degrees between the hatchings of classes without an order: four directions."""
+
+OUTLINE, CASING = 0.8, 0.65
+"""Opacity of the outlines of polygons, and of what stands out on either side of a line."""
+
 EDGE = np.array([0.03, 0.03, 0.04], np.float32)
 
 SWATCH, SWATCHES = 32, (0.15, 0.5, 0.85)
@@ -54,6 +60,9 @@ class Shown:
         sigma: (rows, cols) of the field's grid, in the data's unit; None: nothing is known. its grid is ``over``'s.
         scale: colours of values. doubt: the ends of the scale of uncertainties.
         toward: of arrows, unit vectors along the image's columns and rows.
+        cover, outline: of lines and polygons, how much of a texel they and their outlines (``cased``: what stands out
+            beneath a line on either side) cover; None: values are everywhere.
+        classes: names of values 0, 1, …; None: they are numbers.
     """
 
     dataset: Dataset
@@ -66,6 +75,10 @@ class Shown:
     scale: ColorScale
     doubt: tuple[float, float]
     toward: tuple[Array, Array] | None = None
+    cover: Array | None = None
+    outline: Array | None = None
+    cased: bool = False
+    classes: tuple[str, ...] | None = None
 
     @property
     def title(self) -> str:
@@ -108,7 +121,7 @@ def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Show
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign(style))
     classes = 0 if style in ("continuous", "arrows") else dataset.classes
-    scale = ColorScale.of(values, dataset.colormap, dataset.range, classes, dataset.breaks)
+    scale = ColorScale.of(values, dataset.plain_colormap, dataset.range, classes, dataset.breaks)
     doubt = (0.0, 1.0)
     if sigma is not None:
         asked = None if dataset.uncertainty is None else dataset.uncertainty.range
@@ -137,12 +150,17 @@ def _sigma(
     return found
 
 
-def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
-    """The grid of the image: the part of the terrain that has data, in texels as long as the whole allows."""
-    longer = max(grid.shape)
-    step = longer / texels
+def image_grid(grid: Grid, texels: int) -> Grid:
+    """The grid of an image over a terrain, so many texels along its longer side."""
+    step = max(grid.shape) / texels
     rows, cols = (max(2, round(n / step)) for n in grid.shape)
-    whole = Grid((rows, cols), compose(grid.transform, Affine.scale(grid.cols / cols, grid.rows / rows)), grid.crs)
+    return Grid((rows, cols), compose(grid.transform, Affine.scale(grid.cols / cols, grid.rows / rows)), grid.crs)
+
+
+def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
+    """The part of an image's grid that has data."""
+    whole = image_grid(grid, texels)
+    rows, cols = whole.shape
     if grid.crs is None:
         return whole
     few = 8
@@ -197,8 +215,8 @@ def _paint(found: Shown, paint: Paint) -> Paint:
     if found.style == "cells":
         paint = _aggregated(paint)
     values = drawn_values(paint, found.scale, found.sign)
-    there = np.isfinite(values)
-    paint = replace(paint, rgb=colored(values, paint.u, found.scale, found.sign), alpha=there.astype(np.float64))
+    there = np.isfinite(values) * (1.0 if found.cover is None else found.cover)
+    paint = replace(paint, rgb=colored(values, paint.u, found.scale, found.sign), alpha=there)
     share = (np.nan_to_num(found.scale.place(values)) + 1) / max(len(found.scale.table) + 1, 2)
     if found.style in ("isolines", "isobands") and found.scale.edges is not None:
         cover = _isolines(values, found.scale.edges[1:-1]) * there
@@ -207,7 +225,11 @@ def _paint(found: Shown, paint: Paint) -> Paint:
         else:
             paint = replace(paint, alpha=cover)
     elif found.style == "hatching":
-        paint = replace(paint, alpha=hatched(paint.x, paint.y, paint.pitch / 2, share) * there)
+        turn: Any = 45.0
+        if found.classes is not None:  # unordered: told by direction, then by three densities that say no more or less
+            number = np.nan_to_num(values)
+            turn, share = 45.0 + number % 4 * TURN, 0.25 + 0.2 * (number // 4)
+        paint = replace(paint, alpha=hatched(paint.x, paint.y, paint.pitch / 2, share, turn) * there)
     elif found.style == "stipple":
         paint = replace(paint, alpha=dotted(paint.x, paint.y, paint.pitch / 2, 0.7 * share) * there)
     elif found.style == "arrows" and found.toward is not None:
@@ -216,7 +238,12 @@ def _paint(found: Shown, paint: Paint) -> Paint:
     elif found.style == "cells":
         border = np.minimum(*(0.5 - np.abs(v / paint.pitch % 1 - 0.5) for v in (paint.x, paint.y))) * paint.pitch
         paint = paint.under(EDGE, covered(border - 0.5) * 0.5 * there)
-    return signed(paint, found.sign)
+    if found.outline is None:
+        return signed(paint, found.sign)
+    if not found.cased:
+        return signed(paint, found.sign).under(EDGE, found.outline * OUTLINE)
+    casing = replace(paint, rgb=np.broadcast_to(EDGE, paint.rgb.shape), alpha=found.outline * CASING)
+    return signed(casing.under(paint.rgb, paint.alpha), found.sign)
 
 
 def _aggregated(paint: Paint) -> Paint:
@@ -254,26 +281,40 @@ def key_of(found: Shown) -> Legend:
         found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
         below=found.dataset.range is None, above=found.dataset.range is None,
     )  # fmt: skip
+    scales, classes = ((scale,), ()) if found.classes is None else ((), _classes(found, found.classes))
     if found.sign == "none" or found.sigma is None:
-        return Legend((scale,), note=found.note)
+        return Legend(scales, classes=classes, note=found.note)
     low, high = found.doubt
     swatches = []
     for part in SWATCHES:
         sigma = low + part * (high - low)
         words = f"± {rounded(sigma, high)} {found.unit}".rstrip()
         swatches.append((words, _swatch(found, sigma)))
-    return Legend((scale,), tuple(swatches), found.note)
+    return Legend(scales, tuple(swatches), classes, found.note)
+
+
+def _classes(found: Shown, names: tuple[str, ...]) -> tuple[tuple[str, NDArray[np.uint8]], ...]:
+    """Names of classes, and what each looks like where it is certain."""
+    bare = replace(found, sign="none", cover=None, outline=None)
+    tiles = (_painted_swatch(bare, np.full((SWATCH, SWATCH), float(k)), 0.0) for k in range(len(names)))
+    return tuple(zip(names, tiles))
 
 
 def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
     """A tile (rows, cols, 3) of what the data look like in the middle of their scale, so uncertain."""
-    y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
+    x = np.mgrid[:SWATCH, :SWATCH][1] + 0.5
     at = np.where(x < SWATCH / 2, 0.25, 0.75) if found.sign == "blur" else np.full((SWATCH, SWATCH), 0.5)
     middle = found.scale.low + at * (found.scale.high - found.scale.low)
-    doubt = np.full(middle.shape, sigma)
-    bare = Paint(x, y, SWATCH / 2, middle, doubt, _along(found, doubt, middle.shape),
-                 np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(middle.shape))  # fmt: skip
-    paint = _paint(_plainly(found), bare)
+    return _painted_swatch(_plainly(found), middle, sigma)
+
+
+def _painted_swatch(found: Shown, values: Array, sigma: float) -> NDArray[np.uint8]:
+    """A tile of values so uncertain, on light grey."""
+    y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
+    doubt = np.full(values.shape, sigma)
+    bare = Paint(x, y, SWATCH / 2, values, doubt, _along(found, doubt, values.shape),
+                 np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(values.shape))  # fmt: skip
+    paint = _paint(found, bare)
     alpha = paint.alpha[..., None].astype(np.float32)
     seen = paint.rgb * alpha + np.float32(0.8) * (1 - alpha)
     return np.asarray(np.rint(linear_to_srgb(seen) * 255), np.uint8)
@@ -281,7 +322,8 @@ def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
 
 def _plainly(found: Shown) -> Shown:
     """The same as plain colours, under which signs are told best."""
-    return replace(found, style="continuous" if found.scale.edges is None else "segmented")
+    style = "continuous" if found.scale.edges is None else "segmented"
+    return replace(found, style=style, cover=None, outline=None)
 
 
 def rounded(value: float, top: float) -> str:

@@ -14,6 +14,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset, Standing
@@ -89,14 +90,14 @@ class Things:
             legend=Legend(
                 tuple(scale for one in legends for scale in one.scales),
                 tuple(swatch for one in legends for swatch in one.swatches),
-                "; ".join(one.note for one in legends if one.note),
+                note="; ".join(one.note for one in legends if one.note),
             ),
         )
 
 
-def stands(dataset: Dataset, points: bool) -> bool:
-    """Whether data are shown by things that stand: where their style is such, or they are points without a style."""
-    return dataset.style in get_args(Standing) or (dataset.style is None and points)
+def stands(dataset: Dataset) -> bool:
+    """Whether data are shown by things that stand, by their style."""
+    return dataset.style in get_args(Standing)
 
 
 def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, unit: str, note: str) -> Things:
@@ -106,7 +107,11 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         unit, note: what the legend says besides.
     """
     style = dataset.style or "spheres"
-    scale = ColorScale.of(points.values, dataset.colormap, dataset.range)
+    if style not in KINDS:
+        raise UsageError(
+            f"There is no style {style} of points.", path=str(dataset.source), remedy=f"There are {', '.join(KINDS)}."
+        )
+    scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
@@ -185,7 +190,7 @@ def _legend(
         for part, shade in zip(SWATCHES, shades):
             sigma = doubt[0] + part * (doubt[1] - doubt[0])
             swatches.append((f"± {rounded(sigma, doubt[1])} {unit}".rstrip(), shade))
-    return Legend((colors,), tuple(swatches), f"{title}: {note}" if note else "")
+    return Legend((colors,), tuple(swatches), note=f"{title}: {note}" if note else "")
 
 
 def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
