@@ -70,10 +70,29 @@ def shapes() -> dict[str, dict[str, Any]]:
         land = orograph.terrain([str(t) for t in tiles])
         doubt = orograph.Uncertainty("error", style="palette")
         made["polygons, palette"] = {
-            "terrain": land, "exaggeration": 5, "view": orograph.camera.around(land, SIZE, 200, 45, exaggeration=5),
+            "terrain": land, "exaggeration": 5,
+            "view": orograph.camera.around(land, SIZE, azimuth=200, pitch=45, exaggeration=5),
             "data": orograph.Dataset(hexagons(points, "mag"), variable="mean", colormap="magma", uncertainty=doubt),
         }  # fmt: skip
     return made
+
+
+def pairs_and_flows() -> dict[str, dict[str, Any]]:
+    """Pictures of two components, or of two things in one colour, by name."""
+    winds = SHARED / "fields-and-points" / "eraint_uvz.nc"
+    warmth = SHARED / "fields-and-points" / "era5-2mt-2019-03-uk.grib"
+    if not (winds.exists() and warmth.exists()):
+        return {}
+    wind = orograph.Dataset(str(winds), variable="u+v", band=3, name="Wind")
+    noon, night = (
+        orograph.Dataset(str(warmth), time=time, style="bivariate", name=name)
+        for time, name in (("T12", "Noon"), ("T00", "Midnight"))
+    )
+    return {
+        "flows": {"data": wind.but(style="lic")}, "arrows": {"data": wind.but(style="arrows")},
+        "flows and arrows": {"data": [wind.but(style="lic"), wind.but(style="arrows", colormap="gray")]},
+        "bivariate": {"data": [noon, night]},
+    }  # fmt: skip
 
 
 def timed(times: int, **options: Any) -> tuple[Picture, float]:
@@ -122,6 +141,8 @@ def main() -> None:
                 f"standing {style}", terrain=land, view=around, exaggeration=5, priority="T+D+U+",
                 data=points.but(style=style, uncertainty=doubt),
             )  # fmt: skip
+    for name, options in pairs_and_flows().items():
+        row(f"two {name}", **{**options, "priority": "T+D+U-"})
     for name, options in shapes().items():
         row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
@@ -138,7 +159,7 @@ def save(made: dict[str, Picture], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
-    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2)):
+    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2), ("two", 2)):
         names = [name for name in made if name.startswith(kind)]
         if names:
             sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")

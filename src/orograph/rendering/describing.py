@@ -26,6 +26,8 @@ def describe(scene: Scene) -> str:
         parts.append("Contour lines show the heights.")
     for key in scene.keys:
         parts += [_scale(scale) for scale in key.scales]
+        for both in key.squares:
+            parts.append(f"Colours show {_span(both.across, both.across_edges)} and {_span(both.up, both.up_edges)}.")
         if key.classes:
             parts.append(f"Colours show {', '.join(words for words, _ in key.classes)}.")
         if key.note:
@@ -67,6 +69,10 @@ def _scale(scale: Scale) -> str:
     unit = f" {scale.unit}" if scale.unit else ""
     more = " and beyond" if scale.below or scale.above else ""
     return f"Colours show {scale.label}, {scale.low:.4g} to {scale.high:.4g}{unit}{more}."
+
+
+def _span(label: str, edges: tuple[float, ...]) -> str:
+    return f"{label} in {len(edges) - 1} classes from {edges[0]:.4g} to {edges[-1]:.4g}"
 
 
 def _length(metres: float) -> str:

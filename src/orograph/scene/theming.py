@@ -37,6 +37,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     Raises:
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
+    from orograph.geovis.data.bivariate import pairs
     from orograph.geovis.data.dataset import datasets_of
     from orograph.geovis.data.painting import painted
     from orograph.geovis.data.priority import Priority
@@ -49,7 +50,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     if not data and given is None:
         return made, None
     priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
-    found = [_read(one, terrain.grid, max(size), priority) for one in data]
+    found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
     standing, flat = ([one for one in found if isinstance(one, Things) is stands] for stands in (True, False))
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
@@ -58,25 +59,46 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     return made | {"data": data, "priority": priority}, things
 
 
-def _read(dataset: Dataset, grid: Grid, pixels: int, priority: Priority) -> Shown | Things:
+def _read(
+    dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority
+) -> Shown | Things:
     """What a dataset is shown by: something painted, or things that stand.
 
     Args:
         pixels: along the longer side of the picture.
     """
+    from orograph.geovis.data.bivariate import shown_pair
     from orograph.geovis.data.features import has_features, read_features
     from orograph.geovis.data.painting import shown
     from orograph.geovis.data.points import is_table, read_points
     from orograph.geovis.data.shape_painting import shown_shapes
     from orograph.geovis.data.standing import stands, things_of
 
-    texels = int(min(MOST, max(LEAST, FINER * pixels)))
+    grid, texels = terrain.grid, int(min(MOST, max(LEAST, FINER * pixels)))
+    if isinstance(dataset, tuple):
+        return shown_pair(*dataset, grid, texels)
     features = read_features(dataset, grid) if has_features(dataset.source) else None
     if features is not None and features.kind != "points":
         return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
     if features is not None or is_table(dataset.source):
         return things_of(dataset, read_points(dataset, grid, features), grid, priority, dataset.unit or "", "")
-    return _on_lattice(dataset, grid, priority) if stands(dataset) else shown(dataset, grid, texels, priority)
+    if stands(dataset):
+        return _on_lattice(dataset, grid, priority)
+    return shown(dataset, grid, texels, priority, lambda over: _heights(terrain, over))
+
+
+def _heights(terrain: Terrain, over: Grid) -> Any:
+    """Heights (rows, cols) at the samples of a grid over a terrain, of the coarsest level that is as fine; NaN where
+    none are."""
+    from orograph.geovis.data.sampling import bilinear
+
+    coarser, level = max(over.spacing) / max(terrain.grid.spacing), 0
+    while level < terrain.levels - 1 and 2.0 ** (level + 1) <= coarser:
+        level += 1
+    (rows, cols), step = terrain.shape(level), 2.0**level
+    values = terrain.read(level, 0, rows, 0, cols)
+    col, row = terrain.grid.index(*over.xy(*np.meshgrid(np.arange(over.cols), np.arange(over.rows))))
+    return bilinear(values, np.clip(col / step, 0, cols - 1), np.clip(row / step, 0, rows - 1)).astype(np.float64)
 
 
 def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:

@@ -16,7 +16,9 @@ from typing import Any, Literal, Self, TypeVar, get_args
 from orograph.errors import UsageError
 from orograph.geovis.layers import keyed
 
-Style = Literal["continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows"]
+Style = Literal[
+    "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate"
+]
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
 Standing = Literal["bars", "spheres", "cones", "discs", "flags"]
@@ -91,14 +93,15 @@ class Dataset:
         source: a raster, or a file of points, lines or polygons, in any CRS; a ``DataArray`` (with dimensions ``time``
             and ``member``, if it has them); a mapping of columns, a table with places in its columns, or GeoJSON; what
             has ``__geo_interface__`` (GeoDataFrames).
-        variable: of several (NetCDF, HDF5), or the attribute of features that is shown; for arrows two, "u10+v10": the
-            components to the east and to the north (or so the band).
+        variable: of several (NetCDF, HDF5), or the attribute of features that is shown; for arrows and lic two,
+            "u10+v10": the components to the east and to the north (or so the band).
         band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
             (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
             Where several are chosen their mean is shown.
         layer: of a file of features with several. geometry: "points", "lines" or "polygons", where it mixes them.
         style: see ``Style`` and ``Standing``; None: what the priority says, of points spheres.
-        colormap: any name of the cmap catalogue; of classes colours by name, {"Water": "#56b4e9"}. range: the values at its ends; None: the 2nd and the 98th percentile.
+        colormap: any name of the cmap catalogue; of classes colours by name, {"Water": "#56b4e9"}.
+        range: the values at its ends; None: the 2nd and the 98th percentile.
         classes, breaks: of segments: how many (2 to 12), and where they begin: quantiles, equal steps, Jenks' natural
             breaks, or the values themselves.
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
@@ -137,7 +140,9 @@ class Dataset:
         if isinstance(self.source, os.PathLike):
             object.__setattr__(self, "source", os.fspath(self.source))
         if self.source is None or (isinstance(self.source, str) and not self.source):
-            raise UsageError("A dataset has no source.", remedy="Name a raster or a file of points.")
+            raise UsageError(
+                "A dataset has no source.", remedy="Name a raster, or a file of points, lines or polygons."
+            )
         _check_choice("style", self.style, (*get_args(Style), *get_args(Standing)))
         _check_range(self.range, "values")
         if isinstance(self.colormap, str):

@@ -7,6 +7,7 @@ image is made.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,9 +15,10 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid, compose
+from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.lic import STEP, STEPS, brightness
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import Field, read
@@ -24,7 +26,7 @@ from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors
-from orograph.geovis.keys import Legend, Scale
+from orograph.geovis.keys import Legend, Scale, Square
 from orograph.geovis.layers import Layer
 
 Array = NDArray[np.float64]
@@ -45,6 +47,12 @@ TURN = 45.0
 OUTLINE, CASING = 0.8, 0.65
 """Opacity of the outlines of polygons, and of what stands out on either side of a line."""
 
+FLOWS = ("arrows", "lic")
+"""Styles of two components."""
+
+DARKER, LIGHTER = 0.75, 0.22
+"""How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
+
 EDGE = np.array([0.03, 0.03, 0.04], np.float32)
 
 SWATCH, SWATCHES = 32, (0.15, 0.5, 0.85)
@@ -63,6 +71,7 @@ class Shown:
         cover, outline: of lines and polygons, how much of a texel they and their outlines (``cased``: what stands out
             beneath a line on either side) cover; None: values are everywhere.
         classes: names of values 0, 1, …; None: they are numbers.
+        streaks: of lic, how bright texels are. square: of two datasets in one, what their colours mean.
     """
 
     dataset: Dataset
@@ -79,6 +88,8 @@ class Shown:
     outline: Array | None = None
     cased: bool = False
     classes: tuple[str, ...] | None = None
+    streaks: Array | None = None
+    square: Square | None = None
 
     @property
     def title(self) -> str:
@@ -103,30 +114,57 @@ class Shown:
         return self.field.unit if self.dataset.unit is None else self.dataset.unit
 
 
-def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:
+def shown(
+    dataset: Dataset, grid: Grid, texels: int, priority: Priority, surface: Callable[[Grid], Array] | None = None
+) -> Shown:  # fmt: skip
     """Read data and say how they are shown.
 
     Args:
-        grid: the terrain's. texels: along the longer side of the image.
+        grid: the terrain's. texels: along the longer side of the image. surface: heights (rows, cols) at the samples of
+            a grid over the terrain, for what goes along the surface; None: it is flat.
 
     Raises: as ``reading.read``.
     """
     style = dataset.style or priority.style
-    field, *components = read_vectors(dataset, grid) if style == "arrows" else (read(dataset, grid),)
-    over = _cropped(field, grid, texels)
+    field, *components = read_vectors(dataset, grid) if style in FLOWS else (read(dataset, grid),)
+    over = cropped(field, grid, texels)
     positions = Positions.of(over, field)
     values = positions.values(field.mean)
     sigma = _sigma(dataset, field, grid, over, positions)
     toward = directions(field, positions, *components) if components else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign(style))
-    classes = 0 if style in ("continuous", "arrows") else dataset.classes
+    classes = 0 if style in ("continuous", *FLOWS) else dataset.classes
     scale = ColorScale.of(values, dataset.plain_colormap, dataset.range, classes, dataset.breaks)
     doubt = (0.0, 1.0)
     if sigma is not None:
         asked = None if dataset.uncertainty is None else dataset.uncertainty.range
         doubt = asked or (0.0, spanned(sigma, None)[1])
-    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward)
+    streaks = None
+    if style == "lic" and toward is not None:
+        flat = np.zeros(over.shape) if surface is None else surface(over)
+        there = np.isfinite(values)
+        streaks = _streaks((toward[0] * there, toward[1] * there), over, image_grid(grid, texels), flat, dataset.size)
+    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward, streaks=streaks)
+
+
+def _streaks(toward: tuple[Array, Array], over: Grid, whole: Grid, heights: Array, size: float | None) -> Array:
+    """Brightness of streaks along a flow.
+
+    Args:
+        toward: unit vectors in texels. over, whole: grids of the image and of one over all of the terrain. heights: at
+            the image's texels. size: metres that a streak is long; None: what suits the image.
+    """
+    across, down = toward
+    a, b, _, d, e, _ = over.transform[:6]
+    rise_down, rise_across = np.gradient(np.where(np.isfinite(heights), heights, 0.0))
+    rise = np.nan_to_num(rise_across * across + rise_down * down)
+    metres = np.sqrt((a * across + b * down) ** 2 + (d * across + e * down) ** 2 + rise**2)
+    step = STEP * float(np.sqrt(abs(over.transform.determinant)))
+    steps = STEPS if size is None else max(1, round(size / 2 / step))
+    pace = np.divide(step, metres, out=np.zeros_like(metres), where=metres > 0)
+    col, row = (round(float(v)) for v in apply(~whole.transform, over.transform.c, over.transform.f))
+    return brightness(across, down, pace, steps, (row, col))
 
 
 def _sigma(
@@ -157,7 +195,7 @@ def image_grid(grid: Grid, texels: int) -> Grid:
     return Grid((rows, cols), compose(grid.transform, Affine.scale(grid.cols / cols, grid.rows / rows)), grid.crs)
 
 
-def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
+def cropped(field: Field, grid: Grid, texels: int) -> Grid:
     """The part of an image's grid that has data."""
     whole = image_grid(grid, texels)
     rows, cols = whole.shape
@@ -235,6 +273,8 @@ def _paint(found: Shown, paint: Paint) -> Paint:
     elif found.style == "arrows" and found.toward is not None:
         length = np.nan_to_num(found.scale.place(values))
         paint = replace(paint, alpha=arrows(paint.x, paint.y, paint.pitch, *found.toward, length) * there)
+    elif found.style == "lic" and found.streaks is not None:
+        paint = replace(paint, rgb=_streaked(paint.rgb, found.streaks))
     elif found.style == "cells":
         border = np.minimum(*(0.5 - np.abs(v / paint.pitch % 1 - 0.5) for v in (paint.x, paint.y))) * paint.pitch
         paint = paint.under(EDGE, covered(border - 0.5) * 0.5 * there)
@@ -244,6 +284,12 @@ def _paint(found: Shown, paint: Paint) -> Paint:
         return signed(paint, found.sign).under(EDGE, found.outline * OUTLINE)
     casing = replace(paint, rgb=np.broadcast_to(EDGE, paint.rgb.shape), alpha=found.outline * CASING)
     return signed(casing.under(paint.rgb, paint.alpha), found.sign)
+
+
+def _streaked(rgb: Colors, streaks: Array) -> Colors:
+    """Colours, darker and lighter by streaks, the mean about what it was."""
+    part = streaks[..., None].astype(np.float32)
+    return np.asarray(rgb * (1 - DARKER * (1 - part)) * (1 - LIGHTER * part) + LIGHTER * part, np.float32)
 
 
 def _aggregated(paint: Paint) -> Paint:
@@ -277,6 +323,8 @@ def _isolines(values: Array, levels: tuple[float, ...]) -> Array:
 
 def key_of(found: Shown) -> Legend:
     """What the colours and signs of data mean."""
+    if found.square is not None:
+        return Legend(note=found.field.chosen, squares=(found.square,))
     scale = Scale(
         found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
         below=found.dataset.range is None, above=found.dataset.range is None,
@@ -323,7 +371,7 @@ def _painted_swatch(found: Shown, values: Array, sigma: float) -> NDArray[np.uin
 def _plainly(found: Shown) -> Shown:
     """The same as plain colours, under which signs are told best."""
     style = "continuous" if found.scale.edges is None else "segmented"
-    return replace(found, style=style, cover=None, outline=None)
+    return replace(found, style=style, cover=None, outline=None, streaks=None)
 
 
 def rounded(value: float, top: float) -> str:
