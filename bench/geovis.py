@@ -95,6 +95,28 @@ def pairs_and_flows() -> dict[str, dict[str, Any]]:
     }  # fmt: skip
 
 
+def tracks() -> dict[str, dict[str, Any]]:
+    """Pictures of lines that stand, by name: ways down, and a made flight."""
+    from geovis_shapes import collection, feature, runs
+
+    path = SHARED / "spdatalarge-zion-nz-ecuador" / "zion_srtm.tif"
+    if not path.exists():
+        return {}
+    land = orograph.terrain(path, vertical_unit="metre")
+    view = orograph.camera.around(land, SIZE, azimuth=200, pitch=30, distance=None, exaggeration=2)
+    common = {"terrain": land, "exaggeration": 2, "view": view}
+    ways = orograph.Dataset(runs(land, 60), name="Fall", unit="m/km", colormap="plasma")
+    x, y = land.grid.xy(land.grid.cols / 2, land.grid.rows / 2)
+    turn = np.linspace(0, 6 * np.pi, 160)
+    places = np.stack([x + 7000 * np.cos(turn), y + 7000 * np.sin(turn), 2200 + 150 * turn], 1)
+    flight = collection([feature("LineString", places.tolist())], land.grid.crs.to_wkt())
+    return {
+        "tubes": {**common, "data": ways.but(style="tubes")},
+        "tubes, in the air": {**common, "data": orograph.Dataset(flight, variable="z", style="tubes", name="Altitude")},
+        "curtains": {**common, "data": ways.but(style="curtains")},
+    }
+
+
 def timed(times: int, **options: Any) -> tuple[Picture, float]:
     """A picture, and the median of the seconds that it takes."""
     orograph.render(**options)
@@ -143,6 +165,8 @@ def main() -> None:
             )  # fmt: skip
     for name, options in pairs_and_flows().items():
         row(f"two {name}", **{**options, "priority": "T+D+U-"})
+    for name, options in tracks().items():
+        row(f"track {name}", **{**options, "priority": "T+D+U-"})
     for name, options in shapes().items():
         row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
@@ -159,8 +183,8 @@ def save(made: dict[str, Picture], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
-    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2), ("two", 2)):
-        names = [name for name in made if name.startswith(kind)]
+    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2), ("two", 2), ("track", 3)):
+        names = [name for name in made if name.startswith(kind + ("" if kind == "T" else " "))]
         if names:
             sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")
 

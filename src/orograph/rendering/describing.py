@@ -36,8 +36,10 @@ def describe(scene: Scene) -> str:
             parts.append(f"Their uncertainty is shown, {key.swatches[0][0]} to {key.swatches[-1][0]} and beyond.")
     things = scene.theme.things
     if things is not None:
-        shown = things.values[np.isfinite(things.values)]
-        parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")
+        upright = np.isfinite(things.values) & (True if things.ends is None else np.isnan(things.ends[:, 1]))
+        shown = things.values[upright]
+        if len(shown):
+            parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")
     plain = [layer.title for layer in drawn(scene.data.layers) if layer.key is None]
     if plain:
         parts.append(f"Laid over the ground: {', '.join(plain)}.")

@@ -73,11 +73,14 @@ def _read(
     from orograph.geovis.data.points import is_table, read_points
     from orograph.geovis.data.shape_painting import shown_shapes
     from orograph.geovis.data.standing import stands, things_of
+    from orograph.geovis.data.standing_lines import things_of_lines
 
     grid, texels = terrain.grid, int(min(MOST, max(LEAST, FINER * pixels)))
     if isinstance(dataset, tuple):
         return shown_pair(*dataset, grid, texels)
     features = read_features(dataset, grid) if has_features(dataset.source) else None
+    if features is not None and features.kind != "points" and stands(dataset):
+        return things_of_lines(dataset, features, grid, priority)
     if features is not None and features.kind != "points":
         return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
     if features is not None or is_table(dataset.source):

@@ -21,7 +21,7 @@ Style = Literal[
 ]
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
-Standing = Literal["bars", "spheres", "cones", "discs", "flags"]
+Standing = Literal["bars", "spheres", "cones", "discs", "flags", "tubes", "curtains"]
 """Ways of showing values at places by things that stand on the ground (A³)."""
 
 Sign = Literal[
