@@ -169,8 +169,9 @@ def cast(
     """Draw things over rows of a picture.
 
     Args:
-        kind, radius, height: (n,). place: (n, 3) feet. end: (n, 3) from them to the other ends of tubes
-            and walls. rgb: (n, 3). boxes: (n, 4) first and last column and row that a thing may cover. chosen: indices of the things to draw.
+        kind, radius, height: (n,). place: (n, 3) feet. end: (n, 3) from them to the other ends of tubes and walls.
+        rgb: (n, 3). boxes: (n, 4) first and last column and row that a thing may cover. chosen: indices of the things
+            to draw.
         basis: (6, 3) o, ou, ov, d, du, dv of rays by pixel position (``View.ray_basis``, stretched).
         offsets: (s, 2) positions in a pixel. ahead: (2,) where the eye looks, along the
             ground. sun: (3,) towards the light. ambient: of the light.
