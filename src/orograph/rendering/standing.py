@@ -50,18 +50,20 @@ class Stood:
         return self.pixels, self.depth
 
 
-def stand(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating], scene: Scene) -> Stood:
+def stand(
+    things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating], scene: Scene,
+    placed: tuple[Array, Array] | None = None,
+) -> Stood:  # fmt: skip
     """Draw things over a picture.
 
     Args:
         pixels: (height, width, 3) uint8 sRGB; left as they are. depth: (height, width) metres, NaN where no ground is.
         scene: what the picture shows; its view may be a tile.
+        placed: feet and other ends, if they are known (``places``).
     """
     from orograph.rendering.standing_kernels import cast
 
-    place, end = feet(things, scene), heads(things, scene)
-    end -= place
-    end[np.isnan(end)] = 0.0
+    place, end = placed or places(things, scene)
     known = np.isfinite(place[:, 2])
     basis, origin = _basis(scene)
     boxes = _boxes(things, place, end, scene)
@@ -98,6 +100,12 @@ def stand(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating]
 
     for_each(band, range(0, rows, ROWS), scene.budget.jobs)
     return Stood(out, nearest_depth, which, int((~known).sum()))
+
+
+def places(things: Things, scene: Scene) -> tuple[Array, Array]:
+    """Where things stand, (n, 3), and from there to the other ends of tubes and walls, (n, 3), else 0."""
+    place = feet(things, scene)
+    return place, np.nan_to_num(heads(things, scene) - place)
 
 
 def feet(things: Things, scene: Scene) -> Array:

@@ -6,6 +6,7 @@ A scene's other options stand where they are given; a priority sets those that a
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +29,22 @@ PAPER = "#f4f2ec"
 """The ground under data."""
 
 
-def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[dict[str, Any], Things | None]:
-    """A scene's options with its theme carried out, and what stands on its ground.
+@dataclass(frozen=True, slots=True)
+class Themed:
+    """A theme that is carried out.
+
+    Attributes:
+        options: the scene's, its data being layers. things: what stands on its ground, or None. painted: what its
+            layers of data show, bottom to top.
+    """
+
+    options: dict[str, Any]
+    things: Things | None = None
+    painted: tuple[Shown, ...] = ()
+
+
+def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> Themed:
+    """A scene's options with its theme carried out.
 
     Args:
         size: pixels (width, height) of the picture, which painted data suit.
@@ -48,15 +63,16 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     data = datasets_of(options.get("data"))
     given = options.get("priority")
     if not data and given is None:
-        return made, None
+        return Themed(made)
     priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
     found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
-    standing, flat = ([one for one in found if isinstance(one, Things) is stands] for stands in (True, False))
+    standing = [one for one in found if isinstance(one, Things)]
+    flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
-    made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat if not isinstance(one, Things)))
-    things = Things.joined([one for one in standing if isinstance(one, Things)]) if standing else None
-    return made | {"data": data, "priority": priority}, things
+    made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat))
+    things = Things.joined(standing) if standing else None
+    return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
 
 
 def _read(
