@@ -337,3 +337,11 @@ def _needed(
         sizes = " and ".join(f"{cells} cells from {finest:g} m on" for cells, finest in chunked)
         raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
     return tuple(found), next(iter(tins), None), next(iter(chunked), None)
+
+
+def crs_name(crs: CRS | None) -> str | None:
+    """The authority's code of a CRS, its WKT where it has none."""
+    if crs is None:
+        return None
+    authority = crs.to_authority(min_confidence=100)
+    return ":".join(authority) if authority else str(crs.to_wkt())

@@ -13,11 +13,9 @@ the coarser one is split. Metres, pixels.
 
 from __future__ import annotations
 
-import math
 import time
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Self
 
 import numpy as np

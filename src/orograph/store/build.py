@@ -203,8 +203,13 @@ def _lattices(raster: HeightSource) -> Sequence[SourceLattice]:
 
 
 def _plan(
-    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], tins: int | None,
-    chunked: tuple[int, float] | None, keep_source: bool,
+    raster: HeightSource,
+    shard: int,
+    chunk: int,
+    kinds: tuple[ErrorKind, ...],
+    tins: int | None,
+    chunked: tuple[int, float] | None,
+    keep_source: bool,
 ) -> dict[str, Any]:
     grid = raster.grid
     return {

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,7 +57,12 @@ def checked_sizes(chunked: Any) -> tuple[int, float]:
         UsageError: they make no sense.
     """
     pair = tuple(chunked) if isinstance(chunked, (tuple, list)) else ()
-    if len(pair) != 2 or pair[0] not in ALL_CELLS or not isinstance(pair[1], Real) or not 0 <= pair[1] < math.inf:
+    if (
+        len(pair) != 2
+        or pair[0] not in ALL_CELLS
+        or not isinstance(pair[1], (int, float))
+        or not 0 <= pair[1] < math.inf
+    ):
         raise UsageError(
             f"`chunked` is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, and metres, 0 or more, "
             f"not {chunked!r}.", remedy="(32, 0) is what chunked-lod takes by itself.",
@@ -203,7 +207,7 @@ class StoredChunks:
         Raises:
             DamagedChunkError: as ``terrain.read``.
         """
-        rows, cols = self.layout.chunks(level)
+        _, cols = self.layout.chunks(level)
         starts = self._of(level)
         begin, end = int(starts[i * cols + j]), int(starts[i * cols + j + 1])
         wide = self._sizes[1]

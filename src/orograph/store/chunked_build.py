@@ -18,7 +18,7 @@ from orograph.store.chunked import APART, PER_WORD, Chunk, Layout, Words, on_sid
 from orograph.store.chunked_kernels import lowest, middle, write_walk
 from orograph.store.terrain import TILE, Heights, Terrain
 
-SHARE = 1 / 4
+SHARE = 1 / 2
 """Of the median error of the finest vertices: the error of level 0, unless it is given."""
 
 BAND = 256

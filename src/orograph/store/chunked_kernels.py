@@ -114,10 +114,10 @@ def read_walk(codes, heights, corners, coarse, last_row, last_col, places, verti
     top, count, made = 2, 4, 0
     for n in range(len(codes)):
         top -= 1
-        a, l, r = stack[top]
+        a, e, f = stack[top]
         code = codes[n]
         if code >= SPLIT:
-            lr, lc, rr, rc = places[l, 0], places[l, 1], places[r, 0], places[r, 1]
+            lr, lc, rr, rc = places[e, 0], places[e, 1], places[f, 0], places[f, 1]
             row, col = (lr + rr) >> 1, (lc + rc) >> 1
             at = slot(slots, row << 32 | col)
             if slots[at, 0] == -1:
@@ -126,17 +126,17 @@ def read_walk(codes, heights, corners, coarse, last_row, last_col, places, verti
                 own = np.float64(heights[count])
                 targets[count] = own
                 if code == SPLIT:
-                    targets[count] = middle(lr, lc, rr, rc, targets[l], targets[r], own, last_row, last_col)
+                    targets[count] = middle(lr, lc, rr, rc, targets[e], targets[f], own, last_row, last_col)
                 count += 1
             b = slots[at, 1]
-            stack[top, 0], stack[top, 1], stack[top, 2] = b, r, a
-            stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = b, a, l
+            stack[top, 0], stack[top, 1], stack[top, 2] = b, f, a
+            stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2] = b, a, e
             top += 2
-        elif code == DRAWN and not np.isnan(heights[a] + heights[l] + heights[r]):
-            u, v = vertices[l, 0] - vertices[a, 0], vertices[l, 1] - vertices[a, 1]
-            x, y = vertices[r, 0] - vertices[a, 0], vertices[r, 1] - vertices[a, 1]
+        elif code == DRAWN and not np.isnan(heights[a] + heights[e] + heights[f]):
+            u, v = vertices[e, 0] - vertices[a, 0], vertices[e, 1] - vertices[a, 1]
+            x, y = vertices[f, 0] - vertices[a, 0], vertices[f, 1] - vertices[a, 1]
             if u * y != v * x:
-                triangles[made, 0], triangles[made, 1], triangles[made, 2] = a, l, r
+                triangles[made, 0], triangles[made, 1], triangles[made, 2] = a, e, f
                 made += 1
     return made
 
