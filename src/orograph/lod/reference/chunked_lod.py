@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from orograph.hierarchy import diamonds
 
@@ -96,7 +97,7 @@ class Chunks:
         """
         own = [k for k, at in enumerate(side) if self.has(level, at)]
         low = {side[k]: math.inf for k in own}
-        for a, b in zip(own, own[1:]):
+        for a, b in pairwise(own):
             least = min(self.height(at) for at in side[a : b + 1])
             least = min([least, *(self.height_at(m, side[k]) for m in range(level, coarsest + 1) for k in (a, b))])
             for k in (a, b):
