@@ -23,6 +23,8 @@ from orograph.geo.grid import wkt_of
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
+from orograph.store.chunked import checked_sizes
+from orograph.store.chunked_kind import CHUNKED
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.given import source_of
 from orograph.store.inputs import inputs_of
@@ -62,6 +64,7 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
     tins: int | None = None,
+    chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
@@ -83,6 +86,8 @@ def build(
             them; none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``), which holds some
             four bytes for each sample in memory besides; None: no TINs.
+        chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
+            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
@@ -103,6 +108,8 @@ def build(
         raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
+    if chunked is not None:
+        chunked = checked_sizes(chunked)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
@@ -116,7 +123,7 @@ def build(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk, kinds, tins, keep)
+    plan = _plan(raster, shard, chunk, kinds, tins, chunked, keep)
     with alone(final, "building this store"):
         storage = final if final.remote else FolderStorage(partial(final.url))
         if overwrite:
@@ -196,7 +203,13 @@ def _lattices(raster: HeightSource) -> Sequence[SourceLattice]:
 
 
 def _plan(
-    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], tins: int | None, keep_source: bool
+    raster: HeightSource,
+    shard: int,
+    chunk: int,
+    kinds: tuple[ErrorKind, ...],
+    tins: int | None,
+    chunked: tuple[int, float] | None,
+    keep_source: bool,
 ) -> dict[str, Any]:
     grid = raster.grid
     return {
@@ -211,6 +224,7 @@ def _plan(
         "chunk": chunk,
         "errors": list(kinds),
         "tins": tins,
+        "chunked": None if chunked is None else list(chunked),
         "keep_source": keep_source,
     }
 
@@ -230,6 +244,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "chunk": record.chunk,
         "errors": list(DIAMONDS.of(record).errors),
         "tins": TINS.of(record).get("legs"),
+        "chunked": [of[name] for name in ("cells", "finest")] if (of := CHUNKED.of(record)) else None,
         "keep_source": bool(record.lattices),
     }
 
@@ -300,7 +315,7 @@ def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     """What of a plan is not as before, in words; empty if all is."""
     names = {
         "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
-        "keep_source": "source samples to keep",
+        "chunked": "chunks", "keep_source": "source samples to keep",
     }  # fmt: skip
     return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
 
@@ -349,7 +364,7 @@ def _fill(
         digests=writer.digests,
     )
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins")))
+        record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins"), plan.get("chunked")))
     if raster.fingerprint() != plan["source"]:
         storage.remove()
         raise StoreError(
