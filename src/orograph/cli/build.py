@@ -204,7 +204,7 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    kinds, legs = _needed(methods, progress, tins)
+    kinds, legs, chunked = _needed(methods, progress, tins)
     errors = (*errors, *(kind for kind in kinds if kind not in errors))
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
@@ -220,6 +220,7 @@ def command(
             jobs=jobs,
             errors=errors,
             tins=legs,
+            chunked=chunked,
             keep_source=keep_source,
             codec=codec,
             max_error=max_error,
@@ -331,18 +332,22 @@ def _repair(
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
 
 
-def _needed(methods: Sequence[str], progress: Progress, legs: str | None) -> tuple[tuple[ErrorKind, ...], int | None]:
-    """The kinds of errors that methods need, and the segments of the patches whose TINs are wanted.
+def _needed(
+    methods: Sequence[str], progress: Progress, legs: str | None
+) -> tuple[tuple[ErrorKind, ...], int | None, tuple[int, float] | None]:
+    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, and the cells and
+    metres of the finest chunks.
 
     Args:
         legs: of TINs that are asked for outright.
 
     Raises:
-        UsageError: one of them is no method, or two need other TINs.
+        UsageError: one of them is no method, or two need other TINs or other chunks.
     """
     tins = {} if legs is None else {int(legs): None}
+    chunked: dict[tuple[int, float], None] = {}
     if not methods:
-        return (), next(iter(tins), None)
+        return (), next(iter(tins), None), None
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
     from orograph.store.patches import LEGS
@@ -353,6 +358,9 @@ def _needed(methods: Sequence[str], progress: Progress, legs: str | None) -> tup
         needs = choice.method.needs(choice.options)
         found.update(dict.fromkeys(kinds_of(needs)))
         tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
+        chunked.update(
+            dict.fromkeys((need.options["cells"], need.options["finest"]) for need in needs if need.name == "chunked")
+        )
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
@@ -362,7 +370,10 @@ def _needed(methods: Sequence[str], progress: Progress, legs: str | None) -> tup
             f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
             remedy="Ask for those of one kind.",
         )  # fmt: skip
-    return tuple(found), next(iter(tins), None)
+    if len(chunked) > 1:
+        sizes = " and ".join(f"{cells} cells from {finest:g} m on" for cells, finest in chunked)
+        raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
+    return tuple(found), next(iter(tins), None), next(iter(chunked), None)
 
 
 def crs_name(crs: CRS | None) -> str | None:

@@ -23,6 +23,8 @@ from orograph.geo.grid import wkt_of
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
+from orograph.store.chunked import checked_sizes
+from orograph.store.chunked_kind import CHUNKED
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.given import source_of
@@ -63,6 +65,7 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
     tins: int | None = None,
+    chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
     codec: str = CODECS[0],
     max_error: str | float = "lossless",
@@ -86,6 +89,8 @@ def build(
             them; none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``), which holds some
             four bytes for each sample in memory besides; None: no TINs.
+        chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
+            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         codec: how heights are packed: "portable", which every reader of Zarr v3 understands.
@@ -110,6 +115,8 @@ def build(
         raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
+    if chunked is not None:
+        chunked = checked_sizes(chunked)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
@@ -124,7 +131,7 @@ def build(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk, kinds, tins, keep, coding)
+    plan = _plan(raster, shard, chunk, kinds, tins, chunked, keep, coding)
     with alone(final, "building this store"):
         storage = final if final.remote else FolderStorage(partial(final.url))
         if overwrite:
@@ -204,9 +211,15 @@ def _lattices(raster: HeightSource) -> Sequence[SourceLattice]:
 
 
 def _plan(
-    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], tins: int | None, keep_source: bool,
+    raster: HeightSource,
+    shard: int,
+    chunk: int,
+    kinds: tuple[ErrorKind, ...],
+    tins: int | None,
+    chunked: tuple[int, float] | None,
+    keep_source: bool,
     coding: Coding | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     grid = raster.grid
     return {
         "format": FORMAT,
@@ -220,6 +233,7 @@ def _plan(
         "chunk": chunk,
         "errors": list(kinds),
         "tins": tins,
+        "chunked": None if chunked is None else list(chunked),
         "keep_source": keep_source,
         "codec": None if coding is None else coding.asked(),
     }
@@ -240,6 +254,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "chunk": record.chunk,
         "errors": list(DIAMONDS.of(record).errors),
         "tins": TINS.of(record).get("legs"),
+        "chunked": [of[name] for name in ("cells", "finest")] if (of := CHUNKED.of(record)) else None,
         "keep_source": bool(record.lattices),
         "codec": None if record.coding is None else record.coding.asked(),
     }
@@ -311,7 +326,8 @@ def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     """What of a plan is not as before, in words; empty if all is."""
     names = {
         "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
-        "keep_source": "source samples to keep", "codec": "codec or largest error",
+        "chunked": "chunks", "keep_source": "source samples to keep",
+        "codec": "codec or largest error",
     }  # fmt: skip
     return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
 
@@ -364,7 +380,7 @@ def _fill(
         coding=coding,
     )
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins")))
+        record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins"), plan.get("chunked")))
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
         progress.warn(told)
     if raster.fingerprint() != plan["source"]:

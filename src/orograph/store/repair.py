@@ -21,6 +21,7 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
+from orograph.store.chunked_kind import CHUNKED
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
 from orograph.store.inputs import changes, reopened
@@ -153,7 +154,9 @@ class _Repair:
             if self._any(*(f"{spec.path}/c/" for kind, spec, _ in derived_arrays(self.record) if kind.name == name)):
                 errors = tuple(DIAMONDS.of(self.record).errors)
                 tins = TINS.of(self.record).get("legs")
-                make(self.record, Work(errors, self.mender, self.jobs, False, self.progress, tins))
+                found = CHUNKED.of(self.record)
+                chunked = (found["cells"], found["finest"]) if found else None
+                make(self.record, Work(errors, self.mender, self.jobs, False, self.progress, tins, chunked))
         self._prove()
         if self.mender.damaged:
             raise self._left()

@@ -216,6 +216,8 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
             parts["spheres" if kind == "radius" else f"{kind} errors"] = found
     if (folder / "tins").is_dir():
         parts["TINs"] = _files(folder / "tins")
+    if (folder / "chunked").is_dir():
+        parts["chunks"] = _files(folder / "chunked")
     if (folder / "colors").is_dir():
         parts["color errors"] = _files(folder / "colors")
     for name in layers:

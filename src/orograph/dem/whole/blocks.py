@@ -145,7 +145,7 @@ def _deflate(data: bytes, least: int, most: int) -> str | None:
         made = len(inflate.decompress(data))
     except zlib.error:
         made = -1
-    return None if inflate.eof and made >= least else "its Deflate stream is damaged"
+    return None if inflate.eof and made in (least, most) else "its Deflate stream is damaged"
 
 
 def _lzw(data: bytes, least: int, most: int) -> str | None:

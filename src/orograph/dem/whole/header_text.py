@@ -110,6 +110,28 @@ FORMS = {
         (("UpLeftX", "LoRightX"), ("LoRightY", "UpLeftY")),
         ("RawDefinition", "ChanDefinition-1", "AuxilaryTarget"),
     ),
+    "EIR": Form(
+        ("",), None, ("WIDTH", "HEIGHT", "NUM_LAYERS", "DATA_OFFSET"), (),
+        {"FORMAT": ("BIL", "BIP", "BSQ"), "BYTE_ORDER": ("LSB", "MSB", "NA"),
+         "DATATYPE": ("U1", "U2", "U4", "U8", "U16", "U32", "S16", "S32", "F32", "F64")},
+        (("", "WIDTH", "HEIGHT", "DATATYPE", "BYTE_ORDER"),), other=("PIXEL_FILES",),
+    ),
+    "GenBin": Form(
+        (".hdr", ".HDR"), ":", ("ROWS", "COLS", "BANDS"),
+        ("UL_X_COORDINATE", "UL_Y_COORDINATE", "LR_X_COORDINATE", "LR_Y_COORDINATE"),
+        {"INTERLEAVING": ("BIL", "BIP", "BSQ"), "BYTE_ORDER": ("LSB", "MSB", "NA"),
+         "DATATYPE": ("U1", "U2", "U4", "U8", "U16", "U32", "S8", "S16", "S32", "F32", "F64")},
+        (("", "ROWS", "COLS", "BANDS", "DATATYPE", "BYTE_ORDER"),
+         ("UL_X_COORDINATE", "UL_Y_COORDINATE", "LR_X_COORDINATE", "LR_Y_COORDINATE")),
+        (("UL_X_COORDINATE", "LR_X_COORDINATE"), ("LR_Y_COORDINATE", "UL_Y_COORDINATE")),
+        ("PROJECTION_NAME", "PROJECTION_ZONE", "DATUM_NAME"),
+    ),
+    "ROI_PAC": Form(
+        ("+.rsc",), None, ("WIDTH", "FILE_LENGTH"),
+        ("X_FIRST", "X_STEP", "Y_FIRST", "Y_STEP", "Z_OFFSET", "Z_SCALE"), {},
+        (("", "WIDTH", "FILE_LENGTH"), ("X_FIRST", "X_STEP", "Y_FIRST", "Y_STEP")),
+        other=("PROJECTION", "DATUM", "X_UNIT", "Y_UNIT"),
+    ),
     "MFF": Form(
         ("",), "=", ("IMAGE_LINES", "LINE_SAMPLES"), _MFF_CORNERS, {"BYTE_ORDER": ("LSB", "MSB")},
         (("", "IMAGE_LINES", "LINE_SAMPLES"), _MFF_CORNERS),

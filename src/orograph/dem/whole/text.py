@@ -29,6 +29,8 @@ _ARC = re.compile(
 _GRASS = re.compile(rb"\s*(?:(?:north|south|east|west|rows|cols|null|type|multiplier):\s*\S+\s+)+", re.I)
 _SURFER = re.compile(rb"DSAA\s+(?:\S+\s+){8}")
 _GXF = re.compile(rb".*?^#GRID[ \t]*\r?\n", re.S | re.M)
+_ISG = re.compile(rb".*?^end_of_head[^\n]*\n", re.S | re.M)
+_ZMAP = re.compile(rb"(?:![^\n]*\n)*@[^\n]*\n[ \t]*(\d+)[^@]*?\n@[ \t]*\r?\n")
 _TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
 _FIELDS = re.compile(rb"[\s,;]+")
 _NEGATIVE = re.compile(rb"\s*[^\s,;]+[\s,;]+[^\s,;]+[\s,;]+-[0-9.]*[1-9]")
@@ -58,6 +60,55 @@ def gxf(dataset: Any, path: str) -> str | None:
     if re.search(rb"^#GTYPE\s+[1-9]", head, re.M):
         return None
     return _grid_fault(dataset, path, _GXF, False)
+
+
+def isg(dataset: Any, path: str) -> str | None:
+    """What is wrong with the grid of a geoid model as text (ISG), a sentence; None: nothing."""
+    return _grid_fault(dataset, path, _ISG, False)
+
+
+def zmap(dataset: Any, path: str) -> str | None:
+    """What is wrong with a ZMap Plus grid, whose numbers stand in fields of one width; a sentence; None: nothing."""
+    count = 0
+    with Path(path).open("rb") as file:
+        found = _ZMAP.match(file.read(_HEADER))
+        if found is None or not int(found[1]):
+            return "Its header is not understood."
+        wide = int(found[1])
+        file.seek(found.end())
+        for number, line in enumerate(file):
+            said = line.rstrip()
+            for field in (said[at : at + wide] for at in range(0, len(said), wide)):
+                if not _is_number(field):
+                    return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is no number."
+                count += 1
+    wanted = dataset.width * dataset.height
+    return None if count == wanted else f"It holds {count:,} numbers where its header promises {wanted:,}."
+
+
+def r_numbers(dataset: Any, path: str) -> str | None:
+    """What is wrong with the numbers of R's data as text, one in each line, a sentence; None: nothing, or none are."""
+    with Path(path).open("rb") as file:
+        if file.read(7) != b"RDA2\nA\n":
+            return None
+        lines = file.read().split(b"\n")
+    wanted = dataset.count * dataset.width * dataset.height
+    try:
+        begin = lines.index(b"%d" % wanted) + 1
+    except ValueError:
+        return "Its header is not understood."
+    odd = next((i for i in range(begin, begin + wanted) if i >= len(lines) or not _is_number(lines[i])), None)
+    if odd is None and lines[begin + wanted : begin + wanted + 1] == [b"1026"]:
+        return None
+    return f"It does not hold {wanted:,} numbers, one in a line: what differs is line {(odd or begin + wanted) + 3:,}."
+
+
+def _is_number(token: bytes) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return token == b"NA"
+    return b"_" not in token
 
 
 def points(dataset: Any, path: str) -> str | None:
@@ -107,7 +158,7 @@ def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
     return None if lacks is None else f"Its header does not say where it lies ({lacks!r}…)."
 
 
-CHECKS = (arc, grass, surfer, points, gxf)
+CHECKS = (arc, grass, surfer, points, gxf, isg, zmap)
 
 
 def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool) -> str | None:

@@ -12,29 +12,29 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.dem.whole.blocks import CODECS
+from orograph.dem.whole.tiff_tags import (
+    COUNTS,
+    OFFSETS,
+    Directory,
+    blocks_fault,
+    plain_bytes,
+    row_major,
+    tags_fault,
+)
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 _CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 18: "u8"}
-_OFFSETS, _COUNTS = (273, 324), (279, 325)
 _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperability
 _MOST = 4096  # directories
 _LARGEST = 1 << 27  # entries of a table that is looked at
 _TAIL = 1 << 16
 _BLOCK = 128  # zeros that fill the last such block are no part of a file
-
-
-class _Directory(NamedTuple):
-    """One directory: its tags' (type, count, place of the values), and where it and all its values end."""
-
-    tags: dict[int, tuple[int, int, int]]
-    end: int
-    following: int
 
 
 def fault(dataset: Any, file: IO[bytes]) -> str | None:
@@ -55,7 +55,21 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
         return "Its directories break off: a mask or an overview behind the first is lost."
     if not found:
         return None
-    return _half_there(tiff, found[0]) or _overlap(dataset, tiff, found[0]) or _behind(dataset, tiff, found, size)
+    return (
+        tags_fault(tiff, found)
+        or _overlap(dataset, tiff, found[0])
+        or _places_fault(tiff, found)
+        or _behind(dataset, tiff, found, size)
+    )
+
+
+def _places_fault(tiff: _Tiff, found: list[Directory]) -> str | None:
+    """Blocks that lie where they cannot."""
+    tiff.file.seek(0)
+    ordered = row_major(tiff.file.read(1024))
+    at, size = tiff.blocks(found[0])
+    plain = plain_bytes(tiff, found[0]) if tiff.plain(found[0]) else 0
+    return blocks_fault(tiff, found, at, size, plain, ordered)
 
 
 _CODEC = {1: "", 5: "LZW", 8: "DEFLATE", 32946: "DEFLATE", 32773: "PACKBITS", 50000: "ZSTD"}
@@ -115,9 +129,9 @@ class _Tiff:
         self.word = self.order + ("Q" if self.big else "I")
         (self.first,) = struct.unpack_from(self.word, head, 8 if self.big else 4)
 
-    def directories(self) -> tuple[list[_Directory], bool]:
+    def directories(self) -> tuple[list[Directory], bool]:
         """All directories, the first of the chain first, and whether the chain breaks off."""
-        found: list[_Directory] = []
+        found: list[Directory] = []
         waiting, seen, broken = [(self.first, True)], set[int](), False
         while waiting and len(found) < _MOST:
             at, chained = waiting.pop()
@@ -138,7 +152,7 @@ class _Tiff:
                 waiting.append((directory.following, True))
         return found, broken and bool(found)
 
-    def _directory(self, at: int) -> _Directory:
+    def _directory(self, at: int) -> Directory:
         self.file.seek(at)
         (count,) = struct.unpack(self.order + ("Q" if self.big else "H"), self.file.read(8 if self.big else 2))
         if not 0 < count < _MOST:
@@ -147,6 +161,7 @@ class _Tiff:
         begin = at + (8 if self.big else 2)
         end = begin + count * self.entry.size + struct.calcsize(self.word)
         tags: dict[int, tuple[int, int, int]] = {}
+        twice = 0
         for i in range(count):
             tag, kind, number, value = self.entry.unpack_from(data, i * self.entry.size)
             room = _SIZES.get(kind, 0) * number
@@ -155,13 +170,14 @@ class _Tiff:
                 (place,) = struct.unpack(self.word, value)
                 if place + room <= self.size:
                     end = max(end, place + room)
+            twice = tag if tag in tags else twice
             tags.setdefault(tag, (kind, number, place))
-        if not any(tag in tags for tag in (256, *_OFFSETS, 513)) and at == self.first:
+        if not any(tag in tags for tag in (256, *OFFSETS, 513)) and at == self.first:
             raise ValueError("no directory of a picture")
         (following,) = struct.unpack(self.word, self.file.read(struct.calcsize(self.word)))
-        return _Directory(tags, end, following)
+        return Directory(tags, at, end, following, twice)
 
-    def numbers(self, directory: _Directory, tag: int) -> NDArray[np.int64]:
+    def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
         """The whole numbers of a tag; none if it is not there or not in the file."""
         kind, count, place = directory.tags.get(tag, (0, 0, 0))
         if kind not in _CODES or not 0 < count < _LARGEST or place + count * _SIZES[kind] > self.size:
@@ -170,16 +186,16 @@ class _Tiff:
         read = np.frombuffer(self.file.read(count * _SIZES[kind]), self.order + _CODES[kind])
         return np.minimum(read.astype(np.uint64), np.uint64(1 << 62)).astype(np.int64)
 
-    def blocks(self, directory: _Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def blocks(self, directory: Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Offsets and sizes of the blocks that are there."""
-        for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
+        for places, sizes in zip(OFFSETS, COUNTS, strict=True):
             at, size = self.numbers(directory, places), self.numbers(directory, sizes)
             if at.size and at.size == size.size:
                 there = (at > 0) & (size > 0)
                 return at[there], size[there]
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
 
-    def plain(self, directory: _Directory) -> bool:
+    def plain(self, directory: Directory) -> bool:
         """Whether samples are not compressed."""
         code = self.numbers(directory, 259)
         return not code.size or code[0] == 1
@@ -196,16 +212,7 @@ def _block_bytes(dataset: Any) -> int:
     return int(high * -(-wide * together * sample // 8))
 
 
-def _half_there(tiff: _Tiff, first: _Directory) -> str | None:
-    """Blocks that have a size and no place; those that a sparse file leaves out have no size."""
-    for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
-        at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
-        if at.size and at.size == size.size and ((at == 0) & (size > 0)).any():
-            return "A block of it has a size and no place: the table of its blocks is damaged."
-    return None
-
-
-def _overlap(dataset: Any, tiff: _Tiff, first: _Directory) -> str | None:
+def _overlap(dataset: Any, tiff: _Tiff, first: Directory) -> str | None:
     """Blocks of the raster that lie partly in one another (the very same block may stand for several)."""
     at, size = tiff.blocks(first)
     if tiff.plain(first):
@@ -218,7 +225,7 @@ def _overlap(dataset: Any, tiff: _Tiff, first: _Directory) -> str | None:
     return None
 
 
-def _behind(dataset: Any, tiff: _Tiff, found: list[_Directory], size: int) -> str | None:
+def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str | None:
     """Bytes behind all that the directories speak of, of a raster that is not compressed."""
     if not tiff.plain(found[0]) or not tiff.blocks(found[0])[0].size:
         return None
