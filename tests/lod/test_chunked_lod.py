@@ -353,5 +353,5 @@ def test_the_same_bytes_whatever_else_is_stored_and_damage_is_mended(tmp_path):
 def test_sizes_that_make_no_sense_are_refused():
     t = plain.terrain(plain.rough(np.random.default_rng(7), (33, 33)))
     for sizes in ((7, 0), (32, -1.0), (32, float("nan")), 32, (32,)):
-        with pytest.raises(UsageError, match="`chunked` is cells"):
+        with pytest.raises(UsageError, match="'chunked' is cells"):
             build(Dem(t.heights, t.grid), "nowhere.oro", chunked=sizes, progress=False)

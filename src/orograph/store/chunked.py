@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
 from orograph.store.arrays import ArraySpec
-from orograph.store.chunked_kernels import read_walk
 from orograph.store.terrain import Shape, exponent
 
 if TYPE_CHECKING:
@@ -64,7 +63,7 @@ def checked_sizes(chunked: Any) -> tuple[int, float]:
         or not 0 <= pair[1] < math.inf
     ):
         raise UsageError(
-            f"`chunked` is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, and metres, 0 or more, "
+            f"'chunked' is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, and metres, 0 or more, "
             f"not {chunked!r}.", remedy="(32, 0) is what chunked-lod takes by itself.",
         )  # fmt: skip
     return int(pair[0]), float(pair[1])
@@ -151,6 +150,8 @@ def unpacked(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
     places, triangles = np.empty((count, 2), np.int64), np.empty((codes, 3), np.int32)
     vertices, targets = np.empty((count, 3)), np.empty(count)
     last_row, last_col = layout.shape[0] - 1, layout.shape[1] - 1
+    from orograph.store.chunked_kernels import read_walk  # a store is read without Numba
+
     made = read_walk(
         bits.reshape(-1)[:codes].astype(np.uint8), heights, layout.corners(level, i, j), coarse, last_row, last_col,
         places, vertices, targets, triangles, slots,

@@ -68,7 +68,7 @@ def pairs(data: tuple[Dataset, ...]) -> list[Dataset | tuple[Dataset, Dataset]]:
     if waiting is not None:
         raise UsageError(
             "A bivariate picture shows two things, and there is one.", path=str(waiting.source),
-            remedy="Give two --data with style=bivariate, or two variables of one: variable=t+q, or band=1+2.",
+            remedy="Give two data with style=bivariate, or two variables of one: variable=t+q, or band=1+2.",
         )  # fmt: skip
     return found
 

@@ -83,7 +83,7 @@ def read_features(given: Dataset, grid: Grid) -> Features:
     if given.geometry is None and len(there) > 1:
         raise UsageError(
             f"It mixes {' and '.join(f'{kinds[kind]} {kind}' for kind in there)}, which look different.", path=name,
-            remedy=f"Choose one kind: geometry={there[-1]}; several --data show several.",
+            remedy=f"Choose one kind: geometry={there[-1]}; several data show several.",
         )  # fmt: skip
     kind = given.geometry or there[0]
     if kind not in there:

@@ -28,7 +28,7 @@ def draw(window: Window) -> None:
     settings = window.session.settings
     shown = settings.shown
     if shown is None:
-        imgui.text_wrapped("There are no data: orograph view TERRAIN --data FILE shows some.")
+        imgui.text_wrapped("There are no data: name some as the window is opened.")
         return
     imgui.text_unformatted("what comes first")
     for name, what in SWITCHES:
