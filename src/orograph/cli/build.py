@@ -51,6 +51,20 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
         return wanted
 
 
+class MaxError(click.ParamType[str | float]):
+    """A number of metres, or a word."""
+
+    name = "METRES"
+
+    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        if value in ("lossless", "auto"):
+            return value
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)
+
+
 @click.command("build", short_help="Build a terrain store from DEM files.")
 @click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
@@ -95,6 +109,20 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     show_default=True,
     help="Of files that are brought to another grid, keep the samples as they are, for the heights of places.",
 )
+@click.option(
+    "--codec",
+    type=click.Choice(["portable"]),
+    default="portable",
+    show_default=True,
+    help="How heights are packed: portable is what every reader of Zarr understands.",
+)
+@click.option(
+    "--max-error",
+    type=MaxError(),
+    default="lossless",
+    show_default=True,
+    help="How far heights may be from the files', in metres; auto: in the data's own steps; lossless: as float32.",
+)
 @source_options
 @vertical_options
 @memory_option
@@ -134,6 +162,8 @@ def command(
     drape: str | None,
     products: tuple[str, ...] | None,
     keep_source: bool,
+    codec: str,
+    max_error: str | float,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -153,6 +183,7 @@ def command(
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
+      orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
       orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
       orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
@@ -191,6 +222,8 @@ def command(
             tins=legs,
             chunked=chunked,
             keep_source=keep_source,
+            codec=codec,
+            max_error=max_error,
             progress=progress,
         )
     except KeyboardInterrupt:
@@ -238,6 +271,7 @@ def _tell(terrain: StoredTerrain, seconds: float, as_json: bool) -> None:
         "layers": list(terrain.layers),
         "vertical_datum": terrain.vertical,
         "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
+        "codec": None if terrain.record.coding is None else terrain.record.coding.to_json(),
         "keeps_source": terrain.samples is not None,
         "seconds": round(seconds, 3),
         "peak_memory_bytes": peak_memory(),
@@ -254,6 +288,7 @@ def _tell(terrain: StoredTerrain, seconds: float, as_json: bool) -> None:
         + (f"heights {low:.1f} to {high:.1f} m, " if known else "no valid height, ")
         + f"{100 * terrain.valid_fraction:.4g} % valid\n"
         + (f"resampled: {terrain.resampled}\n" if terrain.resampled is not None else "")
+        + (f"codec: {terrain.record.coding}\n" if terrain.record.coding is not None else "")
         + f"built in {seconds:.1f} s, peak memory {megabytes(peak_memory())}"
     )
 
@@ -273,6 +308,8 @@ def _repair(
         "errors",
         "tins",
         "keep_source",
+        "codec",
+        "max_error",
         "color_errors",
         "drape",
         *(() if dem else options),

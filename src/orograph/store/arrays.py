@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from orograph.errors import DamagedChunkError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import MISSING, Packing
 from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed, tail_length, unsealed
 from orograph.store.storage import Storage
 
@@ -56,6 +57,7 @@ class ArraySpec:
         dtype: NumPy's name.
         fill: the value of chunks that are not written.
         dimensions: their names.
+        packing: how the samples lie in it as int32; None: as they are.
     """
 
     path: str
@@ -65,6 +67,7 @@ class ArraySpec:
     dtype: str = "float32"
     fill: float = float("nan")
     dimensions: tuple[str, str] = ("y", "x")
+    packing: Packing | None = None
 
     @property
     def shards(self) -> Spot:
@@ -82,7 +85,8 @@ class ArraySpec:
     def metadata(self, attributes: dict[str, Any]) -> dict[str, Any]:
         """The array's ``zarr.json``."""
         little = {"name": "bytes", "configuration": {"endian": "little"}}
-        size = np.dtype(self.dtype).itemsize
+        dtype, fill = (self.dtype, self.fill) if self.packing is None else ("int32", MISSING)
+        size = np.dtype(dtype).itemsize
         shuffle = "shuffle" if size > 1 else "noshuffle"
         blosc = {"name": "blosc", "configuration": {**CODEC, "shuffle": shuffle, "typesize": size}}
         sharding = {
@@ -95,13 +99,13 @@ class ArraySpec:
             "zarr_format": 3,
             "node_type": "array",
             "shape": list(self.shape),
-            "data_type": self.dtype,
+            "data_type": dtype,
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [self.shard, self.shard]}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            "fill_value": "NaN" if np.isnan(self.fill) else np.dtype(self.dtype).type(self.fill).item(),
+            "fill_value": "NaN" if np.isnan(fill) else np.dtype(dtype).type(fill).item(),
             "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
             "dimension_names": list(self.dimensions),
-            "attributes": attributes,
+            "attributes": {**attributes, **({} if self.packing is None else self.packing.attributes())},
         }
 
     @property
@@ -116,8 +120,6 @@ class ArraySpec:
             spot: which shard.
             block: its samples (smaller than a shard at the array's end).
         """
-        from orograph._blosc import blosc
-
         rows, cols = block.shape
         side = self.shard // self.chunk
         index, sums = np.full((side * side, 2), ABSENT), np.zeros(side * side, np.uint32)
@@ -132,9 +134,7 @@ class ArraySpec:
                     whole = np.full((self.chunk, self.chunk), self.fill, self.dtype)
                     whole[: view.shape[0], : view.shape[1]] = view
                     view = whole
-                shuffle = blosc.SHUFFLE if view.itemsize > 1 else blosc.NOSHUFFLE
-                samples = np.ascontiguousarray(view, np.dtype(self.dtype).newbyteorder("<"))
-                data = blosc.compress(samples, b"zstd", CODEC["clevel"], shuffle, CODEC["blocksize"])
+                data = self._compressed(view)
                 check = crc32c(data)
                 parts += [data, check.to_bytes(4, "little")]
                 index[i * side + j] = offset, len(data) + 4
@@ -142,6 +142,28 @@ class ArraySpec:
                 offset += len(data) + 4
         end, digest = sealed(self.key(spot), index, sums)
         return [*parts, end], digest
+
+    def _compressed(self, chunk: Array) -> bytes:
+        from orograph._blosc import blosc
+
+        shuffle = blosc.SHUFFLE if chunk.itemsize > 1 else blosc.NOSHUFFLE
+        values = chunk if self.packing is None else self.packing.numbers(chunk)
+        samples = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        data: bytes = blosc.compress(samples, b"zstd", CODEC["clevel"], shuffle, CODEC["blocksize"])
+        return data
+
+    def decompressed(self, data: bytes) -> Array:
+        """The samples of a chunk.
+
+        Raises:
+            RuntimeError, ValueError: it is damaged.
+        """
+        from orograph._blosc import blosc
+
+        dtype = np.dtype(self.dtype if self.packing is None else "int32").newbyteorder("<")
+        chunk = np.empty((self.chunk, self.chunk), dtype)
+        blosc.decompress(data, chunk)
+        return chunk if self.packing is None else self.packing.heights(chunk)
 
     def _is_fill(self, view: Array) -> bool:
         if np.isnan(self.fill):
@@ -272,16 +294,13 @@ class ShardedArray:
     def _decode(self, i: int, j: int, data: bytes | None, check: int) -> Array:
         if data is None:
             return self.blank
-        from orograph._blosc import blosc
-
         said = int.from_bytes(data[-4:], "little")
         if len(data) < 4 or crc32c(data[:-4]) != said:
             raise self._damaged(i, j, "it fails its checksum")
         if said != check:
             raise self._damaged(i, j, "it belongs to another shard")
-        chunk = np.empty((self.spec.chunk, self.spec.chunk), np.dtype(self.spec.dtype).newbyteorder("<"))
         try:
-            blosc.decompress(data[:-4], chunk)
+            chunk = self.spec.decompressed(data[:-4])
         except (RuntimeError, ValueError) as error:
             raise self._damaged(i, j, "it cannot be decompressed") from error
         chunk.flags.writeable = False

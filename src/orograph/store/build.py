@@ -25,6 +25,7 @@ from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.store.chunked import checked_sizes
 from orograph.store.chunked_kind import CHUNKED
+from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.given import source_of
 from orograph.store.inputs import inputs_of
@@ -66,6 +67,8 @@ def build(
     tins: int | None = None,
     chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
+    codec: str = CODECS[0],
+    max_error: str | float = "lossless",
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
@@ -90,6 +93,10 @@ def build(
             from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
+        codec: how heights are packed: "portable", which every reader of Zarr v3 understands.
+        max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
+            twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
+            feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
@@ -117,13 +124,14 @@ def build(
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
     keep = keep_source and bool(_lattices(raster))
+    coding = coding_of(raster, codec, max_error)
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk, kinds, tins, chunked, keep)
+    plan = _plan(raster, shard, chunk, kinds, tins, chunked, keep, coding)
     with alone(final, "building this store"):
         storage = final if final.remote else FolderStorage(partial(final.url))
         if overwrite:
@@ -139,7 +147,7 @@ def build(
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
         if not storage.exists(ROOT):
-            _fill(raster, storage, plan, jobs, going_on, progress)
+            _fill(raster, storage, plan, coding, jobs, going_on, progress)
         storage.remove(PARTS)
         storage.remove(PLAN)
         storage.close()
@@ -210,6 +218,7 @@ def _plan(
     tins: int | None,
     chunked: tuple[int, float] | None,
     keep_source: bool,
+    coding: Coding | None,
 ) -> dict[str, Any]:
     grid = raster.grid
     return {
@@ -226,6 +235,7 @@ def _plan(
         "tins": tins,
         "chunked": None if chunked is None else list(chunked),
         "keep_source": keep_source,
+        "codec": None if coding is None else coding.asked(),
     }
 
 
@@ -246,6 +256,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "tins": TINS.of(record).get("legs"),
         "chunked": [of[name] for name in ("cells", "finest")] if (of := CHUNKED.of(record)) else None,
         "keep_source": bool(record.lattices),
+        "codec": None if record.coding is None else record.coding.asked(),
     }
 
 
@@ -316,6 +327,7 @@ def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     names = {
         "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
         "chunked": "chunks", "keep_source": "source samples to keep",
+        "codec": "codec or largest error",
     }  # fmt: skip
     return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
 
@@ -329,8 +341,9 @@ def _interrupted(final: Storage) -> StoreError:
 
 
 def _fill(
-    raster: HeightSource, storage: Storage, plan: dict[str, Any], jobs: int, resume: bool, progress: Progress
-) -> None:
+    raster: HeightSource, storage: Storage, plan: dict[str, Any], coding: Coding | None, jobs: int, resume: bool,
+    progress: Progress,
+) -> None:  # fmt: skip
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.makers import MAKERS, Work
     from orograph.store.pyramid import Pyramid, tasks
@@ -338,15 +351,17 @@ def _fill(
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
-    pyramid = Pyramid(raster, writer, plan["shard"], plan["chunk"], resume)
+    pyramid = Pyramid(raster, writer, plan["shard"], plan["chunk"], resume, coding)
     spots = tasks(raster.grid.shape, plan["shard"])
     go_through("Resuming the store" if resume else "Building the store", spots, pyramid.run, jobs, progress)
     first = pyramid.finish()
     valid_samples = pyramid.valid_samples
+    coding = None if coding is None else coding.measured(pyramid.lost, valid_samples)
     del pyramid
     lattices = _lattices(raster)
     sizes, keep = (plan["shard"], plan["chunk"]), plan["keep_source"]
-    lost = look_back(lattices, raster.grid, writer, sizes, keep, jobs, resume, progress) if lattices else None
+    how = jobs, resume, progress, coding
+    lost = look_back(lattices, raster.grid, writer, sizes, keep, *how) if lattices else None
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
@@ -362,9 +377,12 @@ def _fill(
         inputs=inputs_of(raster),
         attribution=tuple(getattr(raster, "attribution", ())),
         digests=writer.digests,
+        coding=coding,
     )
     for make in MAKERS.values():
         record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins"), plan.get("chunked")))
+    if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
+        progress.warn(told)
     if raster.fingerprint() != plan["source"]:
         storage.remove()
         raise StoreError(

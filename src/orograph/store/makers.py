@@ -58,7 +58,8 @@ def make_diamonds(record: Record, work: Work) -> Record:
     if not work.errors:
         return record
     first = work.terrain(record).tiles(0)
-    survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, work.errors, work.resume)
+    sizes = record.shard, record.chunk
+    survey = Errors(record.grid, work.writer, *sizes, first, work.errors, work.resume, record.coding)
     with while_compiling("orograph.error.ahead", *work.errors):
         go_through("Finding errors", survey.tasks(), survey.run, work.jobs, work.progress, survey.finish)
     return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))

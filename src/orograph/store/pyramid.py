@@ -23,6 +23,7 @@ from orograph.error.diamonds import halve
 from orograph.errors import DamagedChunkError
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
 from orograph.store.levels import (
@@ -42,7 +43,7 @@ from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count,
 from orograph.store.writer import Canvas, ShardWriter
 
 Facts = dict[str, NDArray[Any]]
-Kind = Callable[[Shape, int, int, int], ArraySpec]
+Kind = Callable[[Shape, int, int, int, Coding | None], ArraySpec]
 
 
 def tasks(shape: Shape, shard: int) -> list[Spot]:
@@ -64,14 +65,23 @@ class Pyramid:
         writer: of its shards.
         shard, chunk: samples along their sides; powers of two.
         resume: use what an interrupted build left.
+        coding: how heights are kept.
+
+    Attributes:
+        lost: what each task found of what that loses.
     """
 
-    def __init__(self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, resume: bool) -> None:
+    def __init__(
+        self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, resume: bool,
+        coding: Coding | None = None,
+    ) -> None:  # fmt: skip
+        self.coding = coding
+        self.lost: list[NDArray[np.float64]] = []
         self.source, self.writer, self.shard, self.chunk, self.resume = source, writer, shard, chunk, resume
         self.shape = shape = source.grid.shape
         self.levels = level_count(shape)
         self.direct = min(shard.bit_length() - 1, self.levels - 1)  # the coarsest level that tasks make themselves
-        self.finest = heights_spec(shape, 0, shard, chunk)
+        self.finest = heights_spec(shape, 0, shard, chunk, coding)
         self.heights = {k: self._canvas(heights_spec, k) for k in range(1, self.direct + 1)}
         self.means = {k: self._canvas(mean_spec, k) for k in range(1, self.direct + 1)}
         tiles = tile_shape(shape, 0)
@@ -86,7 +96,7 @@ class Pyramid:
         self.last_count = np.zeros(mean_shape(shape, self.direct), np.int64)
 
     def _canvas(self, kind: Kind, level: int) -> Canvas:
-        spec = kind(self.shape, level, self.shard, self.chunk)
+        spec = kind(self.shape, level, self.shard, self.chunk, self.coding)
         return Canvas(spec, self.writer, spans(self.shape, self.shard, level, spec.shape))
 
     def run(self, spot: Spot) -> None:
@@ -114,10 +124,13 @@ class Pyramid:
         row, col = spot[0] * size, spot[1] * size
         heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
         heights = np.ascontiguousarray(heights, np.float32)
+        facts: Facts = {}
+        if self.coding is not None:
+            heights, facts["lost"] = self.coding.rounded(heights, size)
         own = heights[:size, :size]
         digest = self.writer.shard(self.finest, spot, own)
         low, high, valid = extrema(heights)
-        facts: Facts = {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
+        facts |= {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
         facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
         empty = not valid.any()
         for level in range(1, self.direct + 1):
@@ -146,6 +159,8 @@ class Pyramid:
     def _combine(self, row: int, col: int, facts: Facts) -> None:
         """Add a task's facts to the tables of the whole raster."""
         self.valid_samples += int(facts["samples"])
+        if "lost" in facts:
+            self.lost.append(facts["lost"])
         at = row // TILE, col // TILE
         low = facts["low"]
         if at[0] >= self.low.shape[0] or at[1] >= self.low.shape[1]:
@@ -198,7 +213,7 @@ class Pyramid:
             self.writer.array(spec, getattr(table, name))
 
     def _write_whole(self, kind: Kind, level: int, values: Heights) -> None:
-        self.writer.array(kind(self.shape, level, self.shard, self.chunk), values)
+        self.writer.array(kind(self.shape, level, self.shard, self.chunk, self.coding), values)
 
 
 def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spot], list[Spot]]:

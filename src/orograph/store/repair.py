@@ -109,7 +109,7 @@ class _StoredHeights:
     def __init__(self, terrain: StoredTerrain) -> None:
         self.grid, self.name, self.vertical = terrain.grid, terrain.name, terrain.vertical
         record = terrain.record
-        spec = heights_spec(terrain.grid.shape, 0, record.shard, record.chunk)
+        spec = heights_spec(terrain.grid.shape, 0, record.shard, record.chunk, record.coding)
         self._array = ShardedArray(spec, terrain.storage, record.digests, ChunkCache(0), 1)
         self._source = record.source
 
@@ -186,7 +186,7 @@ class _Repair:
         if source.grid.shape != record.grid.shape:
             self.why = f"{source.name} has {source.grid.shape} samples and the store {record.grid.shape}."
             return
-        spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk)
+        spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk, record.coding)
 
         def make(spot: Spot) -> None:
             self.mender.shard(spec, spot, np.ascontiguousarray(source.read(*spec.window(spot)), np.float32))
@@ -232,7 +232,8 @@ class _Repair:
     def _coarse(self) -> None:
         """Coarser levels, means and tables, from level 0."""
         record = self.record
-        pyramid = Pyramid(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, resume=False)
+        sizes = record.shard, record.chunk
+        pyramid = Pyramid(_StoredHeights(self.terrain), self.mender, *sizes, resume=False, coding=record.coding)
         spots = tasks(record.grid.shape, record.shard)
         go_through("Mending levels", spots, pyramid.run, self.jobs, self.progress, pyramid.finish)
 

@@ -24,6 +24,7 @@ from orograph.geo.grid import Grid
 from orograph.progress import Progress
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.lattices import LatticeRecord, StoredLattice
 from orograph.store.layout import PARTS, heights_spec
@@ -45,7 +46,7 @@ Facts = dict[str, NDArray[Any]]
 
 def look_back(
     lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int], keep: bool,
-    jobs: int, resume: bool, progress: Progress,
+    jobs: int, resume: bool, progress: Progress, coding: Coding | None = None,
 ) -> Resampled:  # fmt: skip
     """Keep the lattices a terrain was resampled from, and compare it with them.
 
@@ -56,8 +57,9 @@ def look_back(
         sizes: samples along the sides of shards and chunks.
         keep: whether the samples are written.
         resume: use what an interrupted build left.
+        coding: how level 0 is kept.
     """
-    level = heights_spec(grid.shape, 0, *sizes)
+    level = heights_spec(grid.shape, 0, *sizes, coding)
     surface = StoredLattice(grid, ShardedArray(level, writer.storage, writer.digests, ChunkCache(0), 1))
     total = _Total()
     for number, lattice in enumerate(lattices):

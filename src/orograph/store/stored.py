@@ -189,7 +189,7 @@ class StoredTerrain(Terrain):
         if found is not None:
             return found
         self._check(level)
-        at = self.grid.shape, level, self.record.shard, self.record.chunk
+        at = self.grid.shape, level, self.record.shard, self.record.chunk, self.record.coding
         if kind == "heights":
             return self.opened(kind, level, lambda: heights_spec(*at))
         return self.opened(kind, level, lambda: mean_spec(*at))
