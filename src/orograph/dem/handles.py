@@ -323,7 +323,7 @@ def _member(file: Path) -> str:
     )
 
 
-_OPENING = threading.Lock()  # catch_warnings is not safe in threads: it may leave another's filters behind
+OPENING = threading.Lock()  # catch_warnings is not safe in threads: it may leave another's filters behind
 
 
 def open_dataset(location: str) -> Any:
@@ -341,7 +341,7 @@ def open_dataset(location: str) -> Any:
     if fault is not None:
         raise ReadError(fault, path=location, remedy=DAMAGED)
     try:
-        with _OPENING, warnings.catch_warnings():
+        with OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(location)
     except (RasterioError, OSError, ValueError) as error:

@@ -204,7 +204,7 @@ def fault_before(location: str) -> str | None:
     if archived(location) or not path.is_file():
         return None
     try:
-        return netcdf.fault_before(str(path))
+        return netcdf.fault_before(str(path)) or jp2.fault_before(str(path))
     except OSError:
         return None  # GDAL says why it cannot be opened
 

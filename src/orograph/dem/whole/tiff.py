@@ -23,6 +23,7 @@ from orograph.dem.whole.tiff_tags import (
     OFFSETS,
     Directory,
     blocks_fault,
+    lost_mask,
     plain_bytes,
     row_major,
     tags_fault,
@@ -55,6 +56,8 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
         return "Its directories break off: a mask or an overview behind the first is lost."
     if not found:
         return None
+    if found[0].following == 0 and lost_mask(tiff, found, tiff.directory):
+        return "It holds a mask that its directories do not lead to: they are damaged."
     return (
         tags_fault(tiff, found)
         or _overlap(dataset, tiff, found[0])
@@ -140,7 +143,7 @@ class _Tiff:
                 continue
             seen.add(at)
             try:
-                directory = self._directory(at)
+                directory = self.directory(at)
             except (struct.error, ValueError):
                 broken |= chained
                 continue
@@ -152,7 +155,8 @@ class _Tiff:
                 waiting.append((directory.following, True))
         return found, broken and bool(found)
 
-    def _directory(self, at: int) -> Directory:
+    def directory(self, at: int) -> Directory:
+        """The directory at a byte; struct.error or ValueError if there is none."""
         self.file.seek(at)
         (count,) = struct.unpack(self.order + ("Q" if self.big else "H"), self.file.read(8 if self.big else 2))
         if not 0 < count < _MOST:
@@ -235,7 +239,7 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str
         if not at.size:
             continue
         if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
-            return None  # it is cut short, and GDAL says where
+            return _cut_fault(dataset, tiff, at, size)
         wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
@@ -246,6 +250,19 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str
     if size % _BLOCK == 0 and not any(tiff.file.read()):
         return None
     return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
+
+
+def _cut_fault(dataset: Any, tiff: _Tiff, at: NDArray[np.int64], size: int) -> str | None:
+    """What is wrong with a raster that is not compressed and ends within a block. Where samples lack GDAL says so; of a
+    last strip that is filled up it does not see that bytes lack before. Some writers leave the filling out."""
+    high = dataset.block_shapes[0][0]
+    down = -(-dataset.height // high)
+    if OFFSETS[1] in tiff.directories()[0][0].tags or dataset.height % high == 0 or at.size % down:
+        return None
+    end = int(at.max()) + _block_bytes(dataset) // high * (dataset.height % high)
+    if size <= end + 1:
+        return None
+    return f"It ends {int(at.max()) + _block_bytes(dataset) - size:,} bytes before its last part does."
 
 
 def _trailed(file: IO[bytes]) -> bool:

@@ -8,6 +8,9 @@ Sources: TIFF 6.0, sections 2, 8 and 15; GeoTIFF 1.1 (OGC 19-008r4); COG as GDAL
 
 from __future__ import annotations
 
+import re
+import struct
+from collections.abc import Callable
 from typing import IO, NamedTuple, Protocol
 
 import numpy as np
@@ -26,6 +29,10 @@ _SINGLE = (254, 256, 257, 259, 262, 266, 274, 277, 278, 284, 317, 322, 323)
 _COUNTED = {33550: 3, 34264: 16}
 _MULTIPLE = {33922: 6, 34735: 4}
 _LOOKED_AT = 4096
+_SMALLEST = 64  # bytes of a directory that says of what size its raster is
+_GAPS = 32
+_SEARCHED = 1 << 18  # bytes at either end of a gap, for a directory
+_GUARDS = 9  # bytes around a block: its length, its end once more, and one to make it even
 _MASK = 4  # as a bit of the kind of a directory, and as what its samples mean
 
 
@@ -45,6 +52,8 @@ class Tiff(Protocol):
 
     file: IO[bytes]
     size: int
+    order: str
+    big: bool
 
     def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
         """The whole numbers of a tag."""
@@ -102,6 +111,11 @@ def _tables_fault(tiff: Tiff, first: Directory) -> str | None:
     wanted = _blocks_wanted(tiff, first)
     for places, sizes in zip(OFFSETS, COUNTS, strict=True):
         at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
+        if places in first.tags and sizes in first.tags and first.tags[places][1] != first.tags[sizes][1]:
+            return (
+                f"It lists the places of {first.tags[places][1]:,} blocks and the sizes of {first.tags[sizes][1]:,}: "
+                "the table of its blocks is damaged."
+            )
         if not at.size or at.size != size.size:
             continue
         if ((at == 0) & (size > 0)).any():
@@ -154,29 +168,66 @@ def blocks_fault(
     for directory in directories:
         if ((at < directory.end) & (ends > directory.begin) & (ends <= tiff.size)).any():
             return "A block of it and one of its directories lie in one another."
-    if not plain:
-        return None
-    if at.size > 1 and (size[ends <= tiff.size] > plain + 1).any():
+    if plain and at.size > 1 and (size[ends <= tiff.size] > plain + 1).any():
         return f"A block of it has {int(size.max()):,} bytes, and its samples need {plain:,}."
     at, size = at[ends <= tiff.size], size[ends <= tiff.size]
-    if np.unique(at).size < at.size and _unused(tiff, directories, at, size) >= size.min():
+    order = np.argsort(at, kind="stable")
+    twice = size[order][1:][np.diff(at[order]) == 0]
+    if twice.size and any(_lost(size, twice, length, plain) for _, length in unused(tiff, directories)):
         return "It lists a block twice, and has bytes that belong to none: the table of its blocks is damaged."
     return None
 
 
-def _unused(tiff: Tiff, directories: list[Directory], at: NDArray[np.int64], size: NDArray[np.int64]) -> int:
-    """The most bytes in a row that belong to no block and no directory."""
-    spans: list[tuple[int, int]] = [(0, 8), *((d.begin, d.end) for d in directories)]
-    spans += zip(at.tolist(), (at + size).tolist(), strict=True)
-    for directory in directories[1:]:
+def _lost(size: NDArray[np.int64], twice: NDArray[np.int64], length: int, plain: int) -> bool:
+    """Whether bytes that belong to nothing may be a block whose place was overwritten with that of another. Compressed
+    blocks of one kind may share a place, and leave gaps where they were written anew: only one of the same size is
+    taken for lost."""
+    if plain:
+        return length >= size.min()
+    return bool(((twice <= length) & (length <= twice + _GUARDS)).any())
+
+
+def lost_mask(tiff: Tiff, directories: list[Directory], parse: Callable[[int], Directory]) -> bool:
+    """Whether a mask of the raster lies where no directory leads to, and none of those that are reached is one.
+
+    Args:
+        parse: the directory at a byte; struct.error or ValueError if there is none.
+    """
+    shape = [_one(tiff, directories[0], tag, 0) for tag in (256, 257)]
+    if any(_one(tiff, directory, 254, 0) & _MASK for directory in directories):
+        return False
+    mark = struct.pack(tiff.order + "HH", 254, 4)
+    gaps = [gap for gap in unused(tiff, directories) if gap[1] >= _SMALLEST]
+    for begin, length in dict.fromkeys((*gaps[:_GAPS], *gaps[-_GAPS:])):
+        for at in {begin, max(begin, begin + length - _SEARCHED)}:
+            tiff.file.seek(at)
+            data = tiff.file.read(min(_SEARCHED, begin + length - at))
+            for found in re.finditer(re.escape(mark), data):
+                try:
+                    inner = parse(at + found.start() - (8 if tiff.big else 2))
+                except (struct.error, ValueError):
+                    continue
+                is_mask = _one(tiff, inner, 254, 0) & _MASK and _one(tiff, inner, 262, -1) == _MASK
+                if is_mask and [_one(tiff, inner, tag, 0) for tag in (256, 257)] == shape:
+                    return True
+    return False
+
+
+def unused(tiff: Tiff, directories: list[Directory]) -> list[tuple[int, int]]:
+    """First byte and number of all bytes in a row that belong to no block and no directory."""
+    begins = [np.array([0, tiff.size, *(directory.begin for directory in directories)])]
+    stops = [np.array([8, tiff.size, *(directory.end for directory in directories)])]
+    for directory in directories:
         for places, sizes in zip(OFFSETS, COUNTS, strict=True):
             starts, lengths = tiff.numbers(directory, places), tiff.numbers(directory, sizes)
             if starts.size == lengths.size:
-                spans += zip(starts.tolist(), (starts + lengths).tolist(), strict=True)
-    end = most = 0
-    for begin, stop in sorted(spans):
-        most, end = max(most, begin - end), max(end, stop)
-    return max(most, tiff.size - end)
+                begins.append(np.minimum(starts, tiff.size))
+                stops.append(np.minimum(starts + lengths, tiff.size))
+    begin, stop = np.concatenate(begins), np.concatenate(stops)
+    order = np.argsort(begin, kind="stable")
+    begin, reached = begin[order], np.maximum.accumulate(stop[order])
+    free = np.flatnonzero(begin[1:] > reached[:-1])
+    return [(int(reached[i]), int(begin[i + 1] - reached[i])) for i in free]
 
 
 def row_major(head: bytes) -> bool:
