@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from rasterio.shutil import copy
 
 from orograph.dem import read
 from orograph.errors import ReadError
@@ -124,5 +125,218 @@ def test_a_jpeg_2000_whose_inner_box_has_no_length(tmp_path: Path) -> None:
     data = path.read_bytes()
     put(path, data.index(b"colr") - 4, bytes(4))
     refused(path, "colr")
+
+
+def tiled_vrt(folder: Path) -> Path:
+    """A VRT of four tiles of the hill."""
+    sources = []
+    for i, (top, left) in enumerate([(0, 0), (0, 40), (30, 0), (30, 40)]):
+        part = hill()[top : top + 30, left : left + 40]
+        rows, cols = part.shape
+        with rasterio.open(folder / f"t{i}.tif", "w", driver="GTiff", height=rows, width=cols, count=1, dtype="int16",
+                           crs="EPSG:32611", transform=Affine(30, 0, 500_000 + 30 * left, 0, -30, 4_000_000 - 30 * top)) as file:  # fmt: skip
+            file.write(part, 1)
+        sources.append(
+            f'<SimpleSource><SourceFilename relativeToVRT="1">t{i}.tif</SourceFilename><SourceBand>1</SourceBand>'
+            f'<SrcRect xOff="0" yOff="0" xSize="{cols}" ySize="{rows}"/>'
+            f'<DstRect xOff="{left}" yOff="{top}" xSize="{cols}" ySize="{rows}"/></SimpleSource>\n'
+        )
+    path = folder / "a.vrt"
+    path.write_text(
+        '<VRTDataset rasterXSize="80" rasterYSize="60">\n<SRS>EPSG:32611</SRS>\n'
+        "<GeoTransform>500000, 30, 0, 4000000, 0, -30</GeoTransform>\n"
+        f'<VRTRasterBand dataType="Int16" band="1">\n{"".join(sources)}</VRTRasterBand>\n</VRTDataset>\n'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('<SrcRect xOff="0" yOff="0" xSize="40"', '<SrcRect xOff="0" yOff="0" xSizf="40"'),
+        ('<DstRect xOff="40" yOff="0"', '<DstRect yOff="0"'),
+        ('<DstRect xOff="40" yOff="0"', '<DstRect xOff="90" yOff="0"'),
+        ('<DstRect xOff="40" yOff="0"', '<DstRect xOff="46" yOff="0"'),
+        ('<DstRect xOff="40" yOff="0" xSize="40"', '<DstRect xOff="40" yOff="0" xSize="30"'),
+        ('<SrcRect xOff="0"', '<SrcRect xOff="nan"'),
+    ],
+)
+def test_parts_of_a_vrt_that_lie_nowhere_or_elsewhere(tmp_path: Path, old: str, new: str) -> None:
+    path = tiled_vrt(tmp_path)
+    np.testing.assert_array_equal(read(path).heights, hill()[:60, :80])
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    refused(path, "parts|elsewhere|cannot be")
+
+
+def test_tiles_of_a_vrt_exchanged(tmp_path: Path) -> None:
+    path = tiled_vrt(tmp_path)
+    (tmp_path / "t0.tif").rename(tmp_path / "t")
+    (tmp_path / "t1.tif").rename(tmp_path / "t0.tif")
+    (tmp_path / "t").rename(tmp_path / "t1.tif")
+    refused(path, "elsewhere")
+
+
+def test_a_vrt_that_places_all_its_parts_anew(tmp_path: Path) -> None:
+    path = tiled_vrt(tmp_path)
+    path.write_text(path.read_text().replace("500000, 30", "700010, 30"))
+    np.testing.assert_array_equal(read(path).heights, hill()[:60, :80])
+
+
+@pytest.mark.parametrize(("behind", "sound"), [(0, True), (3, False), (COLS * 2, True)])
+def test_raw_bands_of_a_vrt_that_are_too_long(tmp_path: Path, behind: int, sound: bool) -> None:
+    (tmp_path / "a.raw").write_bytes(hill().astype("<i2").tobytes() + b"\7" * behind)
+    path = tmp_path / "a.vrt"
+    path.write_text(
+        f'<VRTDataset rasterXSize="{COLS}" rasterYSize="{ROWS}"><VRTRasterBand dataType="Int16" band="1" '
+        'subClass="VRTRawRasterBand"><SourceFilename relativeToVRT="1">a.raw</SourceFilename>'
+        f"<LineOffset>{2 * COLS}</LineOffset><ByteOrder>LSB</ByteOrder></VRTRasterBand></VRTDataset>"
+    )
+    if sound:
+        np.testing.assert_array_equal(read(path).heights, hill())
+    else:
+        with pytest.raises(ReadError, match="3 bytes more"):
+            read(path)
+
+
+@pytest.mark.parametrize("compress", ["lzw", "deflate", "zstd", "lerc"])
+def test_bytes_put_into_a_compressed_block(tmp_path: Path, compress: str) -> None:
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=ROWS, width=COLS, count=1, dtype="int16", compress=compress,
+                       transform=UTM) as file:  # fmt: skip
+        file.write(hill(), 1)
+    data = path.read_bytes()
+    np.testing.assert_array_equal(read(path).heights, hill())
+    path.write_bytes(data + b"\7\7\7")
+    refused(path, "behind its last part|damaged")
+
+
+@pytest.mark.parametrize("driver", ["LCP", "PCIDSK", "netCDF"])
+def test_a_file_that_is_longer_or_shorter(tmp_path: Path, driver: str) -> None:
+    folder = tmp_path / "made"
+    if driver == "LCP":
+        folder.mkdir()
+        with rasterio.open(tmp_path / "hill.tif", "w", driver="GTiff", height=ROWS, width=COLS, count=8, dtype="int16",
+                           crs="EPSG:32611", transform=UTM) as file:  # fmt: skip
+            file.write(np.stack([hill()] * 8))
+        path = folder / "a.lcp"
+        copy(str(tmp_path / "hill.tif"), str(path), driver="LCP", LATITUDE="40", LINEAR_UNIT="METER")
+    elif driver == "PCIDSK":
+        path = copied(folder, "PCIDSK", "a.pix", INTERLEAVING="TILED")
+    else:
+        path = copied(folder, "netCDF", "a.nc", FORMAT="NC")
+    np.testing.assert_array_equal(read(path).heights, hill())
+    data = path.read_bytes()
+    for mutant in (data[:-2000] + b"\7" * 3 + data[-2000:], data[:-2000] + data[-1999:]):
+        path.write_bytes(mutant)
+        refused(path, "bytes|ends")
+
+
+def test_a_geoid_of_the_ngs_that_is_longer_or_shorter(tmp_path: Path) -> None:
+    path = tmp_path / "g2012.bin"
+    samples = (hill().astype("<f4") / 100 - 60)[::-1]
+    data = struct.pack("<4d3i", 34.0, 241.0, 1 / 60, 1 / 60, ROWS, COLS, 1) + samples.tobytes()
+    path.write_bytes(data)
+    np.testing.assert_array_equal(read(path).heights, samples[::-1])
+    for mutant in (data[:5000] + b"\7" + data[5000:], data[:-1]):
+        path.write_bytes(mutant)
+        refused(path, "bytes")
+
+
+def floating(folder: Path, header: str, kind: str = "<f4") -> Path:
+    """The hill as raw numbers of 32 bits with a header."""
+    (folder / "a.hdr").write_text(header)
+    (folder / "a.bil").write_bytes(hill().astype(kind).tobytes())
+    return folder / "a.bil"
+
+
+def test_a_header_that_does_not_call_its_numbers_floating(tmp_path: Path) -> None:
+    said = f"NROWS {ROWS}\nNCOLS {COLS}\nNBITS 32\nBYTEORDER I\nULXMAP 15\nULYMAP 15\nXDIM 30\nYDIM 30\n"
+    np.testing.assert_array_equal(read(floating(tmp_path, said + "PIXELTYPE FLOAT\n")).heights, hill())
+    refused(floating(tmp_path, said), "floating")
+    np.testing.assert_array_equal(read(floating(tmp_path, said, "<i4")).heights, hill())
+
+
+def test_a_header_of_a_corner_and_no_step(tmp_path: Path) -> None:
+    said = f"ncols {COLS}\nnrows {ROWS}\nxllcorner 500000\nyllcorner 4000000\ncellsize 30\nbyteorder LSBFIRST\n"
+    for text, sound in ((said, True), (said.replace("cellsize 30\n", ""), False)):
+        path = floating(tmp_path, text).rename(tmp_path / "a.flt")
+        if sound:
+            np.testing.assert_array_equal(read(path).heights, hill())
+        else:
+            refused(path, "CELLSIZE")
+
+
+def columns(decimals: int) -> str:
+    lines = (f"{500015 + 30 * j} {4000000 - 30 * i} {hill()[i, j]:.{decimals}f}" for i in range(5) for j in range(9))
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_columns_of_points(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "a.xyz"
+    path.write_text(columns(2) + end)
+    np.testing.assert_array_equal(read(path).heights, hill()[:5, :9])
+
+
+@pytest.mark.parametrize("joined", ["", " "])
+def test_lines_of_points_that_are_joined(tmp_path: Path, joined: str) -> None:
+    path = tmp_path / "a.xyz"
+    lines = columns(0).split("\n")
+    path.write_text("\n".join([*lines[:9], lines[9] + joined + lines[10], *lines[11:], ""]))
+    refused(path, "joined")
+
+
+@pytest.mark.parametrize("name", ["a.xyz", "a.asc"])
+def test_a_last_number_that_was_cut_short(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    grid = "\n".join(" ".join(f"{v:.2f}" for v in row) for row in hill()[:5, :9])
+    head = "ncols 9\nnrows 5\nxllcorner 0\nyllcorner 0\ncellsize 30\n"
+    text = columns(2) if name == "a.xyz" else head + grid
+    path.write_text(text)
+    np.testing.assert_array_equal(read(path).heights, hill()[:5, :9])
+    for cut in (1, 2, 3):
+        path.write_text(text[:-cut])
+        refused(path, "cut short")
+
+
+def usgs(folder: Path) -> Path:
+    return copied(folder / "made", "USGSDEM", "a.dem")
+
+
+def test_a_digit_of_a_usgs_dem(tmp_path: Path) -> None:
+    path = usgs(tmp_path)
+    np.testing.assert_array_equal(read(path).heights[:ROWS], hill())
+    profile = 1024 + 20 * 1024
+    data = path.read_bytes()
+    values = [int(data[profile + 144 + 6 * i : profile + 150 + 6 * i]) for i in range(ROWS)]
+    at = profile + 144 + 6 * values.index(max(values))
+    put(path, at, f"{max(values) + 100:6d}".encode())
+    refused(path, "profile 21 of 83")
+
+
+def test_profiles_of_a_usgs_dem_exchanged(tmp_path: Path) -> None:
+    path = usgs(tmp_path)
+    data = path.read_bytes()
+    one, two = (data[1024 * i : 1024 * i + 1024] for i in (30, 40))
+    put(path, 1024 * 30, two)
+    put(path, 1024 * 40, one)
+    refused(path, "profile 30 of 83")
+
+
+def test_a_usgs_dem_that_keeps_no_least_and_greatest(tmp_path: Path) -> None:
+    path = usgs(tmp_path)
+    data = bytearray(path.read_bytes())
+    for profile in range(1, 84):
+        data[1024 * profile + 96 : 1024 * profile + 144] = (b"%24s" % b"0.000000000000000D+00") * 2
+    path.write_bytes(data)
+    np.testing.assert_array_equal(read(path).heights[:ROWS], hill())
+
+
+def test_the_steps_of_a_usgs_dem(tmp_path: Path) -> None:
+    path = usgs(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[:688] + b"07" + data[688:])
+    refused(path, "apart")
 
 

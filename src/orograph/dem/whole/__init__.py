@@ -13,6 +13,7 @@ and altering files of every driver (``tests/dem/test_mutants.py``):
 - HFA (.img), classic netCDF: blocks beyond the end of the file are uninitialised or 0 (``hfa``, ``netcdf``).
 - JPEG 2000, MRF: tiles that are lost or do not decode are uninitialised memory (``jp2``, ``mrf``).
 - GeoPackage, MBTiles: tiles that do not decode are 0; HDF5: bytes too many (``containers``).
+- USGS DEMs: profiles that contradict what they say of themselves (``usgs``).
 - GRIB 2: packed pictures whose checksums differ (``grib``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
@@ -51,6 +52,7 @@ from orograph.dem.whole import (
     sizes,
     text,
     tiff,
+    usgs,
 )
 from orograph.dem.whole.files import (
     DAMAGED,
@@ -63,7 +65,7 @@ from orograph.dem.whole.files import (
     on_disk,
     stream,
 )
-from orograph.dem.whole.virtual import Part, check_parts
+from orograph.dem.whole.virtual import Part, Place, check_parts
 from orograph.errors import ReadError
 
 Window = tuple[int, int, int, int]
@@ -166,6 +168,9 @@ _CHECKS: dict[str, Check] = {
     "FIT": raw.fit,
     "R": _checks(sizes.rdata, text.r_numbers),
     "BYN": sizes.behind(80),
+    "LCP": raw.landscape,
+    "NGSGEOID": raw.geoid,
+    "USGSDEM": usgs.fault,
     "EIR": _checks(header_text.check("EIR"), raw.eir),
     "GenBin": _checks(header_text.check("GenBin"), sizes.behind(0)),
     "ROI_PAC": _checks(header_text.check("ROI_PAC"), raw.roi_pac),
@@ -275,7 +280,7 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
         lend: opens the files of which a VRT is made.
     """
     if dataset.driver == "VRT":
-        check_parts(dataset, key, window, partial(_check_part, lend))
+        check_parts(dataset, key, window, partial(_check_part, lend), partial(_place_of, lend))
     else:
         _check_layout(dataset, key)
         blocks.check_blocks(dataset, key, band, window, step)
@@ -288,7 +293,7 @@ def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
     if dataset.driver not in ("GTiff", "VRT") or not here(name):
         return
     if dataset.driver == "VRT":
-        check_parts(dataset, key, window, partial(_check_part, lend), mask=True)
+        check_parts(dataset, key, window, partial(_check_part, lend), partial(_place_of, lend), mask=True)
         return
     beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
     location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
@@ -322,6 +327,12 @@ def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
                     path=part.location, remedy="Make the VRT again (gdalbuildvrt), or restore the file from a copy.",
                 )  # fmt: skip
     _check_window(lend, part.location, part.band, window, part.by_mask)
+
+
+def _place_of(lend: Lend, part: Part) -> Place:
+    """Where the file of a part says that it lies."""
+    with lend(part.location) as (dataset, _):
+        return dataset.transform, dataset.crs
 
 
 def _check_window(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:

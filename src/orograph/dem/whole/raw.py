@@ -59,6 +59,16 @@ def fit(dataset: Any, path: str) -> str | None:
     return exact(path, struct.unpack_from(">I", head, 72)[0] + _samples(dataset)) if head[:4] == b"IT02" else None
 
 
+def landscape(dataset: Any, path: str) -> str | None:
+    """LCP: a header of 7316 bytes, then whole numbers of 16 bits, all bands of a sample together."""
+    return exact(path, 7316 + 2 * dataset.count * dataset.width * dataset.height)
+
+
+def geoid(dataset: Any, path: str) -> str | None:
+    """NGSGEOID: a header of 44 bytes, then numbers of 32 bits."""
+    return exact(path, 44 + 4 * dataset.width * dataset.height)
+
+
 def webp(dataset: Any, path: str) -> str | None:
     """WebP: the container says how long it is."""
     with Path(path).open("rb") as file:

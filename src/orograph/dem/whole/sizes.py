@@ -95,7 +95,7 @@ def ehdr(dataset: Any, path: str) -> str | None:
     if header is None:
         return None
     said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
-    if fault := _row_fault(said, dataset.width, dataset.count):
+    if fault := _row_fault(said, dataset.width, dataset.count) or _kind_fault(dataset, path, said):
         return fault
     bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
     rows, bands = dataset.height, dataset.count
@@ -121,6 +121,30 @@ def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
                 "damaged, or its rows are padded, which GDAL misreads."
             )
     return None
+
+
+_PLAUSIBLE, _GREATEST = (1e-9, 1e6), 1e8
+
+
+def _kind_fault(dataset: Any, path: str, said: dict[str, str]) -> str | None:
+    """A header of numbers of 32 bits that does not call them floating, which they clearly are; one of a corner and no
+    step, for which GDAL takes 1."""
+    if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
+        return "Its header does not say what its 'CELLSIZE' is."
+    if "PIXELTYPE" in said or np.dtype(dataset.dtypes[0]).kind == "f" or np.dtype(dataset.dtypes[0]).itemsize != 4:
+        return None
+    order = ">" if said.get("BYTEORDER", "I").upper().startswith("M") else "<"
+    with Path(path).open("rb") as file:
+        file.seek(int(said.get("SKIPBYTES", 0)))
+        data = file.read(_TAIL)
+    data = data[: len(data) // 4 * 4]
+    floats = np.abs(np.frombuffer(data, order + "f4"))
+    whole = np.abs(np.frombuffer(data, order + "i4").astype(np.float64))
+    there = whole > 0
+    looks = ~there | ((floats > _PLAUSIBLE[0]) & (floats < _PLAUSIBLE[1]))
+    if not there.any() or looks.mean() < 0.9 or np.median(whole[there]) < _GREATEST:
+        return None
+    return "Its header does not say that its numbers are floating ('PIXELTYPE FLOAT'), which they look like."
 
 
 def ers(dataset: Any, path: str) -> str | None:
@@ -344,7 +368,7 @@ def pcidsk(dataset: Any, path: str) -> str | None:
         if fault is not None:
             return fault
     wanted = int(blocks) * 512
-    if size % 512 and size > wanted:
+    if size % 512 and (size > wanted or _tiled(path)):
         return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
     if size >= wanted or _tiled(path):
         return None

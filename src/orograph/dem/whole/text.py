@@ -9,6 +9,7 @@ Formats: Arc/Info and GRASS ASCII grids, Surfer ASCII grids (DSAA), columns of x
 from __future__ import annotations
 
 import re
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,6 +23,8 @@ REMEDY = "Write it again with plain numbers such as -1234.5, and missing heights
 
 _PIECE = 8 << 20
 _HEADER = 16384
+_TAIL = 4096
+_ENOUGH = 20  # numbers that tell how many decimals they have
 _LONGEST = 64  # bytes of a token that are shown
 _ARC = re.compile(
     rb"\s*(?:(?:ncols|nrows|xllcorner|yllcorner|xllcenter|yllcenter|cellsize|dx|dy|nodata_value)\s+\S+\s+)+", re.I
@@ -123,8 +126,13 @@ def points(dataset: Any, path: str) -> str | None:
         fault, count = _scanned(file, start, head.count(b"\n", 0, start), parting, True)
         if fault is not None:
             return fault
-        return _gap_fault(dataset, count // (_scanned(BytesIO(line), 0, 0, parting, True)[1] or 3)) or _column_fault(
-            dataset, file, start
+        columns = _scanned(BytesIO(line), 0, 0, parting, True)[1] or 3
+        if count % columns or count // columns > _lines(file, start):
+            return f"It holds {count:,} numbers, and they do not stand {columns} in each line: lines were joined, or cut short."
+        return (
+            _gap_fault(dataset, count // columns)
+            or _column_fault(dataset, file, start)
+            or _shortened(file, start, columns)
         )
 
 
@@ -172,9 +180,33 @@ def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool)
         fault, count = _scanned(file, start, lines, b"", comma)
         wanted = dataset.width * dataset.height
         if fault is not None or count == wanted:
-            return fault
+            return fault or _shortened(file, start)
         odd = _odd_line(file, start, lines, dataset.width)
     return f"It holds {count:,} numbers where its header promises {wanted:,}: {odd}."
+
+
+def _lines(file: BinaryIO, start: int) -> int:
+    """How many lines there are from a byte on, the last of which may lack its end."""
+    file.seek(start)
+    lines, last = 0, b"\n"
+    for piece in iter(partial(file.read, _PIECE), b""):
+        lines, last = lines + piece.count(b"\n"), piece[-1:]
+    return lines + (last != b"\n")
+
+
+def _shortened(file: BinaryIO, start: int, columns: int = 1) -> str | None:
+    """A last number at the very end of a file that has fewer decimals than all before it in its column, which have as
+    many."""
+    size = file.seek(0, 2)
+    file.seek(max(start, size - _TAIL))
+    text = file.read()
+    fields = _FIELDS.split(text)[::-columns][::-1]
+    alike = {len(field.partition(b".")[2]) for field in fields[1:-1]}
+    if text[-1:].isspace() or len(fields) < _ENOUGH or len(alike) > 1 or min(alike) == 0:
+        return None
+    if len(fields[-1].partition(b".")[2]) >= min(alike):
+        return None
+    return f"Its last number is {fields[-1].decode('latin-1')!r}, with fewer decimals than all others: it was cut short."
 
 
 def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool) -> tuple[str | None, int]:
