@@ -133,8 +133,9 @@ def tiled_vrt(folder: Path) -> Path:
     for i, (top, left) in enumerate([(0, 0), (0, 40), (30, 0), (30, 40)]):
         part = hill()[top : top + 30, left : left + 40]
         rows, cols = part.shape
+        place = Affine(30, 0, 500_000 + 30 * left, 0, -30, 4_000_000 - 30 * top)
         with rasterio.open(folder / f"t{i}.tif", "w", driver="GTiff", height=rows, width=cols, count=1, dtype="int16",
-                           crs="EPSG:32611", transform=Affine(30, 0, 500_000 + 30 * left, 0, -30, 4_000_000 - 30 * top)) as file:  # fmt: skip
+                           crs="EPSG:32611", transform=place) as file:  # fmt: skip
             file.write(part, 1)
         sources.append(
             f'<SimpleSource><SourceFilename relativeToVRT="1">t{i}.tif</SourceFilename><SourceBand>1</SourceBand>'
@@ -232,6 +233,13 @@ def test_a_file_that_is_longer_or_shorter(tmp_path: Path, driver: str) -> None:
         refused(path, "bytes|ends")
 
 
+@pytest.mark.parametrize("tile", ["64", "100", "127"])
+@pytest.mark.parametrize("compression", ["NONE", "RLE"])
+def test_pcidsk_in_tiles_of_any_size(tmp_path: Path, tile: str, compression: str) -> None:
+    path = copied(tmp_path / "made", "PCIDSK", "a.pix", INTERLEAVING="TILED", TILESIZE=tile, COMPRESSION=compression)
+    np.testing.assert_array_equal(read(path).heights, hill())
+
+
 def test_a_geoid_of_the_ngs_that_is_longer_or_shorter(tmp_path: Path) -> None:
     path = tmp_path / "g2012.bin"
     samples = (hill().astype("<f4") / 100 - 60)[::-1]
@@ -255,6 +263,9 @@ def test_a_header_that_does_not_call_its_numbers_floating(tmp_path: Path) -> Non
     np.testing.assert_array_equal(read(floating(tmp_path, said + "PIXELTYPE FLOAT\n")).heights, hill())
     refused(floating(tmp_path, said), "floating")
     np.testing.assert_array_equal(read(floating(tmp_path, said, "<i4")).heights, hill())
+    turned = said.replace("BYTEORDER I", "BYTEORDER M") + "PIXELTYPE FLOAT\n"
+    np.testing.assert_array_equal(read(floating(tmp_path, turned, ">f4")).heights, hill())
+    refused(floating(tmp_path, turned), "order of bytes")
 
 
 def test_a_header_of_a_corner_and_no_step(tmp_path: Path) -> None:
@@ -324,6 +335,24 @@ def test_profiles_of_a_usgs_dem_exchanged(tmp_path: Path) -> None:
     refused(path, "profile 30 of 83")
 
 
+def test_a_profile_of_a_usgs_dem_that_stands_twice(tmp_path: Path) -> None:
+    path = usgs(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[: 1024 * 20] + data[1024 * 19 : 1024 * 20] + data[1024 * 20 :])
+    refused(path, "profile 20 of 83")
+    path.write_bytes(data[: 1024 * 20 + 50] + b" " + data[1024 * 20 + 50 :])
+    refused(path, "profile 20 of 83")
+
+
+def test_a_byte_put_into_a_leveller_document(tmp_path: Path, shared_data: Path) -> None:
+    whole = shared_data / "nasty-gdal" / "ter6test.ter"
+    data, path = whole.read_bytes(), tmp_path / "a.ter"
+    path.write_bytes(data)
+    assert np.isfinite(read(path).heights).any()
+    path.write_bytes(data[:-95] + b"\7" + data[-95:])
+    refused(path, "parts end|no part")
+
+
 def test_a_usgs_dem_that_keeps_no_least_and_greatest(tmp_path: Path) -> None:
     path = usgs(tmp_path)
     data = bytearray(path.read_bytes())
@@ -338,5 +367,3 @@ def test_the_steps_of_a_usgs_dem(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[:688] + b"07" + data[688:])
     refused(path, "apart")
-
-

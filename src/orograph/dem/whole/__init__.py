@@ -168,6 +168,7 @@ _CHECKS: dict[str, Check] = {
     "FIT": raw.fit,
     "R": _checks(sizes.rdata, text.r_numbers),
     "BYN": sizes.behind(80),
+    "Leveller": raw.leveller,
     "LCP": raw.landscape,
     "NGSGEOID": raw.geoid,
     "USGSDEM": usgs.fault,

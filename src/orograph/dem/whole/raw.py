@@ -69,6 +69,24 @@ def geoid(dataset: Any, path: str) -> str | None:
     return exact(path, 44 + 4 * dataset.width * dataset.height)
 
 
+def leveller(dataset: Any, path: str) -> str | None:
+    """Leveller: parts, each with its name and length, which end with the file; one of them is all samples."""
+    size, at, samples = Path(path).stat().st_size, 5, 4 * dataset.width * dataset.height
+    found = None
+    with Path(path).open("rb") as file:
+        while at < size:
+            file.seek(at)
+            name = file.read((file.read(1) or b"\0")[0])
+            length = file.read(4)
+            if not name.isascii() or not name or len(length) < 4:
+                return f"It has no part at byte {at:,}, where one should begin."
+            at = file.tell() + int.from_bytes(length, "little")
+            found = int.from_bytes(length, "little") if name == b"hf_data" else found
+    if at != size or found != samples:
+        return f"Its parts end at byte {at:,} of {size:,}, and its samples are {found or 0:,} bytes of {samples:,}."
+    return None
+
+
 def webp(dataset: Any, path: str) -> str | None:
     """WebP: the container says how long it is."""
     with Path(path).open("rb") as file:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.dem.whole.header_text import pairs
 
@@ -123,7 +124,7 @@ def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
     return None
 
 
-_PLAUSIBLE, _GREATEST = (1e-9, 1e6), 1e8
+_PLAUSIBLE, _GREATEST = (1e-6, 1e6), 1e8
 
 
 def _kind_fault(dataset: Any, path: str, said: dict[str, str]) -> str | None:
@@ -131,20 +132,27 @@ def _kind_fault(dataset: Any, path: str, said: dict[str, str]) -> str | None:
     step, for which GDAL takes 1."""
     if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
         return "Its header does not say what its 'CELLSIZE' is."
-    if "PIXELTYPE" in said or np.dtype(dataset.dtypes[0]).kind == "f" or np.dtype(dataset.dtypes[0]).itemsize != 4:
+    if np.dtype(dataset.dtypes[0]).itemsize != 4:
         return None
     order = ">" if said.get("BYTEORDER", "I").upper().startswith("M") else "<"
     with Path(path).open("rb") as file:
         file.seek(int(said.get("SKIPBYTES", 0)))
         data = file.read(_TAIL)
-    data = data[: len(data) // 4 * 4]
-    floats = np.abs(np.frombuffer(data, order + "f4"))
-    whole = np.abs(np.frombuffer(data, order + "i4").astype(np.float64))
-    there = whole > 0
-    looks = ~there | ((floats > _PLAUSIBLE[0]) & (floats < _PLAUSIBLE[1]))
-    if not there.any() or looks.mean() < 0.9 or np.median(whole[there]) < _GREATEST:
+    words = np.frombuffer(data[: len(data) // 4 * 4], order + "u4")
+    if np.dtype(dataset.dtypes[0]).kind == "f":
+        turned = not _floating(words) and _floating(words.byteswap())
+        return "Its numbers are in the other order of bytes than its header says ('BYTEORDER')." if turned else None
+    large = words[words > 0]
+    if "PIXELTYPE" in said or not _floating(words) or np.median(np.abs(large.view(order + "i4") / 1.0)) < _GREATEST:
         return None
     return "Its header does not say that its numbers are floating ('PIXELTYPE FLOAT'), which they look like."
+
+
+def _floating(words: NDArray[np.uint32]) -> bool:
+    """Whether words of 32 bits are floating numbers such as heights are: nearly all, and not all 0."""
+    there = words[words > 0]
+    values = np.abs(there.view(there.dtype.str.replace("u", "f")))
+    return bool(there.size) and float(((values > _PLAUSIBLE[0]) & (values < _PLAUSIBLE[1])).mean()) > 0.5
 
 
 def ers(dataset: Any, path: str) -> str | None:
@@ -368,11 +376,20 @@ def pcidsk(dataset: Any, path: str) -> str | None:
         if fault is not None:
             return fault
     wanted = int(blocks) * 512
-    if size % 512 and (size > wanted or _tiled(path)):
+    if size % 512 and (size > wanted or _whole_blocks(dataset, path)):
         return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
     if size >= wanted or _tiled(path):
         return None
     return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+
+
+def _whole_blocks(dataset: Any, path: str) -> bool:
+    """Whether the samples of a PCIDSK file lie in tiles that are not compressed and of whole blocks of 512 bytes."""
+    rows, cols = dataset.block_shapes[0]
+    whole = all(rows * cols * np.dtype(kind).itemsize % 512 == 0 for kind in dataset.dtypes)
+    with Path(path).open("rb") as file:
+        head = file.read(1 << 20)
+    return whole and b"Block Tile Directory" in head and b"NONE" in head
 
 
 def _channels_fault(dataset: Any, path: str) -> str | None:

@@ -128,7 +128,7 @@ def points(dataset: Any, path: str) -> str | None:
             return fault
         columns = _scanned(BytesIO(line), 0, 0, parting, True)[1] or 3
         if count % columns or count // columns > _lines(file, start):
-            return f"It holds {count:,} numbers, and they do not stand {columns} in each line: lines were joined, or cut short."
+            return f"It holds {count:,} numbers, not {columns} in each line: lines were joined, or cut short."
         return (
             _gap_fault(dataset, count // columns)
             or _column_fault(dataset, file, start)
@@ -206,7 +206,7 @@ def _shortened(file: BinaryIO, start: int, columns: int = 1) -> str | None:
         return None
     if len(fields[-1].partition(b".")[2]) >= min(alike):
         return None
-    return f"Its last number is {fields[-1].decode('latin-1')!r}, with fewer decimals than all others: it was cut short."
+    return f"Its last number is {fields[-1].decode('latin-1')!r}, with fewer decimals than others: it was cut short."
 
 
 def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool) -> tuple[str | None, int]:

@@ -183,7 +183,7 @@ def _lost(size: NDArray[np.int64], twice: NDArray[np.int64], length: int, plain:
     blocks of one kind may share a place, and leave gaps where they were written anew: only one of the same size is
     taken for lost."""
     if plain:
-        return length >= size.min()
+        return bool(length >= size.min())
     return bool(((twice <= length) & (length <= twice + _GUARDS)).any())
 
 

@@ -20,6 +20,7 @@ _FULL = (_RECORD - 4) // _WIDTH
 _LARGEST = 64 << 20
 _VOID = -32767
 _SHARE = 0.9
+_CERTAIN = 8  # profiles that tell how records are laid out
 _NUMBER = re.compile(rb" *[+-]?(?:\d+\.?\d*|\.\d+)(?:[DE][+-]?\d+)? *\Z", re.I)
 
 
@@ -30,13 +31,15 @@ def fault(dataset: Any, path: str) -> str | None:
     data = _without_line_ends(Path(path).read_bytes())
     if not all(_NUMBER.match(data[at : at + 12]) for at in (816, 828)):
         return "Its first record does not say how far its samples lie apart."
-    try:
-        wrong, count = _odd_profiles(data)
-    except (ValueError, OverflowError):
+    count, misplaced, contradicted = _profiles(data)
+    if misplaced is not None and misplaced < _CERTAIN:
         return None  # records laid out otherwise, which GDAL may know
-    if not wrong or len(wrong) > (1 - _SHARE) * count:
+    if len(contradicted) > (1 - _SHARE) * count:
+        contradicted = []  # it does not keep to this
+    first = min([*contradicted, *([] if misplaced is None else [misplaced])], default=None)
+    if first is None:
         return None
-    return f"Its profile {wrong[0] + 1} of {count} contradicts what it says of itself: its number, least or greatest."
+    return f"Its profile {first + 1} of {count} contradicts what it says of itself: its number, least or greatest."
 
 
 def _without_line_ends(data: bytes) -> bytes:
@@ -45,26 +48,34 @@ def _without_line_ends(data: bytes) -> bytes:
     return b"".join(lines) if all(len(line) == _RECORD for line in lines[:-1]) else data
 
 
-def _odd_profiles(data: bytes) -> tuple[list[int], int]:
-    """Which profiles contradict themselves, from 0, and how many there are.
-
-    Raises:
-        ValueError: records are laid out otherwise.
-    """
-    count, step = int(data[858:864]), float(data[840:852].replace(b"D", b"E"))
-    at, wrong = _RECORD, []
+def _profiles(data: bytes) -> tuple[int, int | None, list[int]]:
+    """How many profiles there should be; the first that is not where it should be; and those whose heights are others
+    than they say; from 0."""
+    at, contradicted = _RECORD, list[int]()
+    try:
+        count, step = int(data[858:864]), _decimal(data[840:852])
+    except ValueError:
+        return 0, None, []
     for number in range(count):
-        head = data[at : at + 144].replace(b"D", b"E")
-        column, rows = int(head[6:12]), int(head[12:18])
-        datum, least, greatest = (float(head[24 * i : 24 * i + 24]) for i in (3, 4, 5))
-        if rows < 1:
-            raise ValueError("no profile")
-        values, at = _heights(data, at, rows)
+        head = data[at : at + 144]
+        try:
+            column, rows = int(head[6:12]), int(head[12:18])
+            datum, least, greatest = (_decimal(head[24 * i : 24 * i + 24]) for i in (3, 4, 5))
+            values, at = _heights(data, at, rows)
+        except (ValueError, OverflowError):
+            return count, number, contradicted
+        if column != number + 1:
+            return count, number, contradicted
         values = values[values != _VOID]
-        low, high = (float(v) * step + datum for v in (values.min(), values.max())) if values.size else (least, greatest)
-        if column != number + 1 or max(abs(low - least), abs(high - greatest)) > 1e-6 * max(1.0, abs(high)):
-            wrong.append(number)
-    return wrong, count
+        if values.size:
+            low, high = float(values.min()) * step + datum, float(values.max()) * step + datum
+            if max(abs(low - least), abs(high - greatest)) > 1e-6 * max(1.0, abs(high)):
+                contradicted.append(number)
+    return count, None, contradicted
+
+
+def _decimal(text: bytes) -> float:
+    return float(text.replace(b"D", b"E"))
 
 
 def _heights(data: bytes, at: int, rows: int) -> tuple[NDArray[np.int64], int]:
@@ -75,6 +86,6 @@ def _heights(data: bytes, at: int, rows: int) -> tuple[NDArray[np.int64], int]:
         pieces.append(data[at : at + _WIDTH * min(left, _FULL)])
         at, left = at + _RECORD, left - _FULL
     text = b"".join(pieces)
-    if len(text) != _WIDTH * rows:
+    if not text or len(text) != _WIDTH * rows:
         raise ValueError("cut short")
     return np.frombuffer(text, f"S{_WIDTH}").astype(np.int64), at
