@@ -200,18 +200,6 @@ def test_raw_bands_of_a_vrt_that_are_too_long(tmp_path: Path, behind: int, sound
             read(path)
 
 
-@pytest.mark.parametrize("compress", ["lzw", "deflate", "zstd", "lerc"])
-def test_bytes_put_into_a_compressed_block(tmp_path: Path, compress: str) -> None:
-    path = tmp_path / "a.tif"
-    with rasterio.open(path, "w", driver="GTiff", height=ROWS, width=COLS, count=1, dtype="int16", compress=compress,
-                       transform=UTM) as file:  # fmt: skip
-        file.write(hill(), 1)
-    data = path.read_bytes()
-    np.testing.assert_array_equal(read(path).heights, hill())
-    path.write_bytes(data + b"\7\7\7")
-    refused(path, "behind its last part|damaged")
-
-
 @pytest.mark.parametrize("driver", ["LCP", "PCIDSK", "netCDF"])
 def test_a_file_that_is_longer_or_shorter(tmp_path: Path, driver: str) -> None:
     folder = tmp_path / "made"

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from orograph.dem.whole.files import DAMAGED, archived, main_file, stream
+from orograph.dem.whole.files import DAMAGED, OPENING, archived, main_file, stream
 from orograph.dem.whole.kernels import lzw_length, packed_length
 from orograph.errors import ReadError
 
@@ -179,8 +179,6 @@ def _jpeg(dataset: Any, data: bytes, band: int) -> str | None:
     block is decoded as a file of its own, of which GDAL is told to take warnings for errors (``handles``)."""
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
     from rasterio.io import MemoryFile
-
-    from orograph.dem.handles import OPENING
 
     if dataset.dtypes[band - 1] != "uint8":
         return None  # of 12 bits, which GDAL's JPEG files may not have

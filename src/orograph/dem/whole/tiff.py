@@ -27,7 +27,6 @@ from orograph.dem.whole.tiff_tags import (
     plain_bytes,
     row_major,
     tags_fault,
-    unused,
 )
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
@@ -36,7 +35,6 @@ _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperabil
 _MOST = 4096  # directories
 _LARGEST = 1 << 27  # entries of a table that is looked at
 _TAIL = 1 << 16
-_FEW = 64
 _BLOCK = 128  # zeros that fill the last such block are no part of a file
 
 
@@ -232,12 +230,9 @@ def _overlap(dataset: Any, tiff: _Tiff, first: Directory) -> str | None:
 
 
 def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str | None:
-    """Bytes behind all that the directories speak of. Of a compressed raster so few that no part of a TIFF could be as
-    short: blocks and directories that were written anew may lie where they did."""
-    if not tiff.blocks(found[0])[0].size:
+    """Bytes behind all that the directories speak of, of a raster that is not compressed."""
+    if not tiff.plain(found[0]) or not tiff.blocks(found[0])[0].size:
         return None
-    if not tiff.plain(found[0]):
-        return _few_behind(tiff, found, size)
     end = max(directory.end for directory in found)
     for directory in found:
         at, sizes = tiff.blocks(directory)
@@ -255,17 +250,6 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str
     if size % _BLOCK == 0 and not any(tiff.file.read()):
         return None
     return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
-
-
-def _few_behind(tiff: _Tiff, found: list[Directory], size: int) -> str | None:
-    *_, (begin, length) = [(0, 0), *unused(tiff, found)]
-    begin += 4 if _trailed(tiff.file) else 0
-    if begin + length < size or size - begin >= _FEW or size - begin <= begin % 2:
-        return None
-    tiff.file.seek(begin)
-    if not any(tiff.file.read(size - begin)):
-        return None
-    return f"It has {size - begin:,} bytes behind its last part: bytes were inserted."
 
 
 def _cut_fault(dataset: Any, tiff: _Tiff, at: NDArray[np.int64], size: int) -> str | None:
