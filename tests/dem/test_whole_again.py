@@ -355,3 +355,11 @@ def test_the_steps_of_a_usgs_dem(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[:688] + b"07" + data[688:])
     refused(path, "apart")
+@pytest.mark.parametrize(("driver", "name"), [("EHdr", "a.bil"), ("BT", "a.bt"), ("SAGA", "a.sdat")])
+def test_a_crs_beside_a_raster_that_is_cut_short(tmp_path: Path, driver: str, name: str) -> None:
+    path = copied(tmp_path / "made", driver, name)
+    beside = path.with_suffix(".prj")
+    np.testing.assert_array_equal(read(path).heights, hill())
+    beside.write_text(beside.read_text().rstrip()[:-2])
+    with pytest.raises(ReadError, match="CRS"):
+        read(path)

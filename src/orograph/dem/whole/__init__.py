@@ -5,8 +5,8 @@ was in memory. ``check_file`` looks at those formats when a file is first opened
 was changed; ``check_blocks`` at the blocks of a GeoTIFF as they are read. Which formats need it was found by cutting
 and altering files of every driver (``tests/dem/test_mutants.py``):
 
-- GeoTIFF: streams that do not fill their block, or yield more than it holds (``blocks``); blocks that overlap, bytes
-  that were put in, a mask behind a link that leads nowhere (``tiff``).
+- GeoTIFF: streams that do not fill their block, or yield more than it holds, JPEG that libjpeg only warns of
+  (``blocks``); blocks that overlap, bytes that were put in, a mask that nothing leads to (``tiff``).
 - Raw samples: sizes that differ from what the header promises (``sizes``, ``labels``, ``ilwis``); headers of text with
   words that are damaged, numbers that are none, or contradictions (``header_text``).
 - PNG: a file that ends early is padded with uninitialised memory (``png``).
@@ -18,7 +18,8 @@ and altering files of every driver (``tests/dem/test_mutants.py``):
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
 - Archives: what is read on where their checksums differ (``files``).
-- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without.
+- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without; a CRS (.prj) that was
+  cut short.
 - GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
@@ -27,6 +28,7 @@ Formats without checksums (raw samples, LZW…) cannot tell an altered number fr
 from __future__ import annotations
 
 import os
+import re
 import threading
 import xml.etree.ElementTree as ET
 from collections import OrderedDict
@@ -107,6 +109,17 @@ def _refuse_lost_notes(dataset: Any) -> None:
             f"What was noted beside the raster cannot be understood ({error}).", path=notes,
             remedy="Restore it from a copy, or remove it if the raster needs none.",
         ) from None  # fmt: skip
+
+
+def _refuse_cut_crs(dataset: Any) -> None:
+    """GDAL makes some other CRS of what is left of one that lies beside a raster (.prj) and was cut short."""
+    for name in files_listed(dataset):
+        file = Path(name)
+        if file.suffix.lower() != ".prj" or not file.is_file():
+            continue
+        text = re.sub(r'"[^"]*"', "", file.read_text("latin-1"))
+        if re.match(r"\s*[A-Z_]+\s*[\[(]", text) and any(text.count(a) != text.count(b) for a, b in ("[]", "()")):
+            raise ReadError("The CRS beside the raster is cut short or damaged.", path=file, remedy=DAMAGED)
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -228,6 +241,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         return
     check_packed(dataset)
     _refuse_lost_notes(dataset)
+    _refuse_cut_crs(dataset)
     _refuse_lost_mask(dataset)
     if dataset.driver == "GTI":
         _refuse_index(location)
