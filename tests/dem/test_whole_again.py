@@ -41,6 +41,16 @@ def test_tables_of_unequal_length(tmp_path: Path, tag: int) -> None:
     refused(path, "places of|sizes of")
 
 
+def test_a_table_of_blocks_that_was_cut_off(tmp_path: Path, shared_data: Path) -> None:
+    """GDAL says so on its log, and reads what it finds at the beginning of the file."""
+    data = (shared_data / "nasty-gdal" / "non_standard_tiled_blockysize_one.tif").read_bytes()
+    path = tmp_path / "a.tif"
+    path.write_bytes(data)
+    np.testing.assert_array_equal(read(path).heights, [[1, 1, 1]])
+    path.write_bytes(data[:-8])
+    refused(path, "beyond its end")
+
+
 def test_bytes_that_lack_before_a_strip_that_is_filled_up(tmp_path: Path) -> None:
     """They shift all samples behind them, and the end of the file lies in what fills the last strip."""
     path = by_hand(tmp_path / "a.tif", pad=True)
@@ -317,10 +327,11 @@ def test_a_digit_of_a_usgs_dem(tmp_path: Path) -> None:
 def test_profiles_of_a_usgs_dem_exchanged(tmp_path: Path) -> None:
     path = usgs(tmp_path)
     data = path.read_bytes()
-    one, two = (data[1024 * i : 1024 * i + 1024] for i in (30, 40))
-    put(path, 1024 * 30, two)
-    put(path, 1024 * 40, one)
-    refused(path, "profile 30 of 83")
+    for i, j in ((30, 40), (2, 70)):
+        path.write_bytes(data)
+        put(path, 1024 * i, data[1024 * j : 1024 * j + 1024])
+        put(path, 1024 * j, data[1024 * i : 1024 * i + 1024])
+        refused(path, f"profile {i} of 83")
 
 
 def test_a_profile_of_a_usgs_dem_that_stands_twice(tmp_path: Path) -> None:
@@ -355,6 +366,8 @@ def test_the_steps_of_a_usgs_dem(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data[:688] + b"07" + data[688:])
     refused(path, "apart")
+
+
 @pytest.mark.parametrize(("driver", "name"), [("EHdr", "a.bil"), ("BT", "a.bt"), ("SAGA", "a.sdat")])
 def test_a_crs_beside_a_raster_that_is_cut_short(tmp_path: Path, driver: str, name: str) -> None:
     path = copied(tmp_path / "made", driver, name)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from orograph.dem.whole.blocks import CODECS
 from orograph.dem.whole.tiff_tags import (
     COUNTS,
+    LARGEST,
     OFFSETS,
     Directory,
     blocks_fault,
@@ -33,7 +34,6 @@ _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12
 _CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 18: "u8"}
 _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperability
 _MOST = 4096  # directories
-_LARGEST = 1 << 27  # entries of a table that is looked at
 _TAIL = 1 << 16
 _BLOCK = 128  # zeros that fill the last such block are no part of a file
 
@@ -184,7 +184,7 @@ class _Tiff:
     def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
         """The whole numbers of a tag; none if it is not there or not in the file."""
         kind, count, place = directory.tags.get(tag, (0, 0, 0))
-        if kind not in _CODES or not 0 < count < _LARGEST or place + count * _SIZES[kind] > self.size:
+        if kind not in _CODES or not 0 < count < LARGEST or place + count * _SIZES[kind] > self.size:
             return np.zeros(0, np.int64)
         self.file.seek(place)
         read = np.frombuffer(self.file.read(count * _SIZES[kind]), self.order + _CODES[kind])

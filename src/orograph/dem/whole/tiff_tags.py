@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 OFFSETS, COUNTS = (273, 324), (279, 325)
+LARGEST = 1 << 27  # entries of a table that is looked at
 
 _WHOLE = (1, 3, 4, 16)
 _TYPES: dict[int, tuple[int, ...]] = {
@@ -116,6 +117,10 @@ def _tables_fault(tiff: Tiff, first: Directory) -> str | None:
                 f"It lists the places of {first.tags[places][1]:,} blocks and the sizes of {first.tags[sizes][1]:,}: "
                 "the table of its blocks is damaged."
             )
+        for tag, read in ((places, at), (sizes, size)):
+            kind, count, _ = first.tags.get(tag, (0, 0, 0))
+            if kind in _WHOLE and 0 < count < LARGEST and not read.size:
+                return "The table of its blocks lies beyond its end: it was cut short."
         if not at.size or at.size != size.size:
             continue
         if ((at == 0) & (size > 0)).any():

@@ -32,11 +32,12 @@ def fault(dataset: Any, path: str) -> str | None:
     if not all(_NUMBER.match(data[at : at + 12]) for at in (816, 828)):
         return "Its first record does not say how far its samples lie apart."
     count, misplaced, contradicted = _profiles(data)
-    if misplaced is not None and misplaced < _CERTAIN:
+    few = (1 - _SHARE) * count
+    if min(misplaced, default=count) < _CERTAIN and len(misplaced) > few:
         return None  # records laid out otherwise, which GDAL may know
-    if len(contradicted) > (1 - _SHARE) * count:
+    if len(contradicted) > few:
         contradicted = []  # it does not keep to this
-    first = min([*contradicted, *([] if misplaced is None else [misplaced])], default=None)
+    first = min((*contradicted, *misplaced), default=None)
     if first is None:
         return None
     return f"Its profile {first + 1} of {count} contradicts what it says of itself: its number, least or greatest."
@@ -48,14 +49,14 @@ def _without_line_ends(data: bytes) -> bytes:
     return b"".join(lines) if all(len(line) == _RECORD for line in lines[:-1]) else data
 
 
-def _profiles(data: bytes) -> tuple[int, int | None, list[int]]:
-    """How many profiles there should be; the first that is not where it should be; and those whose heights are others
+def _profiles(data: bytes) -> tuple[int, list[int], list[int]]:
+    """How many profiles there should be; those that are not where they should be; and those whose heights are others
     than they say; from 0."""
-    at, contradicted = _RECORD, list[int]()
+    at, misplaced, contradicted = _RECORD, list[int](), list[int]()
     try:
         count, step = int(data[858:864]), _decimal(data[840:852])
     except ValueError:
-        return 0, None, []
+        return 0, [], []
     for number in range(count):
         head = data[at : at + 144]
         try:
@@ -63,15 +64,15 @@ def _profiles(data: bytes) -> tuple[int, int | None, list[int]]:
             datum, least, greatest = (_decimal(head[24 * i : 24 * i + 24]) for i in (3, 4, 5))
             values, at = _heights(data, at, rows)
         except (ValueError, OverflowError):
-            return count, number, contradicted
+            return count, [*misplaced, *range(number, count)], contradicted
         if column != number + 1:
-            return count, number, contradicted
+            misplaced.append(number)
         values = values[values != _VOID]
         if values.size:
             low, high = float(values.min()) * step + datum, float(values.max()) * step + datum
             if max(abs(low - least), abs(high - greatest)) > 1e-6 * max(1.0, abs(high)):
                 contradicted.append(number)
-    return count, None, contradicted
+    return count, misplaced, contradicted
 
 
 def _decimal(text: bytes) -> float:
