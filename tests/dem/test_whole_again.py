@@ -11,8 +11,9 @@ import rasterio
 from affine import Affine
 from rasterio.shutil import copy
 
+import orograph
 from orograph.dem import read
-from orograph.errors import ReadError
+from orograph.errors import ReadError, StoreError
 
 from .test_tiff_layout import by_hand
 from .test_whole import UTM, hill
@@ -264,6 +265,25 @@ def test_a_header_that_does_not_call_its_numbers_floating(tmp_path: Path) -> Non
     turned = said.replace("BYTEORDER I", "BYTEORDER M") + "PIXELTYPE FLOAT\n"
     np.testing.assert_array_equal(read(floating(tmp_path, turned, ">f4")).heights, hill())
     refused(floating(tmp_path, turned), "order of bytes")
+
+
+@pytest.mark.parametrize("name", ["int16.tif", "byte_bigtiff_invalid_slong8_for_stripoffsets.tif"])
+def test_a_byte_put_into_a_tiff_whose_last_part_is_odd(tmp_path: Path, shared_data: Path, name: str) -> None:
+    """It is no byte that fills up to an even number."""
+    data = (shared_data / "nasty-gdal" / name).read_bytes()
+    path = tmp_path / "a.tif"
+    path.write_bytes(data)
+    assert read(path).heights.shape == (20, 20)
+    path.write_bytes(data[:-60] + b"\7" + data[-60:])
+    refused(path, "behind its last part")
+
+
+def test_a_store_whose_root_is_nested_too_deep(tmp_path: Path) -> None:
+    orograph.build(hill().astype(np.float32), tmp_path / "a.oro")
+    root = tmp_path / "a.oro" / "zarr.json"
+    root.write_bytes(b"[" * 100_000 + root.read_bytes())
+    with pytest.raises(StoreError, match=r"zarr\.json is damaged"):
+        orograph.terrain(str(tmp_path / "a.oro"))
 
 
 def test_a_header_of_a_corner_and_no_step(tmp_path: Path) -> None:

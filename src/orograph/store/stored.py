@@ -260,7 +260,7 @@ def read_record(storage: Storage) -> Record:
     try:
         document = json.loads(data)
         record = document["attributes"].get("orograph") if document.get("node_type") == "group" else None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError(
             f"The store's zarr.json is damaged: {error}.",
             path=url,

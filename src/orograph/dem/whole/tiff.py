@@ -31,7 +31,7 @@ from orograph.dem.whole.tiff_tags import (
 )
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
-_CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 18: "u8"}
+_CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 17: "u8", 18: "u8"}  # 17 is signed, and no offset is negative
 _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperability
 _MOST = 4096  # directories
 _TAIL = 1 << 16
@@ -244,10 +244,11 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0
-    if size <= end or (size == end + 1 and end % 2):
+    if size <= end:
         return None
     tiff.file.seek(max(end, size - _TAIL))
-    if size % _BLOCK == 0 and not any(tiff.file.read()):
+    padded = size % _BLOCK == 0 or (size == end + 1 and end % 2)
+    if padded and not any(tiff.file.read()):
         return None
     return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
 

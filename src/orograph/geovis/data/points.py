@@ -86,6 +86,7 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
         from orograph.geo.transform import transformer
 
         x, y = transformer(crs, grid.crs)(x, y)
+        x, y = (np.where(np.isfinite(v), v, np.nan) for v in (x, y))  # inf where the CRS ends
     col, row = grid.index(x, y)
     with np.errstate(invalid="ignore"):
         here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1) & np.isfinite(numbers[value])
