@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orograph.dem.whole.header_text import pairs
+from orograph.dem.whole.header_text import kind_fault, pairs
 
 _BLOCK = 128
 _TAIL = 1 << 16
@@ -96,7 +95,7 @@ def ehdr(dataset: Any, path: str) -> str | None:
     if header is None:
         return None
     said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
-    if fault := _row_fault(said, dataset.width, dataset.count) or _kind_fault(dataset, path, said):
+    if fault := _row_fault(said, dataset.width, dataset.count) or kind_fault(dataset, said):
         return fault
     bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
     rows, bands = dataset.height, dataset.count
@@ -122,34 +121,6 @@ def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
                 "damaged, or its rows are padded, which GDAL misreads."
             )
     return None
-
-
-_ROWS, _PLAUSIBLE, _GREATEST = 16, (1e-6, 1e6), 1e8
-
-
-def _kind_fault(dataset: Any, path: str, said: dict[str, str]) -> str | None:
-    """A header of numbers of 32 bits that does not call them floating, which they clearly are; one of a corner and no
-    step, for which GDAL takes 1."""
-    if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
-        return "Its header does not say what its 'CELLSIZE' is."
-    if np.dtype(dataset.dtypes[0]).itemsize != 4:
-        return None
-    first = dataset.read(1, window=((0, min(_ROWS, dataset.height)), (0, dataset.width)))
-    words = np.ascontiguousarray(first).view(np.uint32).reshape(-1)  # (as GDAL reads them)
-    if first.dtype.kind == "f":
-        turned = not _floating(words) and _floating(words.byteswap())
-        return "Its numbers are in the other order of bytes than its header says ('BYTEORDER')." if turned else None
-    large = words[words > 0]
-    if "PIXELTYPE" in said or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
-        return None
-    return "Its header does not say that its numbers are floating ('PIXELTYPE FLOAT'), which they look like."
-
-
-def _floating(words: NDArray[np.uint32]) -> bool:
-    """Whether words of 32 bits are floating numbers such as heights are: nearly all, and not all 0."""
-    there = words[words > 0]
-    values = np.abs(there.view(np.float32))
-    return bool(there.size) and float(((values > _PLAUSIBLE[0]) & (values < _PLAUSIBLE[1])).mean()) > 0.5
 
 
 def ers(dataset: Any, path: str) -> str | None:
