@@ -189,6 +189,27 @@ def test_tiles_of_a_vrt_exchanged(tmp_path: Path) -> None:
     refused(path, "elsewhere")
 
 
+def test_a_vrt_across_the_antimeridian(tmp_path: Path) -> None:
+    """Half of its tiles say that they lie 360 degrees west of where it lays them."""
+    sources = []
+    for i, west in enumerate((179.5, -180.0)):
+        with rasterio.open(tmp_path / f"t{i}.tif", "w", driver="GTiff", height=50, width=50, count=1, dtype="int16",
+                           crs="EPSG:4326", transform=Affine(0.01, 0, west, 0, -0.01, 50)) as file:  # fmt: skip
+            file.write(hill()[:50, :50], 1)
+        sources.append(
+            f'<SimpleSource><SourceFilename relativeToVRT="1">t{i}.tif</SourceFilename>'
+            '<SrcRect xOff="0" yOff="0" xSize="50" ySize="50"/>'
+            f'<DstRect xOff="{50 * i}" yOff="0" xSize="50" ySize="50"/></SimpleSource>'
+        )
+    path = tmp_path / "a.vrt"
+    path.write_text(
+        '<VRTDataset rasterXSize="100" rasterYSize="50"><SRS>EPSG:4326</SRS>'
+        "<GeoTransform>179.5, 0.01, 0, 50, 0, -0.01</GeoTransform>"
+        f'<VRTRasterBand dataType="Int16" band="1">{"".join(sources)}</VRTRasterBand></VRTDataset>'
+    )
+    np.testing.assert_array_equal(read(path).heights, np.hstack([hill()[:50, :50]] * 2))
+
+
 def test_a_vrt_that_places_all_its_parts_anew(tmp_path: Path) -> None:
     path = tiled_vrt(tmp_path)
     path.write_text(path.read_text().replace("500000, 30", "700010, 30"))

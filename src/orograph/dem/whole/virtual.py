@@ -134,6 +134,8 @@ def _shifted(dataset: Any, part: Part, place: Callable[[Part], Place]) -> bool |
         u = part.target[0] + right * part.target[2] / part.source[2]
         v = part.target[1] + below * part.target[3] / part.source[3]
         east = vrt.a * u + vrt.b * v + vrt.c - (transform.a * x + transform.b * y + transform.c)
+        if dataset.crs.is_geographic:
+            east = math.remainder(east, 360)  # tiles beyond the antimeridian
         north = vrt.d * u + vrt.e * v + vrt.f - (transform.d * x + transform.e * y + transform.f)
         if max(abs(east), abs(north)) > SHIFT * step:
             return True
