@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.store.coding import MISSING, Numbers
+from orograph.store.coding import Numbers
 
 NAME = "orograph.compact"
 """In the metadata of arrays, and in Zarr's registry of codecs."""
@@ -25,7 +25,7 @@ WRONG = {
 
 
 def compressed(numbers: Numbers) -> bytes:
-    """The bytes of a chunk, (rows, cols) int32, ``MISSING`` where missing."""
+    """The bytes of a chunk, (rows, cols) int32, -2^31 where missing."""
     from orograph.store.compact_encode import encode
 
     found: NDArray[np.uint8] = encode(np.ascontiguousarray(numbers, np.int32))
@@ -45,6 +45,3 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
     if wrong:
         raise ValueError(f"A chunk cannot be decoded: {WRONG[wrong]}.")
     return found
-
-
-__all__ = ["MISSING", "NAME", "compressed", "decompressed"]
