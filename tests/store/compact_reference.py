@@ -66,10 +66,10 @@ class Stream:
     def symbol(self, lane, freq):
         state = self.states[lane]
         slot, below = state % 4096, 0
-        for symbol, f in enumerate(freq):
-            if slot < below + f:
-                break
-            below += f
+        symbol = 0
+        while slot >= below + freq[symbol]:
+            below += freq[symbol]
+            symbol += 1
         self.states[lane] = freq[symbol] * (state // 4096) + slot - below
         self.feed(lane)
         return symbol
@@ -115,11 +115,12 @@ def decoded(data, shape):
     stream = Stream(data[at:])
     levels = [0] * (-(-cols // 4) * 4)
     lines = []
-    for row in range(rows):
+    for _ in range(rows):
         values = row_of_values(stream, tables, [sum(level >= b for b in bounds) for level in levels])
         m = [0, 0, *(min(v, 65535) for v in values), 0, 0]
         levels = [
-            min((3 * m[j] + 2 * (m[j - 1] + m[j + 1]) + m[j - 2] + m[j + 2]) >> shift, 255) for j in range(2, len(m) - 2)
+            min((3 * m[j] + 2 * (m[j - 1] + m[j + 1]) + m[j - 2] + m[j + 2]) >> shift, 255)
+            for j in range(2, len(m) - 2)
         ]
         lines.append(line_of(values[:cols], first, weights, lines[-2:]))
     assert not stream.words and stream.states == [1 << 16] * 4

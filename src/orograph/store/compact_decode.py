@@ -6,6 +6,8 @@ row more than there can be may be read: damaged bytes end with a status, and tou
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from orograph._numba import inlined, kernel
@@ -38,7 +40,9 @@ def _u16(data, at):
 
 @inlined
 def _u32(data, at):
-    return np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24
+    return (
+        np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24
+    )
 
 
 @kernel
@@ -327,7 +331,7 @@ def decode(data, out):
     words = np.zeros(count + WORDS * width + 1, np.uint16)
     for k in range(count):
         words[k] = np.uint16(np.uint16(data[at + 2 * k]) | np.uint16(data[at + 2 * k + 1]) << np.uint16(8))
-    p = np.int64(0)
+    p: Any = np.int64(0)
     values, before, padded = np.zeros(width, np.uint32), np.zeros(width, np.uint32), np.zeros(width + 4, np.int32)
     levels, base, lines = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros((3, width + 4), np.int32)
     begins = np.zeros(width, np.int32)

@@ -11,8 +11,26 @@ import numpy as np
 
 from orograph._numba import inlined, kernel, shared
 from orograph.store.compact_decode import (
-    BITS, CONTEXTS, DEEPEST, DIRECT, HEADER, LANES, LEAST, LEVELS, MISSING, NEIGHBOURS, START, SYMBOLS, TOTAL, VERSION,
-    WORDS, activities, extend, foretold, frequencies, full_weights,
+    BITS,
+    CONTEXTS,
+    DEEPEST,
+    DIRECT,
+    HEADER,
+    LANES,
+    LEAST,
+    LEVELS,
+    MISSING,
+    NEIGHBOURS,
+    START,
+    SYMBOLS,
+    TOTAL,
+    VERSION,
+    WORDS,
+    activities,
+    extend,
+    foretold,
+    frequencies,
+    full_weights,
 )  # fmt: skip
 
 GROUPS = 24  # of activities, before those that are alike are joined

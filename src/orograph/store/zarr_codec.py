@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from zarr.abc.codec import ArrayBytesCodec
@@ -33,7 +33,7 @@ class Compact(ArrayBytesCodec):
 
     async def _decode_single(self, chunk_bytes: Buffer, chunk_spec: ArraySpec) -> NDBuffer:
         rows, cols = chunk_spec.shape
-        found = await asyncio.to_thread(compact.decompressed, chunk_bytes.to_bytes(), (rows, cols))
+        found: Any = await asyncio.to_thread(compact.decompressed, chunk_bytes.to_bytes(), (rows, cols))
         return chunk_spec.prototype.nd_buffer.from_ndarray_like(found)
 
     async def _encode_single(self, chunk_array: NDBuffer, chunk_spec: ArraySpec) -> Buffer:
