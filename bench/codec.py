@@ -3,7 +3,7 @@
     python bench/codec.py [--data ../shared/data] [--quick]
 
 *portable* and *compact* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with zstd at
-level 5, as a store could have it without a codec of its own; LERC and JPEG XL are imagecodecs', where that is
+level 1, as a store could have it without a codec of its own; LERC and JPEG XL are imagecodecs', where that is
 installed, of the same numbers. One thread; the best of several rounds.
 """
 
@@ -57,7 +57,7 @@ def coders(step: float) -> dict[str, Coder]:
     def lorenzo(heights: np.ndarray) -> bytes:
         around = np.pad(packing.numbers(heights), ((1, 0), (1, 0)))
         left = (around[1:, 1:] - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]).astype(np.int32)
-        return blosc.compress((left << 1) ^ (left >> 31), b"zstd", 5, blosc.SHUFFLE, 1 << 18)
+        return blosc.compress((left << 1) ^ (left >> 31), b"zstd", 1, blosc.SHUFFLE, 1 << 18)
 
     def unlorenzo(data: bytes) -> np.ndarray:
         left = np.frombuffer(blosc.decompress(data), np.int32).reshape(SIDE, SIDE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -118,3 +119,30 @@ def test_zarr_finds_it_by_its_entry_point(tmp_path):
     )  # fmt: skip
     kept = terrain.read(0, 0, 90, 0, 70)
     np.testing.assert_array_equal(np.load(tmp_path / "n.npy"), np.where(np.isnan(kept), MISSING, kept))
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node")
+def test_the_decoder_for_browsers(tmp_path):
+    rng = np.random.default_rng(3)
+    wholes = [numbers((61, 50), 1, 0.1, 0.3), numbers((32, 64), 2, 1e-5), numbers((9, 3), 3), numbers((1, 1), 4)]
+    wholes += [rng.integers(-(2**31), 2**31, (20, 21)).astype(np.int32), np.full((8, 8), MISSING, np.int32)]
+    wholes += [np.where(np.mgrid[:40, :40][0] > 20, MISSING, numbers((40, 40), 6)).astype(np.int32)]
+    for k, whole in enumerate(wholes):
+        (tmp_path / f"{k}.chunk").write_bytes(compressed(whole))
+    shutil.copy(ROOT / "src/orograph/store/browser/compact.js", tmp_path / "compact.mjs")
+    (tmp_path / "all.mjs").write_text(
+        "import { decode } from './compact.mjs'; import { readFileSync, writeFileSync } from 'fs';\n"
+        f"for (const [k, [rows, cols]] of {[list(whole.shape) for whole in wholes]}.entries()) {{\n"
+        "  const data = new Uint8Array(readFileSync(`${k}.chunk`));\n"
+        "  writeFileSync(`${k}.out`, decode(data, rows, cols));\n"
+        "  let told = 0;\n"
+        "  for (const wrong of [data.subarray(0, data.length - 1), data.subarray(0, 9), new Uint8Array(0),\n"
+        "    new Uint8Array([...data, 1, 2])])\n"
+        "    try { decode(wrong, rows, cols) } catch (e) { if (e instanceof RangeError) told++ }\n"
+        "  if (told != 4) throw new Error(`${k}: ${told}`);\n"
+        "}\n"
+    )
+    subprocess.run(["node", "all.mjs"], cwd=tmp_path, check=True, timeout=120)
+    for k, whole in enumerate(wholes):
+        found = np.frombuffer((tmp_path / f"{k}.out").read_bytes(), "<i4").reshape(whole.shape)
+        np.testing.assert_array_equal(found, whole)

@@ -4,9 +4,9 @@ Zarr's ``sharding_indexed`` layout is simple enough to keep in one file, and doi
 not give: a reader that starts in milliseconds and fetches one chunk with one ``pread``, bytes that depend on nothing
 but the samples, and a checksum failure that knows the name of its chunk. A shard is the chunks that hold anything, one
 after the other in C order, each ``bytes`` (little endian) → ``blosc``, or ``compact``, → ``crc32c``; then its label
-(``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill value, and the index's
-own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an empty one, so that a lost
-file is noticed.
+(``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill
+value, and the index's own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an
+empty one, so that a lost file is noticed.
 
 Chunks are named by their key: ``heights/0/height/c/3/4[1,7]`` is the inner chunk (1, 7) of that shard.
 """

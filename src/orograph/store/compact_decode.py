@@ -302,7 +302,7 @@ def decode(data, out):
     for k in range(NEIGHBOURS):
         given[k] = np.int16(_u16(data, 8 + 2 * k))
     full_weights(given, weights)
-    at = HEADER
+    at: Any = HEADER
     if at + contexts - 1 > data.size:
         return CUT_OFF
     table_of = np.zeros(LEVELS, np.int32)
@@ -331,7 +331,7 @@ def decode(data, out):
     words = np.zeros(count + WORDS * width + 1, np.uint16)
     for k in range(count):
         words[k] = np.uint16(np.uint16(data[at + 2 * k]) | np.uint16(data[at + 2 * k + 1]) << np.uint16(8))
-    p: Any = np.int64(0)
+    p = np.int64(0)
     values, before, padded = np.zeros(width, np.uint32), np.zeros(width, np.uint32), np.zeros(width + 4, np.int32)
     levels, base, lines = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros((3, width + 4), np.int32)
     begins = np.zeros(width, np.int32)
