@@ -191,7 +191,7 @@ def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Codin
         if codec != CODECS[0]:
             raise UsageError(
                 f"The codec {codec} keeps whole numbers of steps, not float32.",
-                remedy="State the error that is allowed (`max_error`): `auto` keeps data that have steps as they are.",
+                remedy="State the error that is allowed; `max_error='auto'` keeps data that have steps as they are.",
             )
         return None
     if max_error == "auto":
