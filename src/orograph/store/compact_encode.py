@@ -1,8 +1,8 @@
 """The kernels that encode chunks as the codec *compact* (``compact``; docs/codec.md has the format).
 
-What a decoder need not know is decided here: the weights (least squares over the chunk, far more than it takes), what
-missing samples count as, and how activities are joined to contexts. Nothing depends on a library's logarithms or on
-the order of threads, so that the same samples are the same bytes everywhere.
+What a decoder need not know is decided here: the weights (least squares over some of the chunk's rows), what missing
+samples count as, and (``compact_contexts``) how activities are divided among tables. Nothing depends on a library's
+arithmetic or on the order of threads, so that the same samples are the same bytes everywhere.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel, shared
+from orograph.store.compact_contexts import activity_of, divided, length, shift_of
 from orograph.store.compact_decode import (
     BITS,
     CONTEXTS,
@@ -18,7 +19,6 @@ from orograph.store.compact_decode import (
     HEADER,
     LANES,
     LEAST,
-    LEVELS,
     MISSING,
     NEIGHBOURS,
     START,
@@ -26,42 +26,18 @@ from orograph.store.compact_decode import (
     TOTAL,
     VERSION,
     WORDS,
-    activities,
     extend,
     foretold,
     frequencies,
     full_weights,
 )  # fmt: skip
 
-GROUPS = 24  # of activities, before those that are alike are joined
-TOKENS = 64 + 4 * 26  # what values are counted as there
 SAMPLED = 64  # rows that weights are fitted to
 RARE = 8  # values that one in 2^8 exceeds are ranges
-ENTRY = 3.5  # bits of a symbol in a table, about
 OFFSETS = np.array(
     [(0, -1), (0, -2), (-1, -2), (-1, -1), (-1, 1), (-1, 2), (-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2)], np.int64
 )
 """Rows and columns from a sample to those its weights belong to."""
-
-
-@shared
-def _length(value):
-    """Bits of a whole number."""
-    bits = 0
-    while value:
-        bits += 1
-        value >>= 1
-    return bits
-
-
-@shared
-def _log2(value):
-    """The binary logarithm of a number of at least 1, to 0.01: by arithmetic that is the same everywhere."""
-    whole = 0
-    while value >= 2.0:
-        value *= 0.5
-        whole += 1
-    return whole + (value - 1.0) * (1.3465 - 0.3465 * (value - 1.0))
 
 
 @kernel
@@ -150,131 +126,10 @@ def _values(numbers, weights, first, lowest, highest, values):
         extend(line, cols)
 
 
-@kernel
-def _activity(values, shift, found):
-    """The activity of every sample, as decoders find it."""
-    rows, size = values.shape
-    levels, padded = np.zeros(size, np.int32), np.zeros(size + 4, np.int32)
-    for row in range(rows):
-        found[row] = levels
-        activities(values[row], shift, padded, levels)
-
-
-@kernel
-def _shift(values):
-    """By how much activities are shifted: nearly all are below ``LEVELS`` then."""
-    sizes, size = np.zeros(34, np.int64), values.size
-    flat = values.reshape(size)
-    for k in range(size):
-        sizes[_length(np.int64(flat[k]))] += 1
-    bits, seen = 0, sizes[0]
-    while seen < size - size // 32:
-        bits += 1
-        seen += sizes[bits]
-    return min(max(bits + 3 - 8, 0), 12)
-
-
-@shared
-def _token(value):
-    """What a value is counted as: itself, or a quarter of an octave."""
-    if value < 64:
-        return value
-    bits = _length(value)
-    return 64 + (bits - 7) * 4 + ((value >> (bits - 3)) & 3)
-
-
-@kernel
-def _cost(counts):
-    """Bits of values so counted, table included."""
-    total, bits, kinds = 0, 0.0, 0
-    for k in range(counts.size):
-        if counts[k]:
-            total += counts[k]
-            bits -= counts[k] * _log2(float(counts[k]))
-            kinds += 1
-    return bits + total * _log2(float(total)) + 16 + ENTRY * kinds if total else 0.0
-
-
-@kernel
-def _grouped(levels, group):
-    """Put levels of activity into at most ``GROUPS`` of about as many samples; how many there are."""
-    total, so_far, groups = levels.sum(), 0, 0
-    for level in range(LEVELS):
-        group[level] = groups
-        so_far += levels[level]
-        if so_far * GROUPS >= total * (groups + 1) and groups < GROUPS - 1:
-            groups = min(so_far * GROUPS // max(total, 1), GROUPS - 1)
-    last, count = -1, 0
-    for level in range(LEVELS):  # without gaps
-        if group[level] != last:
-            last = group[level]
-            count += 1
-        group[level] = count - 1
-    return count
-
-
-@kernel
-def _joined(counts, groups, bounds):
-    """Join neighbours among groups while that costs nothing, or there are too many; how many are left.
-
-    Args:
-        counts: (groups, TOKENS). bounds: becomes the first group of each.
-    """
-    left, costs, joint = groups, np.zeros(groups), np.zeros(groups)
-    for k in range(groups):
-        bounds[k] = k
-        costs[k] = _cost(counts[k])
-    for k in range(groups - 1):
-        joint[k] = _cost(counts[k] + counts[k + 1])
-    while left > 1:
-        best = 0
-        for k in range(1, left - 1):
-            if joint[k] - costs[k] - costs[k + 1] < joint[best] - costs[best] - costs[best + 1]:
-                best = k
-        if left <= CONTEXTS and joint[best] >= costs[best] + costs[best + 1]:
-            break
-        counts[best] += counts[best + 1]
-        costs[best] = joint[best]
-        for k in range(best + 1, left - 1):
-            counts[k] = counts[k + 1]
-            costs[k], bounds[k], joint[k] = costs[k + 1], bounds[k + 1], joint[k + 1]
-        left -= 1
-        if best > 0:
-            joint[best - 1] = _cost(counts[best - 1] + counts[best])
-        if best < left - 1:
-            joint[best] = _cost(counts[best] + counts[best + 1])
-    return left
-
-
-@kernel
-def _contexts(values, activity, bounds):
-    """Decide the contexts, and how many; ``bounds`` becomes the first level of each, ``activity`` contexts."""
-    size = activity.size
-    flat, of = activity.reshape(size), values.reshape(size)
-    levels, group = np.zeros(LEVELS, np.int64), np.empty(LEVELS, np.int64)
-    for k in range(size):
-        levels[flat[k]] += 1
-    groups = _grouped(levels, group)
-    counts, joined = np.zeros((groups, TOKENS), np.int64), np.empty(groups, np.int64)
-    for k in range(size):
-        counts[group[flat[k]], _token(np.int64(of[k]))] += 1
-    contexts = _joined(counts, groups, joined)
-    context = np.empty(LEVELS, np.int32)
-    now = 0
-    for level in range(LEVELS):
-        while now + 1 < contexts and group[level] >= joined[now + 1]:
-            now += 1
-            bounds[now] = level
-        context[level] = now
-    for k in range(size):
-        flat[k] = context[flat[k]]
-    return contexts
-
-
 @shared
 def _symbol(value, direct):
     """The symbol of a value without the bits below it."""
-    return value if value < direct else direct - 1 + _length(value - direct + 1)
+    return value if value < direct else direct - 1 + length(value - direct + 1)
 
 
 @kernel
@@ -288,7 +143,7 @@ def _tables(values, contexts, number, depths, direct, found, codes):
         sums[of[k]] += np.int64(flat[k])
         counts[of[k]] += 1
     for c in range(number):
-        depths[c] = min(max(_length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
+        depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
         direct[c] = DIRECT
     for k in range(size):
         found[of[k], _symbol(np.int64(flat[k]) >> depths[of[k]], DIRECT)] += 1
@@ -419,7 +274,7 @@ def _stream(values, contexts, depths, direct, found, words, states):
                 value = np.int64(values[row, col]) >> depths[c]
                 if value >= direct[c]:
                     beyond = value - direct[c] + 1
-                    bits = _length(beyond) - 1
+                    bits = length(beyond) - 1
                     beyond -= np.int64(1) << bits
                     if bits > 16:
                         states[lane], p = _push_raw(states[lane], p, words, bits - 16, beyond >> 16)
@@ -457,10 +312,10 @@ def encode(numbers):
     width = LANES * (-(-cols // LANES))
     values, activity = np.empty((rows, width), np.uint32), np.empty((rows, width), np.int32)
     _values(numbers, weights, first, lowest, highest, values)
-    shift = _shift(values)
-    _activity(values, shift, activity)
+    shift = shift_of(values)
+    activity_of(values, shift, activity)
     bounds = np.zeros(CONTEXTS, np.int64)
-    contexts = _contexts(values, activity, bounds)
+    contexts = divided(values, activity, bounds)
     depths, direct = np.zeros(contexts, np.int64), np.zeros(contexts, np.int64)
     codes = np.zeros((contexts, SYMBOLS), np.int64)
     found = np.zeros((contexts, SYMBOLS), np.int64)
