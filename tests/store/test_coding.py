@@ -131,7 +131,8 @@ def test_the_bytes_depend_on_no_threads_and_no_interruption(tmp_path, monkeypatc
         patch.setattr(FolderStorage, "put", stop)
         with pytest.raises(KeyboardInterrupt):
             store.build(source(HEIGHTS), tmp_path / "s", jobs=2, **how)
-    for other in ({"max_error": 0.2}, {"max_error": "lossless"}, *({"codec": c} for c in CODECS if c != codec)):
+    lossless = {"codec": "portable", "max_error": "lossless"}
+    for other in ({"max_error": 0.2}, lossless, *({"codec": c} for c in CODECS if c != codec)):
         with pytest.raises(StoreError, match="codec or largest error differ"):
             store.build(source(HEIGHTS), tmp_path / "s", resume=True, **{**how, **other})
     store.build(source(HEIGHTS), tmp_path / "s", resume=True, **how)
@@ -205,6 +206,8 @@ def test_what_cannot_be_kept_is_refused(tmp_path):
             store.build(source(HEIGHTS), tmp_path / "s", max_error=wrong)
     with pytest.raises(UsageError, match="codec"):
         store.build(source(HEIGHTS), tmp_path / "s", codec="zip")
+    with pytest.raises(UsageError, match=r"compact keeps whole numbers of steps, not float32.*auto"):
+        store.build(source(HEIGHTS), tmp_path / "s", codec="compact")
     with pytest.raises(UsageError, match=r"1e\+09 m cannot be kept.*larger error"):
         store.build(source(HEIGHTS + np.float32(1e9)), tmp_path / "s", max_error=0.1)
 

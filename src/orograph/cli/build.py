@@ -111,10 +111,11 @@ class MaxError(click.ParamType[str | float]):
 )
 @click.option(
     "--codec",
-    type=click.Choice(["portable"]),
+    type=click.Choice(["portable", "compact"]),
     default="portable",
     show_default=True,
-    help="How heights are packed: portable is what every reader of Zarr understands.",
+    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, "
+    "0.2 to 0.7 of the size, is read by Orograph (and zarr-python beside it).",
 )
 @click.option(
     "--max-error",

@@ -3,10 +3,10 @@
 Zarr's ``sharding_indexed`` layout is simple enough to keep in one file, and doing so buys what a general library does
 not give: a reader that starts in milliseconds and fetches one chunk with one ``pread``, bytes that depend on nothing
 but the samples, and a checksum failure that knows the name of its chunk. A shard is the chunks that hold anything, one
-after the other in C order, each ``bytes`` (little endian) → ``blosc`` → ``crc32c``; then its label (``digests``); then
-the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill value, and the index's
-own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an empty one, so that a lost
-file is noticed.
+after the other in C order, each ``bytes`` (little endian) → ``blosc``, or ``compact``, → ``crc32c``; then its label
+(``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill
+value, and the index's own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an
+empty one, so that a lost file is noticed.
 
 Chunks are named by their key: ``heights/0/height/c/3/4[1,7]`` is the inner chunk (1, 7) of that shard.
 """
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import DamagedChunkError
 from orograph.parallel import cpu_count, map_ordered
+from orograph.store import compact
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import MISSING, Packing
 from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed, tail_length, unsealed
@@ -89,9 +90,12 @@ class ArraySpec:
         size = np.dtype(dtype).itemsize
         shuffle = "shuffle" if size > 1 else "noshuffle"
         blosc = {"name": "blosc", "configuration": {**CODEC, "shuffle": shuffle, "typesize": size}}
+        coded: list[dict[str, Any]] = [little if size > 1 else {"name": "bytes"}, blosc]
+        if self._compact:
+            coded = [{"name": compact.NAME, "configuration": {}}]
         sharding = {
             "chunk_shape": [self.chunk, self.chunk],
-            "codecs": [little if size > 1 else {"name": "bytes"}, blosc, {"name": "crc32c"}],
+            "codecs": [*coded, {"name": "crc32c"}],
             "index_codecs": [little, {"name": "crc32c"}],
             "index_location": "end",
         }
@@ -143,7 +147,13 @@ class ArraySpec:
         end, digest = sealed(self.key(spot), index, sums)
         return [*parts, end], digest
 
+    @property
+    def _compact(self) -> bool:
+        return self.packing is not None and self.packing.codec == "compact"
+
     def _compressed(self, chunk: Array) -> bytes:
+        if self.packing is not None and self._compact:
+            return compact.compressed(self.packing.numbers(chunk))
         from orograph._blosc import blosc
 
         shuffle = blosc.SHUFFLE if chunk.itemsize > 1 else blosc.NOSHUFFLE
@@ -158,6 +168,8 @@ class ArraySpec:
         Raises:
             RuntimeError, ValueError: it is damaged.
         """
+        if self.packing is not None and self._compact:
+            return self.packing.heights(compact.decompressed(data, (self.chunk, self.chunk)))
         from orograph._blosc import blosc
 
         dtype = np.dtype(self.dtype if self.packing is None else "int32").newbyteorder("<")

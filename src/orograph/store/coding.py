@@ -32,8 +32,8 @@ from orograph.store.terrain import Heights
 if TYPE_CHECKING:
     from orograph.store.source import HeightSource
 
-Codec = Literal["portable"]
-CODECS: tuple[Codec, ...] = ("portable",)
+Codec = Literal["portable", "compact"]
+CODECS: tuple[Codec, ...] = ("portable", "compact")
 
 MISSING = -(1 << 31)
 """The number of a missing sample."""
@@ -188,6 +188,11 @@ def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Codin
     if codec not in CODECS:
         raise UsageError(f"`codec` is one of {', '.join(CODECS)}, not {codec!r}.")
     if max_error == "lossless":
+        if codec != CODECS[0]:
+            raise UsageError(
+                f"The codec {codec} keeps whole numbers of steps, not float32.",
+                remedy="State the error that is allowed; `max_error='auto'` keeps data that have steps as they are.",
+            )
         return None
     if max_error == "auto":
         return Coding(codec, _step(source), None)
