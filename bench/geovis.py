@@ -51,6 +51,72 @@ def quakes() -> tuple[Any, orograph.Dataset] | None:
     )
 
 
+def shapes() -> dict[str, dict[str, Any]]:
+    """Pictures of lines and polygons, by name."""
+    from geovis_shapes import COLORS, hexagons, landcover, runs
+
+    made: dict[str, dict[str, Any]] = {}
+    folder = SHARED / "spdatalarge-zion-nz-ecuador"
+    if (folder / "zion_nlcd2011.tif").exists():
+        land = orograph.terrain(folder / "zion_srtm.tif", vertical_unit="metre")
+        common = {"terrain": land, "view": orograph.camera.whole(land, SIZE)}
+        cover = orograph.Dataset(landcover(folder / "zion_nlcd2011.tif"), colormap=COLORS, name="Land cover", width=0.6)
+        made["classes"] = {**common, "data": cover}
+        made["classes, hatching"] = {**common, "data": cover.but(style="hatching")}
+        made["lines"] = {**common, "data": orograph.Dataset(runs(land), name="Fall", unit="m/km", colormap="plasma")}
+    tiles = sorted((SHARED / "california-3s-tiles").glob("N3[67]W1*.tif"))
+    points = SHARED / "fields-and-points" / "earthquakes.geojson"
+    if tiles and points.exists():
+        land = orograph.terrain([str(t) for t in tiles])
+        doubt = orograph.Uncertainty("error", style="palette")
+        made["polygons, palette"] = {
+            "terrain": land, "exaggeration": 5,
+            "view": orograph.camera.around(land, SIZE, azimuth=200, pitch=45, exaggeration=5),
+            "data": orograph.Dataset(hexagons(points, "mag"), variable="mean", colormap="magma", uncertainty=doubt),
+        }  # fmt: skip
+    return made
+
+
+def pairs_and_flows() -> dict[str, dict[str, Any]]:
+    """Pictures of two components, or of two things in one colour, by name."""
+    winds = SHARED / "fields-and-points" / "eraint_uvz.nc"
+    warmth = SHARED / "fields-and-points" / "era5-2mt-2019-03-uk.grib"
+    if not (winds.exists() and warmth.exists()):
+        return {}
+    wind = orograph.Dataset(str(winds), variable="u+v", band=3, name="Wind")
+    noon, night = (
+        orograph.Dataset(str(warmth), time=time, style="bivariate", name=name)
+        for time, name in (("T12", "Noon"), ("T00", "Midnight"))
+    )
+    return {
+        "flows": {"data": wind.but(style="lic")}, "arrows": {"data": wind.but(style="arrows")},
+        "flows and arrows": {"data": [wind.but(style="lic"), wind.but(style="arrows", colormap="gray")]},
+        "bivariate": {"data": [noon, night]},
+    }  # fmt: skip
+
+
+def tracks() -> dict[str, dict[str, Any]]:
+    """Pictures of lines that stand, by name: ways down, and a made flight."""
+    from geovis_shapes import collection, feature, runs
+
+    path = SHARED / "spdatalarge-zion-nz-ecuador" / "zion_srtm.tif"
+    if not path.exists():
+        return {}
+    land = orograph.terrain(path, vertical_unit="metre")
+    view = orograph.camera.around(land, SIZE, azimuth=200, pitch=30, distance=None, exaggeration=2)
+    common = {"terrain": land, "exaggeration": 2, "view": view}
+    ways = orograph.Dataset(runs(land, 60), name="Fall", unit="m/km", colormap="plasma")
+    x, y = land.grid.xy(land.grid.cols / 2, land.grid.rows / 2)
+    turn = np.linspace(0, 6 * np.pi, 160)
+    places = np.stack([x + 7000 * np.cos(turn), y + 7000 * np.sin(turn), 2200 + 150 * turn], 1)
+    flight = collection([feature("LineString", places.tolist())], land.grid.crs.to_wkt())
+    return {
+        "tubes": {**common, "data": ways.but(style="tubes")},
+        "tubes, in the air": {**common, "data": orograph.Dataset(flight, variable="z", style="tubes", name="Altitude")},
+        "curtains": {**common, "data": ways.but(style="curtains")},
+    }
+
+
 def timed(times: int, **options: Any) -> tuple[Picture, float]:
     """A picture, and the median of the seconds that it takes."""
     orograph.render(**options)
@@ -97,6 +163,12 @@ def main() -> None:
                 f"standing {style}", terrain=land, view=around, exaggeration=5, priority="T+D+U+",
                 data=points.but(style=style, uncertainty=doubt),
             )  # fmt: skip
+    for name, options in pairs_and_flows().items():
+        row(f"two {name}", **{**options, "priority": "T+D+U-"})
+    for name, options in tracks().items():
+        row(f"track {name}", **{**options, "priority": "T+D+U-"})
+    for name, options in shapes().items():
+        row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
         for letter, name in zip("abc", ("T+D-U-", "T-D+U-", "T-D-U+")):
             made[f"figure-5{letter}"] = orograph.render(
@@ -111,8 +183,8 @@ def save(made: dict[str, Picture], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
-    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3)):
-        names = [name for name in made if name.startswith(kind)]
+    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2), ("two", 2), ("track", 3)):
+        names = [name for name in made if name.startswith(kind + ("" if kind == "T" else " "))]
         if names:
             sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")
 

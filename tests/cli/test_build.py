@@ -187,6 +187,18 @@ def test_tins_are_stored_ahead(tmp_path):
     assert other.exit_code != 0 and "TINs differ" in str(other.exception)
 
 
+def test_chunks_are_stored_ahead(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    given = [str(dem), "-o", str(tmp_path / "a"), "--for", "chunked-lod,cells=16,finest=0.5"]
+    assert CliRunner().invoke(command, given, obj={"quiet": True}).exit_code == 0
+    assert store.open(tmp_path / "a").has("chunked", cells=16, finest=0.5)
+    again = CliRunner().invoke(command, [*given, "--for", "chunked-lod", "--overwrite"], obj={"quiet": True})
+    assert again.exit_code != 0 and "chunks of one kind" in str(again.exception)
+    assert CliRunner().invoke(command, [*given, "--resume"], obj={"quiet": True}).exit_code == 0
+    other = CliRunner().invoke(command, [*given[:3], "--resume"], obj={"quiet": True})
+    assert other.exit_code != 0 and "chunks differ" in str(other.exception)
+
+
 def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
     from orograph.geovis.color_store import StoredColorErrors
     from orograph.lod.method import Resources

@@ -45,6 +45,7 @@ KEYS = {
     "layers",
     "parts",
     "resampled",
+    "codec",
     "keeps_source",
     "levels",
     "side",

@@ -217,8 +217,8 @@ def test_a_store_that_needs_more_is_refused(area):
     root = area / "zarr.json"
     document = json.loads(root.read_text())
     record = document["attributes"]["orograph"]
-    record["needs"] = ["codec"]
+    record["needs"] = ["versions"]
     record["checksum"] = _checksum({k: v for k, v in record.items() if k != "checksum"})
     root.write_text(json.dumps(document))
-    with pytest.raises(StoreError, match=r"needs a reader that knows codec.*Update Orograph"):
+    with pytest.raises(StoreError, match=r"needs a reader that knows versions.*Update Orograph"):
         store.open(area)

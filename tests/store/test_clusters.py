@@ -38,16 +38,17 @@ def client():
         yield client
 
 
-def test_workers_make_what_one_process_makes(tmp_path, client):
+@pytest.mark.parametrize("kept", [{}, {"codec": "compact", "max_error": 0.05}], ids=["lossless", "compact"])
+def test_workers_make_what_one_process_makes(tmp_path, client, kept):
     dem = written(tmp_path / "a.tif")
-    store.build(dem, tmp_path / "whole", **SIZES).close()
-    built = store.build(dem, tmp_path / "s", dask=client, **SIZES)
+    how = SIZES | kept
+    store.build(dem, tmp_path / "whole", **how).close()
+    built = store.build(dem, tmp_path / "s", dask=client, **how)
     assert isinstance(built, StoredTerrain) and built.samples is not None
     built.close()
     assert files(tmp_path / "s") == files(tmp_path / "whole")
-    part = {"part": (1, 1), **SIZES}
-    store.build(dem, tmp_path / "parts", **part)
-    store.build(dem, tmp_path / "parts", finish=True, dask=client, **SIZES).close()
+    store.build(dem, tmp_path / "parts", part=(1, 1), **how)
+    store.build(dem, tmp_path / "parts", finish=True, dask=client, **how).close()
     assert files(tmp_path / "parts") == files(tmp_path / "whole")
 
 

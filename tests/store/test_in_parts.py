@@ -22,13 +22,14 @@ def files(folder):
 
 
 @pytest.mark.parametrize("shape", [(700, 530), (513, 512), (640, 129), (1200, 66)])
-@pytest.mark.parametrize("count", [1, 3])
-def test_parts_make_what_one_process_makes(tmp_path, shape, count):
+@pytest.mark.parametrize(("count", "kept"), [(1, {}), (3, {}), (3, {"codec": "compact", "max_error": 0.05})])
+def test_parts_make_what_one_process_makes(tmp_path, shape, count, kept):
     given = source(rough(shape, 3, missing=0.01, hole=True))
-    store.build(given, tmp_path / "whole", **SIZES).close()
+    how = SIZES | kept
+    store.build(given, tmp_path / "whole", **how).close()
     for index in np.random.default_rng(count).permutation(count) + 1:
-        assert store.build(given, tmp_path / "s", part=(int(index), count), **SIZES) is None
-    store.build(given, tmp_path / "s", finish=True, **SIZES).close()
+        assert store.build(given, tmp_path / "s", part=(int(index), count), **how) is None
+    store.build(given, tmp_path / "s", finish=True, **how).close()
     assert files(tmp_path / "s") == files(tmp_path / "whole")
     assert levels_of((700, 530), 64, 1) > 0  # so some of these are in groups
     assert not [p for p in tmp_path.iterdir() if p.name not in ("s", "whole")]

@@ -122,7 +122,7 @@ def camera(page) -> dict:
     page.wait_for_timeout(500)  # after a click the widget takes the keyboard a little later
     page.evaluate("navigator.clipboard.writeText('')")
     page.keyboard.press("Control+c")
-    for _ in range(300):
+    for _ in range(SOON // 100):  # a kernel that compiles answers late
         page.wait_for_timeout(100)
         text = page.evaluate("navigator.clipboard.readText()")
         if text:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from affine import Affine
 
 import orograph
 from orograph.errors import UsageError
@@ -126,7 +128,7 @@ def test_lamps_shine_where_the_light_knows_them(terrain):
     assert settings.scene(terrain, view).lighting.lamps == ()
 
 
-def test_data_are_painted_once_and_what_stands_is_refused():
+def test_data_are_painted_once_and_stand():
     terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
     values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
     settings = Settings(terrain, data=orograph.Dataset(values, style="continuous"), priority="T-D+U-")
@@ -135,5 +137,62 @@ def test_data_are_painted_once_and_what_stands_is_refused():
     assert [layer.title for layer in one.data.layers] == ["data"]
     assert one.data.layers[0] is two.data.layers[0]
     assert one.lighting.light == "none" and one.annotations.contours is not None
-    with pytest.raises(UsageError, match="pictures and films only"):
-        Settings(terrain, data=orograph.Dataset(values, style="bars"))
+    standing = Settings(terrain, data=orograph.Dataset(values, style="bars"))
+    assert len(standing.scene(terrain, view).theme.things) > 100
+    assert standing.scene(terrain, view) == standing.scene(terrain, view)  # nothing is drawn anew
+
+
+def test_priorities_are_switched_and_leave_nothing_behind():
+    from orograph.geovis.data.priority import Priority
+
+    terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
+    values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
+    settings = Settings(terrain, data=orograph.Dataset(values), priority="T+D+U-")
+    settings.layers = [Layer("x.tif", visible=False), replace(settings.layers[0], opacity=0.5)]
+    before = dict(settings.options)
+    settings.show(terrain, priority=Priority.parse("T-D-U-"))
+    assert settings.light == "none" and settings.contours is not None and settings.silhouettes is not None
+    assert [layer.opacity for layer in settings.layers] == [1.0, 0.5]
+    assert settings.shown.painted[0].style == "segmented"
+    settings.exaggeration = 2.0
+    settings.show(terrain, priority=Priority.parse("T+D+U-"))
+    after = dict(settings.options)
+    assert after.pop("exaggeration") == 2.0
+    assert settings.layers[0].path == "x.tif" and len(settings.layers) == 2
+    for name in after:
+        if name not in ("layers", "colormap"):
+            assert after[name] == before[name], name
+    settings.show(terrain, priority=Priority.parse("T-D+U-"))
+    settings.light = "ao"  # chosen by hand: it stays
+    settings.show(terrain, priority=Priority.parse("T+D+U-"))
+    assert settings.light == "ao"
+
+
+def test_times_of_a_series_share_a_scale_and_say_their_values():
+    xr = pytest.importorskip("xarray")
+    terrain = orograph.terrain(
+        np.zeros((30, 40), np.float32), transform=Affine(100, 0, 500_000, 0, -100, 5_600_000), crs="EPSG:32630"
+    )
+    x, y = 500_050 + 100 * np.arange(40), 5_599_950 - 100 * np.arange(30)
+    days = np.arange("2020-01-01", "2020-01-05", dtype="M8[D]").astype("M8[ns]")
+    cube = np.arange(4.0)[:, None, None] + np.linspace(0, 1, 40)[None, None] + np.zeros((1, 30, 1))
+    array = xr.DataArray(cube, dims=("time", "y", "x"), coords={"time": days, "x": x, "y": y}, name="warmth",
+                         attrs={"units": "degC", "crs": "EPSG:32630"})  # fmt: skip
+    settings = Settings(terrain, data=orograph.Dataset(array, style="continuous", band="all", uncertainty="spread"))
+    shown = settings.shown
+    assert len(shown.times) == 4 and shown.time == ""
+    (given,) = shown.at(502_000, 5_598_500)
+    assert given.value == pytest.approx(2.0, abs=0.02) and given.sigma == pytest.approx(
+        np.arange(4).std(ddof=1), rel=0.01
+    )
+    scales = []
+    for k, time in enumerate(shown.times):
+        settings.show(terrain, time=time)
+        (found,) = shown.at(502_000, 5_598_500)
+        assert found.value == pytest.approx(k + 0.5, abs=0.02) and found.unit == "°C" and found.sigma is None
+        scales.append((shown.painted[0].scale.low, shown.painted[0].scale.high))
+    assert len(set(scales)) == 1 and scales[0][0] < 0.3 and scales[0][1] > 3.7
+    with pytest.raises(UsageError, match="no time"):
+        settings.show(terrain, time="1999")
+    assert shown.time == shown.times[-1]
+    assert shown.at(0, 0) == ()

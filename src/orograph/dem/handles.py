@@ -323,9 +323,6 @@ def _member(file: Path) -> str:
     )
 
 
-_OPENING = threading.Lock()  # catch_warnings is not safe in threads: it may leave another's filters behind
-
-
 def open_dataset(location: str) -> Any:
     """A rasterio dataset open for reading.
 
@@ -336,12 +333,13 @@ def open_dataset(location: str) -> Any:
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     from orograph.dem.whole import DAMAGED, fault_before
+    from orograph.dem.whole.files import OPENING
 
     fault = fault_before(location)
     if fault is not None:
         raise ReadError(fault, path=location, remedy=DAMAGED)
     try:
-        with _OPENING, warnings.catch_warnings():
+        with OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(location)
     except (RasterioError, OSError, ValueError) as error:

@@ -94,7 +94,13 @@ def _transform_of(dataset: Any) -> Affine:
     if dataset.driver != "PNM" or any(not name.endswith(".aux.xml") for name in beside):
         return Affine(*dataset.transform[:6])
     text = ET.fromstring(Path(beside[0]).read_bytes()).findtext("GeoTransform") if beside else None
-    return Affine.identity() if text is None else Affine.from_gdal(*map(float, text.split(",")))
+    try:
+        return Affine.identity() if text is None else Affine.from_gdal(*map(float, text.split(",")))
+    except (ValueError, TypeError):
+        raise ReadError(
+            "The place that is noted beside the raster (GeoTransform) is not of six numbers.", path=beside[0],
+            remedy="Restore it from a copy, or remove it if the raster needs none.",
+        ) from None  # fmt: skip
 
 
 def _refuse_impossible(dataset: Any, transform: Affine) -> None:

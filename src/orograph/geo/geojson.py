@@ -35,7 +35,7 @@ def load(given: Any) -> tuple[dict[str, Any], str]:
     except OSError as error:
         raise ReadError(f"It cannot be read: {error.strerror}.", path=given) from error
     except ValueError as error:
-        remedy = "Only GeoJSON is read: ogr2ogr -t_srs EPSG:4326 area.geojson FILE makes it of other formats."
+        remedy = "ogr2ogr -t_srs EPSG:4326 area.geojson FILE makes GeoJSON of other formats."
         raise ReadError(f"This is not JSON: {error}.", path=given, remedy=remedy) from error
 
 

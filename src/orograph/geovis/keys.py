@@ -33,25 +33,46 @@ class Scale:
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Square:
+    """What the colours of two things in one picture mean.
+
+    Attributes:
+        colors: (rows, cols, 3) linear, of classes of the one along the columns, of the other along the rows, from the
+            lowest. across, up: what they are, with units. across_edges, up_edges: the ends of the classes.
+    """
+
+    colors: NDArray[Any]
+    across: str
+    up: str
+    across_edges: tuple[float, ...]
+    up_edges: tuple[float, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Legend:
     """What the colours of a picture mean.
 
     Attributes:
         scales: one below the other.
-        swatches: (words, colour) of classes, of water and of ground without data: sRGB (uint8 or float); a tile
+        swatches: (words, colour) of signs, of water and of ground without data: sRGB (uint8 or float); a tile
             (rows, cols, 3) is a pattern, repeated pixel by pixel.
+        classes: the same of classes of data. squares: of two things in one colour.
         note: what else a reader must know.
     """
 
     scales: tuple[Scale, ...] = ()
     swatches: tuple[tuple[str, Any], ...] = ()
+    classes: tuple[tuple[str, Any], ...] = ()
     note: str = ""
+    squares: tuple[Square, ...] = ()
 
     @property
     def words(self) -> str:
         """All that is written in it, but for numbers."""
-        return " ".join([*(scale.words for scale in self.scales), *(words for words, _ in self.swatches)])
+        named = [words for words, _ in (*self.classes, *self.swatches)]
+        both = [words for one in self.squares for words in (one.across, one.up)]
+        return " ".join([*(scale.words for scale in self.scales), *both, *named])
 
 
 UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",

@@ -90,8 +90,8 @@ class Need:
     """Derived data that a method needs of a store.
 
     Attributes:
-        name: of the derived data: "diamonds" (of an ``error``), "patches" (of an ``error``, with ``legs``), or "tins"
-            (with ``legs``).
+        name: of the derived data: "diamonds" (of an ``error``), "patches" (of an ``error``, with ``legs``), "tins"
+            (with ``legs``), or "chunked" (of ``cells`` and ``finest``).
         options: what it must have been made with.
     """
 

@@ -20,6 +20,9 @@ BYTES_PER_SAMPLE = 4 + 8 * 4 / 3 + 4
 TIN_BYTES_PER_SAMPLE = 4.0
 """Of marks, errors and radii of TINs while they are made."""
 
+CHUNKED_BYTES_PER_SAMPLE = BYTES_PER_SAMPLE + 4 / 3
+"""Of errors of diamonds while chunks are made, and of the levels that vertices belong to."""
+
 
 def supply(terrain: Terrain, needs: Iterable[Need], resources: Resources) -> None:
     """Make what a terrain lacks of ``needs``.
@@ -83,9 +86,23 @@ def _tins(terrain: Terrain, options: Mapping[str, Any], resources: Resources) ->
     # (The method itself makes them: ``lod.bdam``.)
 
 
+def _chunked(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
+    if not isinstance(terrain, StoredTerrain) or terrain.has("chunked", **options):
+        return
+    pair = f"({options['cells']}, {options['finest']:g})"
+    remedy = f"Allow more memory, or build it with them (`orograph.build(..., chunked={pair})`)."
+    _check_room(terrain, resources, CHUNKED_BYTES_PER_SAMPLE, "meshes of chunks", remedy)
+    resources.progress.note(
+        f"the store lacks these chunks: made when needed (`orograph.build(..., chunked={pair})` keeps them)"
+    )
+    with resources.progress.task("Finding midpoint errors"):
+        terrain.supply("chunked", **options)
+
+
 SUPPLIERS: dict[str, Callable[[Terrain, Mapping[str, Any], Resources], None]] = {
     "diamonds": _diamonds,
     "patches": _patches,
     "tins": _tins,
+    "chunked": _chunked,
 }
 """By name of a need, what makes it; the options are the need's."""

@@ -33,6 +33,7 @@ METHODS: dict[str, str | type[Method]] = {
     "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
     "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
     "cdlod": "orograph.lod.cdlod:Cdlod",
+    "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }

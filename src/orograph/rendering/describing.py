@@ -26,14 +26,20 @@ def describe(scene: Scene) -> str:
         parts.append("Contour lines show the heights.")
     for key in scene.keys:
         parts += [_scale(scale) for scale in key.scales]
+        for both in key.squares:
+            parts.append(f"Colours show {_span(both.across, both.across_edges)} and {_span(both.up, both.up_edges)}.")
+        if key.classes:
+            parts.append(f"Colours show {', '.join(words for words, _ in key.classes)}.")
         if key.note:
             parts.append(f"{key.note}.")
         if key.swatches:
             parts.append(f"Their uncertainty is shown, {key.swatches[0][0]} to {key.swatches[-1][0]} and beyond.")
     things = scene.theme.things
     if things is not None:
-        shown = things.values[np.isfinite(things.values)]
-        parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")
+        upright = np.isfinite(things.values) & (True if things.ends is None else np.isnan(things.ends[:, 1]))
+        shown = things.values[upright]
+        if len(shown):
+            parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")
     plain = [layer.title for layer in drawn(scene.data.layers) if layer.key is None]
     if plain:
         parts.append(f"Laid over the ground: {', '.join(plain)}.")
@@ -65,6 +71,10 @@ def _scale(scale: Scale) -> str:
     unit = f" {scale.unit}" if scale.unit else ""
     more = " and beyond" if scale.below or scale.above else ""
     return f"Colours show {scale.label}, {scale.low:.4g} to {scale.high:.4g}{unit}{more}."
+
+
+def _span(label: str, edges: tuple[float, ...]) -> str:
+    return f"{label} in {len(edges) - 1} classes from {edges[0]:.4g} to {edges[-1]:.4g}"
 
 
 def _length(metres: float) -> str:

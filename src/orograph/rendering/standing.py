@@ -50,19 +50,23 @@ class Stood:
         return self.pixels, self.depth
 
 
-def stand(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating], scene: Scene) -> Stood:
+def stand(
+    things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating], scene: Scene,
+    placed: tuple[Array, Array] | None = None,
+) -> Stood:  # fmt: skip
     """Draw things over a picture.
 
     Args:
         pixels: (height, width, 3) uint8 sRGB; left as they are. depth: (height, width) metres, NaN where no ground is.
         scene: what the picture shows; its view may be a tile.
+        placed: feet and other ends, if they are known (``places``).
     """
     from orograph.rendering.standing_kernels import cast
 
-    place = feet(things, scene)
+    place, end = placed or places(things, scene)
     known = np.isfinite(place[:, 2])
     basis, origin = _basis(scene)
-    boxes = _boxes(things, place, scene)
+    boxes = _boxes(things, place, end, scene)
     seen = known & (boxes[:, 0] <= boxes[:, 1]) & (boxes[:, 2] <= boxes[:, 3])
     rows, cols = depth.shape
     offsets = pattern(max(1, min(scene.surface.samples, 16)))
@@ -82,7 +86,7 @@ def stand(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating]
         shape = last - top, cols, len(offsets)
         color, nearest = np.zeros((*shape, 3), np.float32), np.full(shape, np.inf)
         cast(
-            things.kind, place - origin, things.radius, things.height, things.rgb, boxes, chosen, basis, offsets,
+            things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes, chosen, basis, offsets,
             ahead, sun, AMBIENT, scene.view.near, top, far[top:last], color, nearest, which[top:last],
         )  # fmt: skip
         hit = np.isfinite(nearest)
@@ -98,15 +102,37 @@ def stand(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating]
     return Stood(out, nearest_depth, which, int((~known).sum()))
 
 
+def places(things: Things, scene: Scene) -> tuple[Array, Array]:
+    """Where things stand, (n, 3), and from there to the other ends of tubes and walls, (n, 3), else 0."""
+    place = feet(things, scene)
+    return place, np.nan_to_num(heads(things, scene) - place)
+
+
 def feet(things: Things, scene: Scene) -> Array:
     """(n, 3) where things stand: easting, northing, and the stretched height of their foot; NaN where no ground is."""
+    level = np.full(len(things), np.nan) if things.ends is None else things.ends[:, 0]
+    return _stretched(things.x, things.y, level, things.lift, scene)
+
+
+def heads(things: Things, scene: Scene) -> Array:
+    """(n, 3) the other ends of tubes and walls, as ``feet``; NaN of what stands upright."""
+    if things.ends is None:
+        return np.full((len(things), 3), np.nan)
+    _, x, y, level = things.ends.T
+    there = np.isfinite(x)
+    found = np.full((len(things), 3), np.nan)
+    found[there] = _stretched(x[there], y[there], level[there], things.lift[there], scene)
+    return found
+
+
+def _stretched(x: Array, y: Array, level: Array, lift: Array, scene: Scene) -> Array:
+    """(n, 3) places at heights; where ``level`` is NaN, those of the ground."""
     terrain = scene.terrain
-    col, row = terrain.grid.index(things.x, things.y)
+    col, row = terrain.grid.index(x, y)
     rows, cols = terrain.grid.shape
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1)
-    z = heights(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1))
-    stretched = np.where(inside, z, np.nan) * scene.surface.exaggeration + things.lift
-    return np.stack([things.x, things.y, stretched], 1)
+    z = np.where(inside, heights(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1)), np.nan)
+    return np.stack([x, y, np.where(np.isfinite(level), level, z) * scene.surface.exaggeration + lift], 1)
 
 
 def _basis(scene: Scene) -> tuple[Array, Array]:
@@ -118,19 +144,23 @@ def _basis(scene: Scene) -> tuple[Array, Array]:
     return rays, origin
 
 
-def _boxes(things: Things, place: Array, scene: Scene) -> NDArray[np.int64]:
+def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np.int64]:
     """(n, 4) first and last column, first and last row that each may cover; of what lies around the eye, all."""
-    wide = np.where(things.kind == Kind.FLAG, things.radius, things.radius * np.sqrt(2))
+    wide = np.where(np.isin(things.kind, (Kind.FLAG, Kind.TUBE)), things.radius, things.radius * np.sqrt(2))
+    wide = np.where(things.kind == Kind.WALL, 0.0, wide)
+    tube = things.kind == Kind.TUBE
+    low, high = np.where(tube, -wide, 0.0), np.where(tube, wide, things.height)
     corners = np.stack([
-        place + np.stack([i * wide, j * wide, k * things.height], 1) for i in (-1, 1) for j in (-1, 1) for k in (0, 1)
+        foot + np.stack([i * wide, j * wide, up], 1)
+        for foot in (place, place + end) for i in (-1, 1) for j in (-1, 1) for up in (low, high)
     ])  # fmt: skip
     corners[..., 2] /= scene.surface.exaggeration
     (xy, depth), view = scene.view.project(corners, scene.surface.exaggeration), scene.view
     around = (depth <= 0).any(0) & (depth > 0).any(0)
     behind = (depth <= 0).all(0) | ~np.isfinite(place[:, 2])
     xy = np.nan_to_num(xy)
-    low, high = np.floor(xy.min(0)), np.floor(xy.max(0))
-    boxes = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], 1)
+    least, most = np.floor(xy.min(0)), np.floor(xy.max(0))
+    boxes = np.stack([least[:, 0], most[:, 0], least[:, 1], most[:, 1]], 1)
     boxes[around] = 0, view.width - 1, 0, view.height - 1
     boxes[behind] = 0, -1, 0, -1
     size = np.array([view.width, view.width, view.height, view.height])

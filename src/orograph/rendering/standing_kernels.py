@@ -1,4 +1,4 @@
-"""Rays at simple solids that stand on the ground: bars, spheres, cones, cylinders, flags. See ``standing``.
+"""Rays at simple solids: bars, spheres, cones, cylinders, flags, tubes, walls. See ``standing``.
 
 All positions are in stretched space (heights times the exaggeration), in metres, relative to the eye's own place.
 """
@@ -111,16 +111,67 @@ def _flag(ox, oy, oz, dx, dy, dz, x, y, z, radius, height, ex, ey):
     return best, nx, ny, nz
 
 
+@inlined
+def _tube(ox, oy, oz, dx, dy, dz, x, y, z, ex, ey, ez, radius):
+    """A tube from (x, y, z) to that and (ex, ey, ez), with round ends."""
+    # A first step to the nearest approach to its middle keeps digits.
+    d2 = dx * dx + dy * dy + dz * dz
+    near = ((x + ex / 2 - ox) * dx + (y + ey / 2 - oy) * dy + (z + ez / 2 - oz) * dz) / d2
+    px, py, pz = ox + near * dx - x, oy + near * dy - y, oz + near * dz - z
+    e2 = ex * ex + ey * ey + ez * ez
+    best = np.inf
+    if e2 > 0:
+        along, way = (px * ex + py * ey + pz * ez) / e2, (dx * ex + dy * ey + dz * ez) / e2
+        # What of the ray is across the axis: q + t v.
+        qx, qy, qz = px - along * ex, py - along * ey, pz - along * ez
+        vx, vy, vz = dx - way * ex, dy - way * ey, dz - way * ez
+        a, b = vx * vx + vy * vy + vz * vz, qx * vx + qy * vy + qz * vz
+        rest = b * b - a * (qx * qx + qy * qy + qz * qz - radius * radius)
+        if rest >= 0 and a > EPSILON * d2:
+            t = (-b - np.sqrt(rest)) / a
+            if 0 <= along + t * way <= 1:
+                best = t
+    for k in range(2):
+        sx, sy, sz = px - k * ex, py - k * ey, pz - k * ez
+        b = (sx * dx + sy * dy + sz * dz) / d2
+        qx, qy, qz = sx - b * dx, sy - b * dy, sz - b * dz
+        rest = radius * radius - (qx * qx + qy * qy + qz * qz)
+        if rest >= 0:
+            best = min(best, -b - np.sqrt(rest / d2))
+    if best == np.inf:
+        return np.inf, 0.0, 0.0, 0.0
+    hx, hy, hz = px + best * dx, py + best * dy, pz + best * dz
+    s = min(max((hx * ex + hy * ey + hz * ez) / e2, 0.0), 1.0) if e2 > 0 else 0.0
+    return near + best, (hx - s * ex) / radius, (hy - s * ey) / radius, (hz - s * ez) / radius
+
+
+@inlined
+def _wall(ox, oy, oz, dx, dy, dz, x, y, z, ex, ey, ez, height):
+    """An upright quadrangle above the line from (x, y, z) to that and (ex, ey, ez)."""
+    size = np.sqrt(ex * ex + ey * ey)
+    across = dx * ey - dy * ex
+    if size == 0.0 or abs(across) < EPSILON * size:
+        return np.inf, 0.0, 0.0, 0.0
+    t = ((x - ox) * ey - (y - oy) * ex) / across
+    s = ((ox + t * dx - x) * ex + (oy + t * dy - y) * ey) / (size * size)
+    up = oz + t * dz - z - s * ez
+    if not (0 <= s <= 1 and 0 <= up <= height):
+        return np.inf, 0.0, 0.0, 0.0
+    side = -1.0 if across > 0 else 1.0
+    return t, side * ey / size, -side * ex / size, 0.0
+
+
 @kernel
 def cast(
-    kind, place, radius, height, rgb, boxes, chosen, basis, offsets, ahead, sun, ambient, near, top, depth, color,
+    kind, place, end, radius, height, rgb, boxes, chosen, basis, offsets, ahead, sun, ambient, near, top, depth, color,
     nearest, which,
 ):  # fmt: skip
     """Draw things over rows of a picture.
 
     Args:
-        kind, radius, height: (n,). place: (n, 3) feet. rgb: (n, 3). boxes: (n, 4) first and last column and row that
-            a thing may cover. chosen: indices of the things to draw.
+        kind, radius, height: (n,). place: (n, 3) feet. end: (n, 3) from them to the other ends of tubes and walls.
+        rgb: (n, 3). boxes: (n, 4) first and last column and row that a thing may cover. chosen: indices of the things
+            to draw.
         basis: (6, 3) o, ou, ov, d, du, dv of rays by pixel position (``View.ray_basis``, stretched).
         offsets: (s, 2) positions in a pixel. ahead: (2,) where the eye looks, along the
             ground. sun: (3,) towards the light. ambient: of the light.
@@ -145,6 +196,10 @@ def cast(
                         t, nx, ny, nz = _box(ox, oy, oz, dx, dy, dz, x - r, x + r, y - r, y + r, z, z + h)
                     elif kind[n] == 1:
                         t, nx, ny, nz = _sphere(ox, oy, oz, dx, dy, dz, x, y, z + r, r)
+                    elif kind[n] == 5:
+                        t, nx, ny, nz = _tube(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], r)
+                    elif kind[n] == 6:
+                        t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], h)
                     elif kind[n] == 4:
                         t, nx, ny, nz = _flag(ox, oy, oz, dx, dy, dz, x, y, z, r, h, ahead[0], ahead[1])
                     else:

@@ -149,10 +149,12 @@ class Theme:
 
     data: tuple[Dataset, ...] = option(
         (),
-        "Show values of a raster in any CRS, or of points (GeoJSON, CSV). Keys: variable, band, time, member (which of "
-        "several), style (continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows; standing: bars, "
-        "spheres, cones, discs, flags), colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
-        "values: 0:5:10), size, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
+        "variable, band, time, member, layer, geometry (which of several), style "
+        "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
+        "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
+        "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
+        "values: 0:5:10), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
         read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     priority: Priority | None = option(

@@ -54,8 +54,8 @@ class Scene:
         Raises:
             UsageError: there is no such option, or as the parts.
         """
-        options, things = themed(options, terrain, (view.whole.width, view.whole.height))
-        parts = _sorted(options, terrain)
+        theme = themed(options, terrain, (view.whole.width, view.whole.height))
+        things, parts = theme.things, _sorted(theme.options, terrain)
         made = cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
         return made if things is None else replace(made, theme=replace(made.theme, things=things))
 

@@ -6,6 +6,7 @@ A scene's other options stand where they are given; a priority sets those that a
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from orograph.scene.silhouettes import Silhouettes
 if TYPE_CHECKING:
     from orograph.geo.grid import Grid
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.painting import Shown
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.store.terrain import Terrain
@@ -27,8 +29,22 @@ PAPER = "#f4f2ec"
 """The ground under data."""
 
 
-def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[dict[str, Any], Things | None]:
-    """A scene's options with its theme carried out, and what stands on its ground.
+@dataclass(frozen=True, slots=True)
+class Themed:
+    """A theme that is carried out.
+
+    Attributes:
+        options: the scene's, its data being layers. things: what stands on its ground, or None. painted: what its
+            layers of data show, bottom to top.
+    """
+
+    options: dict[str, Any]
+    things: Things | None = None
+    painted: tuple[Shown, ...] = ()
+
+
+def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> Themed:
+    """A scene's options with its theme carried out.
 
     Args:
         size: pixels (width, height) of the picture, which painted data suit.
@@ -36,39 +52,81 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     Raises:
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
+    from orograph.geovis.data.bivariate import pairs
     from orograph.geovis.data.dataset import datasets_of
-    from orograph.geovis.data.painting import painted, shown
-    from orograph.geovis.data.points import are_points
+    from orograph.geovis.data.painting import painted
     from orograph.geovis.data.priority import Priority
-    from orograph.geovis.data.standing import Things, stands
+    from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import layers_of
 
     made = dict(options)
     data = datasets_of(options.get("data"))
     given = options.get("priority")
     if not data and given is None:
-        return made, None
+        return Themed(made)
     priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
-    texels = int(min(MOST, max(LEAST, FINER * max(size))))
-    standing = [one for one in data if stands(one, are_points(one.source))]
-    flat = [one for one in data if not stands(one, are_points(one.source))]
+    found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
+    standing = [one for one in found if isinstance(one, Things)]
+    flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
-    layers = [painted(shown(one, terrain.grid, texels, priority)) for one in flat]
-    made["layers"] = (*layers_of(options.get("layers")), *layers)
-    things = Things.joined([_things(one, terrain.grid, priority) for one in standing]) if standing else None
-    return made | {"data": data, "priority": priority}, things
+    made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat))
+    things = Things.joined(standing) if standing else None
+    return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
 
 
-def _things(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
-    """What stands for a dataset: for its own points, or for a raster's values on a lattice."""
-    from orograph.geovis.data.points import Points, are_points, read_points
+def _read(
+    dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority
+) -> Shown | Things:
+    """What a dataset is shown by: something painted, or things that stand.
+
+    Args:
+        pixels: along the longer side of the picture.
+    """
+    from orograph.geovis.data.bivariate import shown_pair
+    from orograph.geovis.data.features import has_features, read_features
+    from orograph.geovis.data.painting import shown
+    from orograph.geovis.data.points import is_table, read_points
+    from orograph.geovis.data.shape_painting import shown_shapes
+    from orograph.geovis.data.standing import stands, things_of
+    from orograph.geovis.data.standing_lines import things_of_lines
+
+    grid, texels = terrain.grid, int(min(MOST, max(LEAST, FINER * pixels)))
+    if isinstance(dataset, tuple):
+        return shown_pair(*dataset, grid, texels)
+    features = read_features(dataset, grid) if has_features(dataset.source) else None
+    if features is not None and features.kind != "points" and stands(dataset):
+        return things_of_lines(dataset, features, grid, priority)
+    if features is not None and features.kind != "points":
+        return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
+    if features is not None or is_table(dataset.source):
+        return things_of(dataset, read_points(dataset, grid, features), grid, priority, dataset.unit or "", "")
+    if stands(dataset):
+        return _on_lattice(dataset, grid, priority)
+    return shown(dataset, grid, texels, priority, lambda over: _heights(terrain, over))
+
+
+def _heights(terrain: Terrain, over: Grid) -> Any:
+    """Heights (rows, cols) at the samples of a grid over a terrain, of the coarsest level that is as fine; NaN where
+    none are."""
+    from orograph.geovis.data.sampling import bilinear
+
+    coarser, level = max(over.spacing) / max(terrain.grid.spacing), 0
+    while level < terrain.levels - 1 and 2.0 ** (level + 1) <= coarser:
+        level += 1
+    (rows, cols), step = terrain.shape(level), 2.0**level
+    values = terrain.read(level, 0, rows, 0, cols)
+    col, row = terrain.grid.index(*over.xy(*np.meshgrid(np.arange(over.cols), np.arange(over.rows))))
+    return bilinear(values, np.clip(col / step, 0, cols - 1), np.clip(row / step, 0, rows - 1)).astype(np.float64)
+
+
+def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
+    """What stands for a raster's values, on a lattice."""
+    from orograph.geovis.data.points import Points
     from orograph.geovis.data.reading import read
     from orograph.geovis.data.sampling import values_at
     from orograph.geovis.data.standing import lattice_points, things_of
 
-    if are_points(dataset.source):
-        return things_of(dataset, read_points(dataset, grid), grid, priority, dataset.unit or "", "")
     field = read(dataset, grid)
     x, y = lattice_points(grid, dataset.size)
     values = values_at(field.mean, field, grid, x, y)

@@ -3,10 +3,10 @@
 Zarr's ``sharding_indexed`` layout is simple enough to keep in one file, and doing so buys what a general library does
 not give: a reader that starts in milliseconds and fetches one chunk with one ``pread``, bytes that depend on nothing
 but the samples, and a checksum failure that knows the name of its chunk. A shard is the chunks that hold anything, one
-after the other in C order, each ``bytes`` (little endian) → ``blosc`` → ``crc32c``; then its label (``digests``); then
-the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill value, and the index's
-own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an empty one, so that a lost
-file is noticed.
+after the other in C order, each ``bytes`` (little endian) → ``blosc``, or ``compact``, → ``crc32c``; then its label
+(``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill
+value, and the index's own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an
+empty one, so that a lost file is noticed.
 
 Chunks are named by their key: ``heights/0/height/c/3/4[1,7]`` is the inner chunk (1, 7) of that shard.
 """
@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 from orograph.errors import DamagedChunkError
 from orograph.parallel import cpu_count, map_ordered
+from orograph.store import compact
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import MISSING, Packing
 from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed, tail_length, unsealed
 from orograph.store.storage import Storage
 
@@ -56,6 +58,7 @@ class ArraySpec:
         dtype: NumPy's name.
         fill: the value of chunks that are not written.
         dimensions: their names.
+        packing: how the samples lie in it as int32; None: as they are.
     """
 
     path: str
@@ -65,6 +68,7 @@ class ArraySpec:
     dtype: str = "float32"
     fill: float = float("nan")
     dimensions: tuple[str, str] = ("y", "x")
+    packing: Packing | None = None
 
     @property
     def shards(self) -> Spot:
@@ -82,12 +86,16 @@ class ArraySpec:
     def metadata(self, attributes: dict[str, Any]) -> dict[str, Any]:
         """The array's ``zarr.json``."""
         little = {"name": "bytes", "configuration": {"endian": "little"}}
-        size = np.dtype(self.dtype).itemsize
+        dtype, fill = (self.dtype, self.fill) if self.packing is None else ("int32", MISSING)
+        size = np.dtype(dtype).itemsize
         shuffle = "shuffle" if size > 1 else "noshuffle"
         blosc = {"name": "blosc", "configuration": {**CODEC, "shuffle": shuffle, "typesize": size}}
+        coded: list[dict[str, Any]] = [little if size > 1 else {"name": "bytes"}, blosc]
+        if self._compact:
+            coded = [{"name": compact.NAME, "configuration": {}}]
         sharding = {
             "chunk_shape": [self.chunk, self.chunk],
-            "codecs": [little if size > 1 else {"name": "bytes"}, blosc, {"name": "crc32c"}],
+            "codecs": [*coded, {"name": "crc32c"}],
             "index_codecs": [little, {"name": "crc32c"}],
             "index_location": "end",
         }
@@ -95,13 +103,13 @@ class ArraySpec:
             "zarr_format": 3,
             "node_type": "array",
             "shape": list(self.shape),
-            "data_type": self.dtype,
+            "data_type": dtype,
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [self.shard, self.shard]}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            "fill_value": "NaN" if np.isnan(self.fill) else np.dtype(self.dtype).type(self.fill).item(),
+            "fill_value": "NaN" if np.isnan(fill) else np.dtype(dtype).type(fill).item(),
             "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
             "dimension_names": list(self.dimensions),
-            "attributes": attributes,
+            "attributes": {**attributes, **({} if self.packing is None else self.packing.attributes())},
         }
 
     @property
@@ -116,8 +124,6 @@ class ArraySpec:
             spot: which shard.
             block: its samples (smaller than a shard at the array's end).
         """
-        from orograph._blosc import blosc
-
         rows, cols = block.shape
         side = self.shard // self.chunk
         index, sums = np.full((side * side, 2), ABSENT), np.zeros(side * side, np.uint32)
@@ -132,9 +138,7 @@ class ArraySpec:
                     whole = np.full((self.chunk, self.chunk), self.fill, self.dtype)
                     whole[: view.shape[0], : view.shape[1]] = view
                     view = whole
-                shuffle = blosc.SHUFFLE if view.itemsize > 1 else blosc.NOSHUFFLE
-                samples = np.ascontiguousarray(view, np.dtype(self.dtype).newbyteorder("<"))
-                data = blosc.compress(samples, b"zstd", CODEC["clevel"], shuffle, CODEC["blocksize"])
+                data = self._compressed(view)
                 check = crc32c(data)
                 parts += [data, check.to_bytes(4, "little")]
                 index[i * side + j] = offset, len(data) + 4
@@ -142,6 +146,36 @@ class ArraySpec:
                 offset += len(data) + 4
         end, digest = sealed(self.key(spot), index, sums)
         return [*parts, end], digest
+
+    @property
+    def _compact(self) -> bool:
+        return self.packing is not None and self.packing.codec == "compact"
+
+    def _compressed(self, chunk: Array) -> bytes:
+        if self.packing is not None and self._compact:
+            return compact.compressed(self.packing.numbers(chunk))
+        from orograph._blosc import blosc
+
+        shuffle = blosc.SHUFFLE if chunk.itemsize > 1 else blosc.NOSHUFFLE
+        values = chunk if self.packing is None else self.packing.numbers(chunk)
+        samples = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        data: bytes = blosc.compress(samples, b"zstd", CODEC["clevel"], shuffle, CODEC["blocksize"])
+        return data
+
+    def decompressed(self, data: bytes) -> Array:
+        """The samples of a chunk.
+
+        Raises:
+            RuntimeError, ValueError: it is damaged.
+        """
+        if self.packing is not None and self._compact:
+            return self.packing.heights(compact.decompressed(data, (self.chunk, self.chunk)))
+        from orograph._blosc import blosc
+
+        dtype = np.dtype(self.dtype if self.packing is None else "int32").newbyteorder("<")
+        chunk = np.empty((self.chunk, self.chunk), dtype)
+        blosc.decompress(data, chunk)
+        return chunk if self.packing is None else self.packing.heights(chunk)
 
     def _is_fill(self, view: Array) -> bool:
         if np.isnan(self.fill):
@@ -283,16 +317,13 @@ class ShardedArray:
     def _decode(self, i: int, j: int, data: bytes | None, check: int) -> Array:
         if data is None:
             return self.blank
-        from orograph._blosc import blosc
-
         said = int.from_bytes(data[-4:], "little")
         if len(data) < 4 or crc32c(data[:-4]) != said:
             raise self._damaged(i, j, "it fails its checksum")
         if said != check:
             raise self._damaged(i, j, "it belongs to another shard")
-        chunk = np.empty((self.spec.chunk, self.spec.chunk), np.dtype(self.spec.dtype).newbyteorder("<"))
         try:
-            blosc.decompress(data[:-4], chunk)
+            chunk = self.spec.decompressed(data[:-4])
         except (RuntimeError, ValueError) as error:
             raise self._damaged(i, j, "it cannot be decompressed") from error
         chunk.flags.writeable = False

@@ -9,7 +9,6 @@ all of this is done alone (``lock``), from the first look at what is there to th
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,26 +18,26 @@ import numpy as np
 
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
-from orograph.geo.grid import wkt_of
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
-from orograph.store.diamond_table import DIAMONDS
+from orograph.store.chunked import checked_sizes
+from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
 from orograph.store.given import source_of
 from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
-from orograph.store.layout import CHUNK, FORMAT, PARTS, Record, dumps
+from orograph.store.layout import CHUNK, PARTS, Record, dumps
 from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric
-from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied, partial, publish
+from orograph.store.places import PLAN, ROOT, begun, is_store, partial, publish
+from orograph.store.plan import check_replaceable, compared, plan_for
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
-from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
+from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
-from orograph.store.tin_kind import TINS
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
 from orograph.store.ways import AtOnce, check_ways, executor_of
 from orograph.store.writer import ShardWriter
@@ -69,7 +68,10 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
     tins: int | None = None,
+    chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
+    codec: str = CODECS[0],
+    max_error: str | float = "lossless",
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
@@ -82,6 +84,10 @@ def build(
 ) -> StoredTerrain: ...
 
 
+@overload
+def build(source: Any, url: Path_, *, part: str | tuple[int, int] | None, **options: Any) -> StoredTerrain | None: ...
+
+
 def build(
     source: Any,
     url: Path_,
@@ -92,7 +98,10 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
     tins: int | None = None,
+    chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
+    codec: str = CODECS[0],
+    max_error: str | float = "lossless",
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
@@ -117,8 +126,15 @@ def build(
             them; none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``), which holds some
             four bytes for each sample in memory besides; None: no TINs.
+        chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
+            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
+        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, or "compact"
+            (docs/codec.md), smaller.
+        max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
+            twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
+            feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
@@ -140,6 +156,8 @@ def build(
         raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
+    if chunked is not None:
+        chunked = checked_sizes(chunked)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
@@ -148,25 +166,26 @@ def build(
     if workers is not None:
         jobs = jobs or 1
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
-    keep = keep_source and bool(_lattices(raster))
+    keep = keep_source and bool(lattices_of(raster))
+    coding = coding_of(raster, codec, max_error)
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk, kinds, tins, keep)
+    plan = plan_for(raster, shard, chunk, kinds, tins, chunked, keep, coding)
     storage = final if final.remote else FolderStorage(partial(final.url))
     if part is not None:
-        build_part(raster, final, storage, plan, part_of(part), jobs, overwrite, progress)
+        build_part(raster, final, storage, plan, coding, part_of(part), jobs, overwrite, progress)
         return None
     with alone(final, "building this store"):
         count = parts_begun(final, storage) if finish else 0
         resume = resume or finish
         if overwrite and not finish:
-            _may_replace(final, storage)
+            check_replaceable(final, storage)
         else:
-            plan, complete = _compared(final, storage, plan, resume)
+            plan, complete = compared(final, storage, plan, resume)
             if complete:
                 return open(url, storage_options=storage_options)
         going_on = resume and begun(storage)
@@ -178,9 +197,9 @@ def build(
         if not storage.exists(ROOT):
             label = "Resuming the store" if going_on else "Building the store"
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
-            with executor_of(raster, storage, storage_options, plan, at_once, going_on, workers, dask) as does:
+            with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                _fill(raster, storage, plan, jobs, label, executor, progress)
+                _fill(raster, storage, plan, coding, jobs, label, executor, progress)
         if isinstance(storage, FolderStorage) and going_on:
             storage.sweep()
         storage.remove(PARTS)
@@ -217,6 +236,11 @@ def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrai
     return made
 
 
+def lattices_of(raster: HeightSource) -> Sequence[SourceLattice]:
+    """What a source was resampled from (``Mosaic.resampled_from``); nothing if its samples are its own."""
+    return getattr(raster, "resampled_from", ())
+
+
 def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
     """Side of the shards and number of tasks at once that fit the memory allowed."""
     wanted = jobs or cpu_count()
@@ -240,150 +264,30 @@ def _memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     return BASE + max(heights, READER + memory(shape, shard, jobs, kinds) if kinds else 0)
 
 
-def _lattices(raster: HeightSource) -> Sequence[SourceLattice]:
-    """What a source was resampled from (``Mosaic.resampled_from``); nothing if its samples are its own."""
-    return getattr(raster, "resampled_from", ())
-
-
-def _plan(
-    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], tins: int | None, keep_source: bool
-) -> dict[str, Any]:
-    grid = raster.grid
-    return {
-        "format": FORMAT,
-        "source": raster.fingerprint(),
-        "name": raster.name,
-        "vertical": raster.vertical,
-        "shape": list(grid.shape),
-        "transform": list(grid.transform[:6]),
-        "crs": wkt_of(grid.crs),
-        "shard": shard,
-        "chunk": chunk,
-        "errors": list(kinds),
-        "tins": tins,
-        "keep_source": keep_source,
-    }
-
-
-def _plan_of(record: Record) -> dict[str, Any]:
-    """The plan of a complete store."""
-    grid = record.grid
-    return {
-        "format": FORMAT,
-        "source": record.source,
-        "name": record.name,
-        "vertical": record.vertical,
-        "shape": list(grid.shape),
-        "transform": list(grid.transform[:6]),
-        "crs": wkt_of(grid.crs),
-        "shard": record.shard,
-        "chunk": record.chunk,
-        "errors": list(DIAMONDS.of(record).errors),
-        "tins": TINS.of(record).get("legs"),
-        "keep_source": bool(record.lattices),
-    }
-
-
-def _may_replace(final: Storage, storage: Storage) -> None:
-    """Raise StoreError if what is there is no store, and was not to become one."""
-    known = is_store(final) or begun(storage) or final.exists(f"heights/0/height/{ROOT}")  # its root may be damaged
-    if occupied(final) and not known:
-        raise StoreError(
-            "Something is there that is not an Orograph store, and will not be overwritten.",
-            path=final.url,
-            remedy="Remove it, or choose another place.",
-        )
-
-
-def _compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: bool) -> tuple[dict[str, Any], bool]:
-    """The plan to go on by, and whether there is nothing left to do.
-
-    Raises:
-        StoreError: something is there that this build does not go on from.
-    """
-    if resume and begun(storage):
-        data = storage.get(PLAN)
-        if data is None:  # complete but for its last rename
-            before = _plan_of(read_record(storage))
-        else:
-            try:
-                before = json.loads(data)
-            except ValueError:
-                before = {}
-        # The shards' size follows from --max-memory, which may differ: the build goes on as it was begun.
-        plan = {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
-        differing = _differing(plan, before)
-        if differing:
-            raise StoreError(
-                f"The interrupted build cannot be resumed: its {differing} differ from these.",
-                path=storage.url,
-                remedy="Run it with the same files and options, or start anew with `overwrite=True`.",
-            )
-        return plan, False
-    if is_store(final):
-        if not resume:
-            if begun(storage) and not final.remote:
-                raise _interrupted(final)
-            raise StoreError("A store is there already.", path=final.url, remedy="Use `overwrite=True` to replace it.")
-        before = _plan_of(read_record(final))
-        differing = _differing({**plan, "shard": before["shard"], "chunk": before["chunk"]}, before)
-        if differing:
-            raise StoreError(
-                f"A complete store of other sources or options is there: its {differing} differ from these.",
-                path=final.url,
-                remedy="Use `overwrite=True` to replace it.",
-            )
-        return plan, True
-    if isinstance(final, FolderStorage) and left_over(final.path):
-        complete = is_store(storage) or not begun(storage)
-        raise missing(final) if complete else _interrupted(final)
-    if begun(storage):
-        raise _interrupted(final)
-    if occupied(final):
-        raise StoreError(
-            "Something is there that is not an Orograph store.", path=final.url, remedy="Choose another place."
-        )
-    return plan, False
-
-
-def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
-    """What of a plan is not as before, in words; empty if all is."""
-    names = {
-        "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
-        "keep_source": "source samples to keep",
-    }  # fmt: skip
-    return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
-
-
-def _interrupted(final: Storage) -> StoreError:
-    return StoreError(
-        "An interrupted build of this store is there.",
-        path=final.url,
-        remedy="Finish it with `resume=True`, or start anew with `overwrite=True`.",
-    )
-
-
 def _fill(
-    raster: HeightSource, storage: Storage, plan: dict[str, Any], jobs: int, label: str, executor: Executor,
+    raster: HeightSource, storage: Storage, plan: dict[str, Any], coding: Coding | None, jobs: int, label: str,
+    executor: Executor,
     progress: Progress,
 ) -> None:  # fmt: skip
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
-    from orograph.store.pyramid import Pyramid
+    from orograph.store.pyramid import Finest, Pyramid
     from orograph.store.resampling import look_back
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
     levels = executor.groups(raster.grid.shape, plan["shard"])
-    pyramid = Pyramid(raster, writer, plan["shard"], plan["chunk"], label, levels)
-    executor.run(Groups(pyramid.finest, levels, pyramid) if levels else pyramid, progress)
+    finest = Finest(raster, writer, plan["shard"], plan["chunk"], coding)
+    pyramid = Pyramid(finest, label, levels)
+    executor.run(Groups(finest, levels, pyramid) if levels else pyramid, progress)
     first = pyramid.first()
     valid_samples = pyramid.valid_samples
+    coding = None if coding is None else coding.measured(pyramid.lost, valid_samples)
     del pyramid
-    lattices = _lattices(raster)
+    lattices = lattices_of(raster)
     sizes, keep = (plan["shard"], plan["chunk"]), plan["keep_source"]
-    lost = look_back(lattices, raster.grid, writer, sizes, keep, executor, progress) if lattices else None
+    lost = look_back(lattices, raster.grid, writer, sizes, keep, executor, progress, coding) if lattices else None
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
@@ -399,9 +303,12 @@ def _fill(
         inputs=inputs_of(raster),
         attribution=tuple(getattr(raster, "attribution", ())),
         digests=writer.digests,
+        coding=coding,
     )
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins")))
+        record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins"), plan.get("chunked")))
+    if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
+        progress.warn(told)
     if raster.fingerprint() != plan["source"]:
         storage.remove()
         raise StoreError(

@@ -77,7 +77,7 @@ class Groups(Stage[Handed]):
 
     def make(self, spot: Spot) -> Handed:
         noting = _Noting(self.writer)
-        finest = Finest(self.finest.source, noting, self.shard, self.finest.chunk)
+        finest = Finest(self.finest.source, noting, self.shard, self.finest.chunk, self.finest.coding)
         above = Above(finest, range(1, self.levels + 1))
         row, col, shape = self._area(spot, self.summed)
         total, count = np.zeros(shape), np.zeros(shape, np.int32)
@@ -149,7 +149,7 @@ class Groups(Stage[Handed]):
 
     def _nested(self, spot: Spot) -> Heights:
         """Its samples of level s, with the last ones of the raster if it reaches its end."""
-        spec = heights_spec(self.shape, self.levels, self.shard, self.finest.chunk)
+        spec = self.finest.spec_of(heights_spec, self.levels)
         spans = []
         for at, side, samples in zip(spot, self.shape, spec.shape, strict=True):
             last = (at + 1) * self.shard << self.levels >= side
@@ -162,9 +162,8 @@ class Groups(Stage[Handed]):
 
     def _specs(self) -> dict[str, ArraySpec]:
         """Its arrays by their paths."""
-        sizes = self.shard, self.finest.chunk
-        specs = [heights_spec(self.shape, k, *sizes) for k in range(self.levels + 1)]
-        specs += [mean_spec(self.shape, k, *sizes) for k in range(1, self.levels + 1)]
+        specs = [self.finest.spec_of(heights_spec, k) for k in range(self.levels + 1)]
+        specs += [self.finest.spec_of(mean_spec, k) for k in range(1, self.levels + 1)]
         return {spec.path: spec for spec in specs}
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from orograph.errors import StoreError, UsageError
 from orograph.progress import Progress
+from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.executing import Executor, Stage
 from orograph.store.groups import Groups, group_levels
@@ -64,14 +65,14 @@ def share(tasks: Sequence[Spot], part: Part) -> Sequence[Spot]:
 
 
 def build_part(
-    raster: HeightSource, final: Storage, storage: Storage, plan: dict[str, Any], part: Part, jobs: int,
-    overwrite: bool, progress: Progress,
+    raster: HeightSource, final: Storage, storage: Storage, plan: dict[str, Any], coding: Coding | None,
+    part: Part, jobs: int, overwrite: bool, progress: Progress,
 ) -> None:  # fmt: skip
     """Make a part of a store.
 
     Args:
         final: where the store will be. storage: where it is made.
-        plan: of the build. jobs: threads.
+        plan: of the build. coding: how heights are kept. jobs: threads.
         overwrite: whether a store that is there may be replaced in the end.
 
     Raises:
@@ -85,9 +86,9 @@ def build_part(
         _begin(final, storage, data, count, overwrite)
         if isinstance(storage, FolderStorage):
             storage = FolderStorage(storage.path, many=True)
-        finest = Finest(raster, ShardWriter(storage), plan["shard"], plan["chunk"])
+        finest = Finest(raster, ShardWriter(storage), plan["shard"], plan["chunk"], coding)
         levels = levels_of(raster.grid.shape, plan["shard"], count)
-        stage: Stage[Any] = Groups(finest, levels) if levels else Pyramid(raster, finest.writer, *finest.sizes)
+        stage: Stage[Any] = Groups(finest, levels) if levels else Pyramid(finest)
 
         def do(spot: Spot) -> None:
             if stage.found(spot) is None:

@@ -33,6 +33,7 @@ from pyproj import CRS
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid, wkt_of
 from orograph.store.arrays import ArraySpec
+from orograph.store.coding import Coding
 from orograph.store.conventions import (
     consolidated,
     group,
@@ -59,7 +60,8 @@ from orograph.store.terrain import (
 FORMAT = 4
 """The version of this layout; a reader refuses others."""
 
-KNOWN: frozenset[str] = frozenset()
+CODEC = "codec"
+KNOWN = frozenset({CODEC})
 """What else a store may need of its reader (``Record.needs``)."""
 
 CHUNK = 256
@@ -68,14 +70,16 @@ TABLES = {"minimum": ("float32", math.nan), "maximum": ("float32", math.nan), "e
 TABLES_AND_VALID = {**TABLES, "valid": ("uint8", 0.0)}
 
 
-def heights_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
+def heights_spec(shape: Shape, level: int, shard: int, chunk: int, coding: Coding | None = None) -> ArraySpec:
     """The nested heights of a level."""
-    return ArraySpec(f"heights/{level}/height", level_shape(shape, level), shard, chunk)
+    packing = None if coding is None else coding.heights
+    return ArraySpec(f"heights/{level}/height", level_shape(shape, level), shard, chunk, packing=packing)
 
 
-def mean_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
+def mean_spec(shape: Shape, level: int, shard: int, chunk: int, coding: Coding | None = None) -> ArraySpec:
     """The box means of a level ≥ 1."""
-    return ArraySpec(f"mean/{level}/height", mean_shape(shape, level), shard, chunk)
+    packing = None if coding is None else coding.means
+    return ArraySpec(f"mean/{level}/height", mean_shape(shape, level), shard, chunk, packing=packing)
 
 
 def table_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> ArraySpec:
@@ -102,6 +106,7 @@ class Record:
         inputs: the files and options it was built with (``store.inputs``); None if from no files.
         digests: of all its objects but the root.
         attribution: whom the makers of its heights want to be named.
+        coding: how it keeps its heights; None: as float32, lossless.
     """
 
     grid: Grid
@@ -118,6 +123,7 @@ class Record:
     inputs: dict[str, Any] | None = None
     digests: Digests = field(default_factory=Digests, compare=False)
     attribution: tuple[str, ...] = ()
+    coding: Coding | None = None
 
     @property
     def shard_count(self) -> int:
@@ -128,7 +134,7 @@ class Record:
         low, high = self.height_range
         record: dict[str, Any] = {
             "format": FORMAT,
-            "needs": [],
+            "needs": [] if self.coding is None else [CODEC],
             "name": self.name,
             "vertical": self.vertical,
             "shape": list(self.grid.shape),
@@ -146,6 +152,8 @@ class Record:
         }
         if self.attribution:
             record["attribution"] = list(self.attribution)
+        if self.coding is not None:
+            record[CODEC] = self.coding.to_json()
         record["derived"] = {
             kind.name: {"version": kind.version, **kind.to_json(kind.of(self))}
             for kind in KINDS.values()
@@ -191,6 +199,7 @@ class Record:
             record["inputs"],
             Digests.from_json(record["digests"]),
             tuple(record.get("attribution", ())),
+            Coding.from_json(record[CODEC]) if CODEC in record else None,
         )
 
 
@@ -217,6 +226,8 @@ def rebuild(record: dict[str, Any], url: str) -> str:
     if isinstance(inputs, dict):
         files = repr([file["path"] for file in inputs["files"]])
         options = "".join(f"{name}={value!r}, " for name, value in inputs["options"].items())
+    if codec := record.get(CODEC):
+        options += f"codec={codec['name']!r}, max_error={codec['max_error'] or 'auto'!r}, "
     return f"Build it again: `orograph.build({files}, {url!r}, {options}overwrite=True)`."
 
 
@@ -243,9 +254,9 @@ def array_specs(record: Record) -> list[ArraySpec]:
     shape, sizes = record.grid.shape, (record.shard, record.chunk)
     found = []
     for level in range(level_count(shape)):
-        found.append(heights_spec(shape, level, *sizes))
+        found.append(heights_spec(shape, level, *sizes, record.coding))
         if level:
-            found.append(mean_spec(shape, level, *sizes))
+            found.append(mean_spec(shape, level, *sizes, record.coding))
         found += [table_spec(shape, level, name, *sizes) for name in TABLES_AND_VALID]
     found += [spec for _, spec, _ in derived_arrays(record)]
     return [*found, *(lattice.spec(number, *sizes) for number, lattice in enumerate(record.lattices))]
@@ -264,7 +275,7 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
         for kind, make in (("heights", heights_spec), ("mean", mean_spec)):
             if kind == "mean" and level == 0:
                 continue
-            spec = make(grid.shape, level, shard, chunk)
+            spec = make(grid.shape, level, shard, chunk, record.coding)
             transform = level_transform(grid, level, kind == "mean")
             path = f"{kind}/{level}"
             nodes[path] = group(spatial_attributes(Grid(spec.shape, transform, grid.crs)))

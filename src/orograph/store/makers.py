@@ -13,6 +13,8 @@ import numpy as np
 from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
+from orograph.store.chunked import lengths_spec, words_spec
+from orograph.store.chunked_kind import CHUNKED, block_of
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
 from orograph.store.executing import Executor
 from orograph.store.layout import Record
@@ -33,6 +35,7 @@ class Work(NamedTuple):
         writer: of shards; all heights, means and tables are written.
         jobs: threads. executor: runs what is done by shard. progress: is told of tasks.
         tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
+        chunked: cells and metres of the finest chunks whose meshes are wanted; None: none are.
     """
 
     errors: tuple[ErrorKind, ...]
@@ -41,6 +44,7 @@ class Work(NamedTuple):
     executor: Executor
     progress: Progress
     tins: int | None = None
+    chunked: tuple[int, float] | None = None
 
     def terrain(self, record: Record) -> StoredTerrain:
         """What is written by now."""
@@ -54,7 +58,8 @@ def make_diamonds(record: Record, work: Work) -> Record:
     if not work.errors:
         return record
     first = work.terrain(record).tiles(0)
-    survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, work.errors)
+    sizes = record.shard, record.chunk
+    survey = Errors(record.grid, work.writer, *sizes, first, work.errors, record.coding)
     with while_compiling("orograph.error.ahead", *work.errors):
         work.executor.run(survey, work.progress)
     return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))
@@ -91,7 +96,32 @@ def make_tins(record: Record, work: Work) -> Record:
     return TINS.put(record, {"legs": legs})
 
 
+def make_chunked(record: Record, work: Work) -> Record:
+    """Meshes of chunks; a level's are held in memory, some 1.4 bytes for each sample besides, and more for the errors
+    that they follow from where the store has none of the kind."""
+    from orograph.store.chunked_build import MemoryChunks
+
+    if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
+        return record
+    (cells, finest), terrain = work.chunked, work.terrain(record)
+    if "midpoint" not in terrain.errors:
+        terrain.supply("diamonds", error="midpoint")
+    chunks = MemoryChunks(terrain, cells, finest)
+    layout, rows = chunks.layout, []
+    with work.progress.task("Making chunks", layout.top + 1) as task:
+        for level in range(layout.top + 1):
+            words = list(chunks.all_words(level, work.jobs))
+            lengths = np.array([len(one) for one in words], np.uint32).reshape(layout.chunks(level))
+            work.writer.array(lengths_spec(layout, level, record.shard, record.chunk), lengths)
+            block = block_of(np.concatenate(words), record.chunk)
+            work.writer.array(words_spec(level, len(block), record.shard, record.chunk), block)
+            rows.append(len(block))
+            task.advance()
+    return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": chunks.error, "rows": rows})
+
+
 MAKERS: dict[str, Callable[[Record, Work], Record]] = {
     DIAMONDS.name: make_diamonds, PATCHES.name: make_patches, TINS.name: make_tins,
+    CHUNKED.name: make_chunked,
 }  # fmt: skip
 """By name of the kind, each after those that it needs."""

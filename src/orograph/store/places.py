@@ -33,7 +33,7 @@ def is_store(storage: Storage) -> bool:
     data = storage.get(ROOT)
     try:
         return data is not None and isinstance(json.loads(data)["attributes"]["orograph"], dict)
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return False
 
 

@@ -23,6 +23,7 @@ from orograph.error.diamonds import halve
 from orograph.errors import DamagedChunkError
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
@@ -43,7 +44,7 @@ from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count,
 from orograph.store.writer import Canvas, ShardWriter
 
 Facts = dict[str, NDArray[Any]]
-Kind = Callable[[Shape, int, int, int], ArraySpec]
+Kind = Callable[[Shape, int, int, int, Coding | None], ArraySpec]
 
 
 def tasks(shape: Shape, shard: int) -> list[Spot]:
@@ -64,13 +65,16 @@ class Finest:
         source: the heights.
         writer: of shards.
         shard, chunk: samples along their sides; powers of two.
+        coding: how heights are kept.
     """
 
-    def __init__(self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int) -> None:
-        self.source, self.writer, self.shard, self.chunk = source, writer, shard, chunk
+    def __init__(
+        self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, coding: Coding | None = None
+    ) -> None:
+        self.source, self.writer, self.shard, self.chunk, self.coding = source, writer, shard, chunk, coding
         self.shape = source.grid.shape
         self.direct = min(shard.bit_length(), level_count(self.shape)) - 1
-        self.spec = heights_spec(self.shape, 0, shard, chunk)
+        self.spec = self.spec_of(heights_spec, 0)
 
     def make(self, spot: Spot) -> tuple[Heights, Facts]:
         """Read, write the shard, look at its tiles, and keep what was found; the shard's samples, and that."""
@@ -78,10 +82,13 @@ class Finest:
         row, col = spot[0] * size, spot[1] * size
         heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
         heights = np.ascontiguousarray(heights, np.float32)
+        facts: Facts = {}
+        if self.coding is not None:
+            heights, facts["lost"] = self.coding.rounded(heights, size)
         own = heights[:size, :size]
         digest = self.writer.shard(self.spec, spot, own)
         low, high, valid = extrema(heights)
-        facts: Facts = {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
+        facts |= {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
         facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
         empty = not valid.any()
         for level in range(1, self.direct + 1):
@@ -96,10 +103,9 @@ class Finest:
         """Where what was found is kept."""
         return f"{PARTS}/{spot[0]}.{spot[1]}.part"
 
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Samples along the sides of shards and chunks."""
-        return self.shard, self.chunk
+    def spec_of(self, kind: Kind, level: int) -> ArraySpec:
+        """The array of the heights or means of a level."""
+        return kind(self.shape, level, self.shard, self.chunk, self.coding)
 
     def found(self, spot: Spot) -> tuple[Heights, Facts] | None:
         """The same of a shard that was finished before; None if it was not, or is damaged."""
@@ -130,7 +136,7 @@ class Above:
         self.means = {k: self._canvas(finest, mean_spec, k) for k in levels}
 
     def _canvas(self, finest: Finest, kind: Kind, level: int) -> Canvas:
-        spec = kind(finest.shape, level, finest.shard, finest.chunk)
+        spec = finest.spec_of(kind, level)
         return Canvas(spec, finest.writer, spans(finest.shape, self.area, level, spec.shape))
 
     def add(self, row: int, col: int, end: tuple[bool, bool], nested: Heights, means: BoxMeans, level: int) -> Heights:
@@ -155,19 +161,21 @@ class Pyramid(Stage[tuple[Heights, Facts]]):
         source: the heights.
         writer: of its shards.
         shard, chunk: samples along their sides; powers of two.
+        finest: makes the shards of level 0.
         label: what is done.
         groups: levels of the groups that are added (``groups``); 0: shards are.
+
+    Attributes:
+        lost: what each task found of what the heights' coding loses.
     """
 
     name = "heights"
 
-    def __init__(
-        self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, label: str = "Building the store",
-        groups: int = 0,
-    ) -> None:  # fmt: skip
-        self.label, self.writer, self.shard, self.chunk = label, writer, shard, chunk
-        self.finest = Finest(source, writer, shard, chunk)
-        self.shape = shape = source.grid.shape
+    def __init__(self, finest: Finest, label: str = "", groups: int = 0) -> None:
+        self.finest, self.label, self.writer = finest, label, finest.writer
+        self.shard, self.chunk = finest.shard, finest.chunk
+        self.lost: list[NDArray[np.float64]] = []
+        self.shape = shape = finest.shape
         self.levels = level_count(shape)
         self.direct = self.finest.direct  # the coarsest level that tasks make themselves
         self.above = Above(self.finest, range(groups + 1, self.direct + 1), groups)
@@ -222,6 +230,8 @@ class Pyramid(Stage[tuple[Heights, Facts]]):
 
     def _combine(self, row: int, col: int, facts: Facts) -> None:
         self.valid_samples += int(facts["samples"])
+        if "lost" in facts:
+            self.lost.append(facts["lost"])
         at = row // TILE, col // TILE
         low = facts["low"]
         if at[0] >= self.low.shape[0] or at[1] >= self.low.shape[1]:
@@ -277,7 +287,7 @@ class Pyramid(Stage[tuple[Heights, Facts]]):
             self.writer.array(spec, getattr(table, name))
 
     def _write_whole(self, kind: Kind, level: int, values: Heights) -> None:
-        self.writer.array(kind(self.shape, level, self.shard, self.chunk), values)
+        self.writer.array(self.finest.spec_of(kind, level), values)
 
 
 def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spot], list[Spot]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from orograph.errors import UsageError
+from orograph.store.chunked_kind import CHUNKED
 from orograph.store.colors import COLORS
 from orograph.store.derived import Derived
 from orograph.store.diamond_table import DIAMONDS
@@ -12,7 +13,7 @@ from orograph.store.layers import LAYERS
 from orograph.store.patches import PATCHES
 from orograph.store.tin_kind import TINS
 
-KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, COLORS, LAYERS)}
+KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, CHUNKED, COLORS, LAYERS)}
 """By name, each after those that it needs."""
 
 

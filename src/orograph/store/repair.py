@@ -21,6 +21,7 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
+from orograph.store.chunked_kind import CHUNKED
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
 from orograph.store.executing import Threads
@@ -30,7 +31,7 @@ from orograph.store.layout import Record, array_specs, derived_arrays, heights_s
 from orograph.store.lock import alone
 from orograph.store.makers import MAKERS, Work
 from orograph.store.places import ROOT
-from orograph.store.pyramid import Pyramid, tasks
+from orograph.store.pyramid import Finest, Pyramid, tasks
 from orograph.store.registry import KINDS
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
@@ -109,7 +110,7 @@ class _StoredHeights:
     def __init__(self, terrain: StoredTerrain) -> None:
         self.grid, self.name, self.vertical = terrain.grid, terrain.name, terrain.vertical
         record = terrain.record
-        spec = heights_spec(terrain.grid.shape, 0, record.shard, record.chunk)
+        spec = heights_spec(terrain.grid.shape, 0, record.shard, record.chunk, record.coding)
         self._array = ShardedArray(spec, terrain.storage, record.digests, ChunkCache(0), 1)
         self._source = record.source
 
@@ -154,7 +155,10 @@ class _Repair:
             if self._any(*(f"{spec.path}/c/" for kind, spec, _ in derived_arrays(self.record) if kind.name == name)):
                 errors = tuple(DIAMONDS.of(self.record).errors)
                 tins = TINS.of(self.record).get("legs")
-                make(self.record, Work(errors, self.mender, self.jobs, Threads(self.jobs, False), self.progress, tins))
+                found = CHUNKED.of(self.record)
+                chunked = (found["cells"], found["finest"]) if found else None
+                threads = Threads(self.jobs, False)
+                make(self.record, Work(errors, self.mender, self.jobs, threads, self.progress, tins, chunked))
         self._prove()
         if self.mender.damaged:
             raise self._left()
@@ -184,7 +188,7 @@ class _Repair:
         if source.grid.shape != record.grid.shape:
             self.why = f"{source.name} has {source.grid.shape} samples and the store {record.grid.shape}."
             return
-        spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk)
+        spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk, record.coding)
 
         def make(spot: Spot) -> None:
             self.mender.shard(spec, spot, np.ascontiguousarray(source.read(*spec.window(spot)), np.float32))
@@ -230,8 +234,8 @@ class _Repair:
     def _coarse(self) -> None:
         """Coarser levels, means and tables, from level 0."""
         record = self.record
-        pyramid = Pyramid(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, "Mending levels")
-        Threads(self.jobs, False).run(pyramid, self.progress)
+        finest = Finest(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, record.coding)
+        Threads(self.jobs, False).run(Pyramid(finest, "Mending levels"), self.progress)
 
     def _prove(self) -> None:
         """Read back what was written."""

@@ -24,6 +24,7 @@ from orograph.geo.grid import Grid
 from orograph.progress import Progress
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.executing import Executor, Stage
 from orograph.store.lattices import LatticeRecord, StoredLattice
@@ -45,7 +46,7 @@ Facts = dict[str, NDArray[Any]]
 
 def look_back(
     lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int], keep: bool,
-    executor: Executor, progress: Progress,
+    executor: Executor, progress: Progress, coding: Coding | None = None,
 ) -> Resampled:  # fmt: skip
     """Keep the lattices a terrain was resampled from, and compare it with them.
 
@@ -56,10 +57,11 @@ def look_back(
         sizes: samples along the sides of shards and chunks.
         keep: whether the samples are written.
         executor: runs the tasks.
+        coding: how level 0 is kept.
     """
     total = _Total()
     for number in range(len(lattices)):
-        look = Look(number, lattices, grid, writer, sizes, keep)
+        look = Look(number, lattices, grid, writer, sizes, keep, coding)
         executor.run(look, progress)
         for spot in sorted(look.tasks()):
             total.add(look.facts[spot])
@@ -101,7 +103,7 @@ class Look(Stage[Facts]):
 
     def __init__(
         self, number: int, lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int],
-        keep: bool,
+        keep: bool, coding: Coding | None = None,
     ) -> None:  # fmt: skip
         from orograph.dem.coordinates import Coordinates
         from orograph.dem.layers import LatticeMap, layer_of
@@ -112,7 +114,7 @@ class Look(Stage[Facts]):
         self.spec = self.record.spec(number, *sizes)
         here = self.lattice.grid
         self.finer = [layer_of(each, here, "nearest") for each in lattices[:number]]
-        level = heights_spec(grid.shape, 0, *sizes)
+        level = heights_spec(grid.shape, 0, *sizes, coding)
         surface = StoredLattice(grid, ShardedArray(level, writer.storage, writer.digests, ChunkCache(0), 1))
         exact = Coordinates(here, grid, EXACT)
         self.surface = LatticeMap(surface, None, exact, (1, 1), (0, here.rows, 0, here.cols))

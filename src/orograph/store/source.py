@@ -69,4 +69,5 @@ class StoreSource:
         return self.terrain.read(0, row0, row1, col0, col1)
 
     def fingerprint(self) -> str:
-        return self.terrain.record.source
+        record = self.terrain.record
+        return record.source if record.coding is None else f"{record.source} {record.coding.asked()}"

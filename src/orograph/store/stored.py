@@ -189,7 +189,7 @@ class StoredTerrain(Terrain):
         if found is not None:
             return found
         self._check(level)
-        at = self.grid.shape, level, self.record.shard, self.record.chunk
+        at = self.grid.shape, level, self.record.shard, self.record.chunk, self.record.coding
         if kind == "heights":
             return self.opened(kind, level, lambda: heights_spec(*at))
         return self.opened(kind, level, lambda: mean_spec(*at))
@@ -260,7 +260,7 @@ def read_record(storage: Storage) -> Record:
     try:
         document = json.loads(data)
         record = document["attributes"].get("orograph") if document.get("node_type") == "group" else None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StoreError(
             f"The store's zarr.json is damaged: {error}.",
             path=url,

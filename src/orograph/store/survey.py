@@ -21,6 +21,7 @@ from orograph.errors import DamagedChunkError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
 from orograph.store.diamond_table import diamond_spec
 from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
 from orograph.store.digests import Spot
@@ -48,6 +49,7 @@ class Errors(Stage[Surveyed]):
         shard, chunk: samples along their sides; powers of two.
         first: the tile table of level 0.
         kinds: which errors.
+        coding: how the heights are kept.
     """
 
     name, label = "errors", "Finding errors"
@@ -60,7 +62,9 @@ class Errors(Stage[Surveyed]):
         chunk: int,
         first: TileTable,
         kinds: tuple[ErrorKind, ...],
+        coding: Coding | None = None,
     ) -> None:
+        self.coding = coding
         self.shape, self.writer, self.sizes = grid.shape, writer, (shard, chunk)
         self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
         self.area = max(shard, 32)
@@ -221,7 +225,7 @@ class Errors(Stage[Surveyed]):
         return diamond_spec(self.shape, level, name, *self.sizes)
 
     def _heights(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        spec = heights_spec(self.shape, level, *self.sizes)
+        spec = heights_spec(self.shape, level, *self.sizes, self.coding)
         array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
         heights: Heights = array.read(row0, row1, col0, col1)
         return heights

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from orograph.errors import UsageError
+from orograph.store.coding import Coding
 from orograph.store.executing import Executor, Threads
 from orograph.store.places import PLAN
 from orograph.store.source import HeightSource
@@ -46,12 +47,13 @@ def check_ways(overwrite: bool, resume: bool, part: object, finish: bool, worker
 @contextmanager
 def executor_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
-    at_once: AtOnce, going_on: bool, workers: int | None, dask: Any,
+    coding: Coding | None, at_once: AtOnce, going_on: bool, workers: int | None, dask: Any,
 ) -> Iterator[Executor]:  # fmt: skip
     """What runs the tasks of a build.
 
     Args:
         storage: where the store is made; its plan is there.
+        coding: how heights are kept.
         going_on: whether anything may have been done before.
         workers, dask: as of ``build``.
 
@@ -65,6 +67,6 @@ def executor_of(
     from orograph.store.workshop import recipe_of
 
     begun = storage.get(PLAN) or b""
-    recipe = recipe_of(raster, storage, storage_options, plan, begun, at_once.task, at_once.base)
+    recipe = recipe_of(raster, storage, storage_options, plan, coding, begun, at_once.task, at_once.base)
     with workforce(workers, dask, at_once.jobs, at_once.memory, at_once.base + at_once.task) as client:
         yield Cluster(client, recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"])))

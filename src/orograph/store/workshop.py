@@ -24,6 +24,7 @@ from orograph.folders import cache_folder
 from orograph.processes import host
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
 from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Stage
 from orograph.store.layout import PARTS, TABLES_AND_VALID, table_spec
@@ -39,13 +40,15 @@ class Recipe(NamedTuple):
 
     Attributes:
         url: where the store is made. storage_options: for the fsspec file system.
-        plan: of the build. begun: it, as it lies in the storage. files, options: of the source (``Mosaic.open``).
+        plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
+        files, options: of the source (``Mosaic.open``).
         levels: of the groups of heights; 0: none. memory: bytes a task may take, besides ``base`` of the process.
     """
 
     url: str
     storage_options: dict[str, Any] | None
     plan: dict[str, Any]
+    coding: Coding | None
     begun: bytes
     files: list[str]
     options: dict[str, Any]
@@ -55,8 +58,8 @@ class Recipe(NamedTuple):
 
 
 def recipe_of(
-    raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any], begun: bytes,
-    memory: int, base: int,
+    raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
+    coding: Coding | None, begun: bytes, memory: int, base: int,
 ) -> Recipe:  # fmt: skip
     """The recipe of a build without groups.
 
@@ -74,7 +77,7 @@ def recipe_of(
     files, options = said
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
     url = str(storage.path.absolute()) if isinstance(storage, FolderStorage) else storage.url
-    return Recipe(url, storage_options, plan, begun, here, options, 0, memory, base)
+    return Recipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)
 
 
 KNOWN = f"{PARTS}/digests.json"
@@ -130,17 +133,18 @@ def _heights(shop: Shop, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.groups import Groups
     from orograph.store.pyramid import Finest, Pyramid
 
-    finest = Finest(shop.raster(), writer, *shop.sizes)
+    finest = Finest(shop.raster(), writer, *shop.sizes, shop.recipe.coding)
     if shop.recipe.levels:
         return Groups(finest, shop.recipe.levels)
-    return Pyramid(shop.raster(), writer, *shop.sizes)
+    return Pyramid(finest)
 
 
 def _source(shop: Shop, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.resampling import Look
 
     raster: Any = shop.raster()
-    return Look(number, raster.resampled_from, raster.grid, writer, shop.sizes, shop.plan["keep_source"])
+    keep, coding = shop.plan["keep_source"], shop.recipe.coding
+    return Look(number, raster.resampled_from, raster.grid, writer, shop.sizes, keep, coding)
 
 
 def _errors(shop: Shop, writer: ShardWriter, number: int) -> Stage[Any]:
@@ -154,7 +158,7 @@ def _errors(shop: Shop, writer: ShardWriter, number: int) -> Stage[Any]:
         )
         for name, spec in specs.items()
     }
-    return Errors(grid, writer, *shop.sizes, TileTable(**tables), tuple(shop.plan["errors"]))
+    return Errors(grid, writer, *shop.sizes, TileTable(**tables), tuple(shop.plan["errors"]), shop.recipe.coding)
 
 
 _STAGES: dict[str, Callable[[Shop, ShardWriter, int], Stage[Any]]] = {

@@ -1,12 +1,13 @@
 """``orograph.info``: what a DEM or a store is, and what is suspicious about it, for people or (``--json``) programs.
 
-The keys are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
-affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
-dtype, nodata, vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a
-store has), colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its
-source was brought to another grid, metres: rms, largest, summit_loss, highest, highest_loss), keeps_source (whether the
-source's samples are in it), layers (those baked into it), parts (what of a store takes how many bytes), size_bytes,
-warnings. What is unknown or absent, and every number that is not finite, is null.
+The keys are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and affine), shape [rows,
+cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype, nodata,
+vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a store has),
+colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its source was
+brought to another grid, metres: rms, largest, summit_loss, highest, highest_loss), codec (how a store that is not
+lossless keeps its heights: name, step, max_error, and largest and rms, how far they are off, metres), keeps_source
+(whether the source's samples are in it), layers (those baked into it), parts (what of a store takes how many bytes),
+size_bytes, warnings. What is unknown or absent, and every number that is not finite, is null.
 """
 
 from __future__ import annotations
@@ -109,6 +110,7 @@ def _dem_facts(
             "errors": [],
             "colors": None,
             "resampled": None,
+            "codec": None,
             "keeps_source": None,
             "layers": [],
             "parts": None,
@@ -140,10 +142,12 @@ def _store_facts(path: str) -> Facts:
             "path": path,
             "errors": list(terrain.errors),
             "colors": COLORS.of(terrain.record) or None,
+            "codec": None if terrain.record.coding is None else terrain.record.coding.to_json(),
             "keeps_source": terrain.samples is not None,
             "parts": _parts(path, terrain.errors, tuple(terrain.layers)),
             "size_bytes": _size(path),
             "_resampled": terrain.resampled,
+            "_codec": terrain.record.coding,
             "_layers": LAYERS.of(terrain.record),
             "_format": "terrain store",
         })  # fmt: skip
@@ -172,6 +176,7 @@ def _terrain_facts(terrain: Terrain) -> Facts:
         "errors": [],
         "colors": None,
         "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
+        "codec": None,
         "keeps_source": None,
         "layers": list(terrain.layers),
         "parts": None,
@@ -211,6 +216,8 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
             parts["spheres" if kind == "radius" else f"{kind} errors"] = found
     if (folder / "tins").is_dir():
         parts["TINs"] = _files(folder / "tins")
+    if (folder / "chunked").is_dir():
+        parts["chunks"] = _files(folder / "chunked")
     if (folder / "colors").is_dir():
         parts["color errors"] = _files(folder / "colors")
     for name in layers:
@@ -258,6 +265,7 @@ def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: C
         if facts["_resampled"] is not None:
             kept = "its samples are kept" if facts["keeps_source"] else "its samples are not kept"
             line("source", f"resampled: {facts['_resampled']}; {kept}")
+        line("codec", str(facts["_codec"] or "lossless, float32"))
         line("errors", ", ".join(facts["errors"]) or "none (`orograph.build(..., errors=('exact',))`)")
         line("colors", _colors(facts["colors"]) or "none (`orograph.geovis.color_store.store_colors`)")
         line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (`orograph.bake`)")

@@ -22,6 +22,10 @@ from orograph.viewer.screen import TOO_SLOW, Draft, Screen
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from orograph.rendering.standing import Stood
     from orograph.viewer.window import Window
 
 RETRY = 2.0
@@ -41,6 +45,9 @@ class Drawer(Protocol):
         wait: bool = False, samples: int | None = None,
     ) -> Any:  # fmt: skip
         """Draw a scene into a texture's view; statistics."""
+
+    def depth(self) -> NDArray[np.float32]:
+        """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
 
     @property
     def busy(self) -> bool:
@@ -66,6 +73,7 @@ class Drawing:
         renderer: what draws; screen: the picture that it drew last.
         stats: what the last frame of the terrain told; drawn: how many frames of it were drawn.
         draft: how large the picture is in motion.
+        stood: what stands in the picture, or None.
         failed: when drawing failed, on ``time.perf_counter``'s clock; 0 while it does not.
     """
 
@@ -77,6 +85,9 @@ class Drawing:
         self.stats: Any = None
         self.drawn = 0
         self.failed = 0.0
+        self.stood: Stood | None = None
+        self._placed: tuple[Any, float, Any] | None = None
+        self._told_missing = False
         self._scene: tuple[Any, ...] | None = None
         self._resting = True
         self._slow = False
@@ -131,6 +142,7 @@ class Drawing:
             self.stats = self.renderer.draw(
                 self.screen.view, self.screen.format, scene, overlay=overlay, freeze=settings.frozen
             )  # fmt: skip
+            self._stand(scene)
             self._scene, self._resting = state, bool(self.renderer.resting)
             self.drawn += 1
             self._drawn_at = time.perf_counter()
@@ -182,7 +194,34 @@ class Drawing:
             self.screen.view, self.screen.format, scene, overlay=settings.overlay(), freeze=settings.frozen, wait=True,
             samples=samples,
         )  # fmt: skip
+        self._stand(scene)
         self._scene = None
+
+    def _stand(self, scene: Scene) -> None:
+        """Draw what stands over the picture: on its depth, as in pictures."""
+        self.stood, things = None, scene.theme.things
+        if things is None:
+            return
+        from orograph.rendering.standing import places, stand
+
+        stretch = scene.surface.exaggeration
+        if self._placed is None or self._placed[0] is not things or self._placed[1] != stretch:
+            self._placed = things, stretch, places(things, scene)
+        self.stood = stand(things, self.screen.pixels(), self.renderer.depth(), scene, self._placed[2])
+        self.screen.write(self.stood.pixels)
+        if self.stood.missing and not self._told_missing:
+            self._told_missing = True
+            told = f"{self.stood.missing} place(s) of the data have no ground: nothing stands there."
+            self.window.session.messages.say(told)
+
+    def thing_at(self, x: float, y: float) -> int:
+        """The thing that is seen at a pixel of the view, −1 where it is none."""
+        if self.stood is None:
+            return -1
+        rows, cols = self.stood.which.shape
+        view = self.window.session.view
+        i, j = int(y * rows / view.height), int(x * cols / view.width)
+        return int(self.stood.which[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
 
     def _fail(self, error: Exception, now: float) -> None:
         """A frame could not be drawn: say so, and try to get a device again if it was lost."""
@@ -205,6 +244,7 @@ class Drawing:
         if not self.coming:
             self.renderer.close()
         self.renderer, self.stats, self._scene, self._resting, self.failed = renderer, None, None, False, 0.0
+        self.stood = self._placed = None
         self._trouble = self._making = ""
         for said in (UNREAD, UNDRAWN):
             self.window.session.messages.drop(said)

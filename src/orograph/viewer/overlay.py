@@ -143,6 +143,7 @@ def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
         parts.append(f"{hit.height:.1f} m" + (f" ({about(hit.height_error)})" if hit.height_error is not None else ""))
     if hit.slope is not None:
         parts.append(f"slope {hit.slope:.0f}°")
+    parts += [one.words for one in window.found()]
     lines = ["    ".join(parts)]
     left, _, area, _ = window.area
     if imgui.calc_text_size(lines[0]).x > area - 2 * BESIDE:  # one line would lie over scale and colours

@@ -11,6 +11,9 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from orograph.gpu.device import Device, open_device
 from orograph.store.terrain import Terrain
 
@@ -49,6 +52,10 @@ class Coming:
     def draw(self, *args: Any, **kwargs: Any) -> Any:
         """There is nothing to draw with yet."""
         raise RuntimeError("The GPU was lost, and the new device is not ready yet.")
+
+    def depth(self) -> NDArray[np.float32]:
+        """There is no frame."""
+        raise RuntimeError("lost: a new device is being opened")
 
     def close(self) -> None:
         """Have what is made let go of."""

@@ -44,7 +44,7 @@ class Screen:
             return False
         self._before = None if self.texture is None else (self.texture, self.view, self._binding)
         self.texture = self.device.texture(
-            (width, height), self.format, "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC", label="terrain"
+            (width, height), self.format, "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC|COPY_DST", label="terrain"
         )
         self.view = self.texture.create_view()
         self._binding = self._program.bind({"picture": self.view, "filtering": self._sampler})
@@ -75,6 +75,15 @@ class Screen:
     def pixels(self) -> NDArray[np.uint8]:
         """The picture as it was drawn last: (height, width, 3), sRGB."""
         return self.read(self.texture)
+
+    def write(self, pixels: NDArray[np.uint8]) -> None:
+        """Put a picture (height, width, 3), sRGB, in the place of what was drawn."""
+        height, width = pixels.shape[:2]
+        data = np.full((height, width, 4), 255, np.uint8)
+        data[..., :3] = pixels[..., ::-1] if self.format.startswith("bgra") else pixels
+        self.device.queue.write_texture(
+            {"texture": self.texture}, data, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)
+        )
 
     def read(self, texture: Any) -> NDArray[np.uint8]:
         """What a texture of the canvas's format holds: (height, width, 3), sRGB."""

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
+from orograph.geovis.data.priority import Priority
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
@@ -22,6 +23,7 @@ from orograph.scene.parts import OPTIONS, SHINING, check_options
 from orograph.scene.scene import Scene
 from orograph.scene.theming import themed
 from orograph.store.terrain import Terrain
+from orograph.viewer.data import ShownData
 from orograph.viewpoint import View
 
 DEFAULT_TOLERANCE = 1.0
@@ -29,6 +31,8 @@ DAY = 86_400.0
 HAZE = 1.5
 PAINTED = (1920, 1080)
 """Pixels of a window that painted data suit."""
+THEMED = ("layers", "data", "priority")
+"""Options that a theme is made of."""
 PLAY = 3600.0
 """Seconds of the sun's time in a second, while a day is played."""
 
@@ -136,6 +140,7 @@ class Settings:
             darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         method: as in ``Scene``; "auto": patches, the window's own.
+        shown: data, what comes first of them, and their times; None: there are none.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
 
@@ -151,6 +156,9 @@ class Settings:
         self.occlusion = 0.0
         self.normals: Normals = "computed"
         self.frozen: View | None = None
+        self.shown: ShownData | None = None
+        self._own: tuple[Layer, ...] = ()
+        self._replaced: dict[str, tuple[Any, Any]] = {}
         self.panels = self.furniture = True
         own = {"sun", *vars(self)}
         self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
@@ -159,20 +167,54 @@ class Settings:
         for name, value in options.items():
             made = OPTIONS[name].given
             setattr(self, name, value if made is None else made(value, terrain))
-        self._set_theme(terrain)
         self.options["layers"] = list(self.options["layers"])
+        data, first = self.options["data"], self.options["priority"]
+        self.options |= {"data": (), "priority": None}
+        if data or first is not None:
+            self.shown = ShownData(data, first or Priority(data=True))
+            self.show(terrain)
         if options.get("normals") == "auto":
             self.normals = "computed"
 
-    def _set_theme(self, terrain: Terrain) -> None:
-        """Carry a theme out, once: its data become layers."""
-        made, things = themed(self.options, terrain, PAINTED)
-        if things is not None:
-            raise UsageError(
-                "Things that stand on the ground are drawn in pictures and films only.",
-                remedy="Choose another style of data for the window, or use orograph render.",
-            )
-        self.options = {**made, "data": (), "priority": None}
+    def show(self, terrain: Terrain, priority: Priority | None = None, time: str | None = None) -> None:
+        """Carry the theme out: data become layers and what stands. What a priority set before, and nobody since, is as
+        it was without one; the data's layers keep their opacity, place and visibility.
+
+        Args:
+            priority, time: the new ones; None: as they are.
+
+        Raises:
+            UsageError: there is no such time. Others: as ``scene.theming.themed``; all stays as it was.
+        """
+        shown = self.shown
+        if shown is None:
+            return
+        before = shown.priority, shown.time
+        try:
+            shown.priority = priority or shown.priority
+            shown.choose(shown.time if time is None else time)
+            own = {layer.path: k for k, layer in enumerate(self._own)}
+            held = {own[one.path]: (at, one) for at, one in enumerate(self.layers) if one.path in own}
+            base = dict(self.options)
+            base["layers"] = [one for one in self.layers if one.path not in own]
+            for name, (old, new) in self._replaced.items():
+                if base[name] is new:
+                    base[name] = old
+            theme = themed({**base, "data": shown.current(terrain), "priority": shown.priority}, terrain, PAINTED)
+        except Exception:
+            shown.priority, shown.time = before
+            raise
+        stack: list[Layer] = base["layers"]
+        self._own = theme.options["layers"][len(stack) :]
+        for k, layer in enumerate(self._own):
+            at, old = held.get(k, (len(stack), None))
+            if old is not None:
+                layer = replace(layer, opacity=old.opacity, visible=old.visible, blend=old.blend, held=layer.held)
+            stack.insert(at, layer)
+        changed = {name: value for name, value in theme.options.items() if name in base and name not in THEMED}
+        self._replaced = {name: (base[name], new) for name, new in changed.items() if new is not base[name]}
+        shown.painted, shown.things = theme.painted, theme.things
+        self.options = {**base, **changed, "layers": stack}
 
     def __getattr__(self, name: str) -> Any:
         if name == "options" or name not in self.options:
@@ -199,7 +241,9 @@ class Settings:
         changed = {"sun": self.sun.sun(terrain), "layers": self.stack, "contours": lines, "depths": depths}
         if self.light not in SHINING:
             changed |= {"lamps": (), "discs": ()}
-        return Scene.of(terrain, view, **{**self.options, **changed})
+        scene = Scene.of(terrain, view, **{**self.options, **changed})
+        things = None if self.shown is None else self.shown.things
+        return scene if things is None else replace(scene, theme=replace(scene.theme, things=things))
 
     def renew(self, terrain: Terrain, before: Grid) -> list[str]:
         """The terrain is another one: what does not stay of what was set over the grid ``before``."""
@@ -208,6 +252,7 @@ class Settings:
         if self.sun.place is None and self.sun.mode == "moment":
             self.sun.mode, self.sun.playing = "placed", False
         self.frozen = self.painted = None
+        self.show(terrain)
         if self.options["lamps"] and before.crs != terrain.grid.crs:
             self.options["lamps"] = ()
             return ["lamps, which stood at places of another CRS"]

@@ -19,7 +19,8 @@ from traitlets import Any as Anything
 from traitlets import Float as Number
 from traitlets import HasTraits, Instance, TraitError, Tuple, Unicode, observe, validate
 
-from orograph.errors import UsageError
+from orograph.errors import OrographError, UsageError
+from orograph.geovis.data.priority import Priority
 from orograph.geovis.layers import layers_of
 from orograph.scene.parts import Light, check_exaggeration
 from orograph.viewer.results import KINDS
@@ -39,6 +40,9 @@ class Widget(HasTraits):
         azimuth, altitude: degrees, where the sun is placed; of a moment, where it is then. Setting one places the sun.
         light: "relief", "ao", "aperture", "raytraced" or "none".
         layers: over the ground, bottom to top, as ``orograph.render`` takes them.
+        priority: of terrain, data and uncertainty, "T+D+U-"; "" without data.
+        time: of a series, "2019-03-01T12:00"; "": as the data were given.
+        found: what data say under the pointer, each (name, value, sigma, unit).
         measure: what clicks measure: "pick", "profile"…; "" while they do not.
         picked: the points that were clicked, each (easting, northing, height); set them to have them measured.
         measured: what they measure (``orograph.measure``), or None.
@@ -50,6 +54,9 @@ class Widget(HasTraits):
     altitude = Number(45.0)
     light = Unicode("relief")
     layers = Anything(())
+    priority = Unicode("")
+    time = Unicode("")
+    found = Tuple(read_only=True)
     measure = Unicode("")
     picked = Tuple()
     measured = Anything(None, allow_none=True, read_only=True)
@@ -102,6 +109,11 @@ class Widget(HasTraits):
         self.camera, self.exaggeration, self.light = session.view, settings.exaggeration, settings.light
         self.azimuth, self.altitude = float(sun.azimuth), float(sun.altitude)
         self.layers = tuple(settings.layers)
+        shown = settings.shown
+        self.priority, self.time = ("", "") if shown is None else (str(shown.priority), shown.time)
+        found = tuple((one.name, one.value, one.sigma, one.unit) for one in self.window.found())
+        if self.found != found:
+            self.set_trait("found", found)
         self.measure = tools.kind if tools.active else ""
         self.picked = tuple(tuple(point) for point in tools.points)
         if self.measured is not tools.result:
@@ -122,6 +134,23 @@ class Widget(HasTraits):
             return CHECKS[name](value)
         except UsageError as error:
             raise TraitError(str(error)) from error
+
+    @validate("priority", "time")
+    def _of_data(self, proposal: Any) -> str:
+        """Shown at once: whether there are such data is known only then."""
+        name, value = proposal["trait"].name, str(proposal["value"])
+        session = self.window.session
+        shown = session.settings.shown
+        if self._telling or (shown is None and not value):
+            return value
+        try:
+            if shown is None:
+                raise UsageError("There are no data.")
+            session.settings.show(session.terrain, **{name: Priority.parse(value) if name == "priority" else value})
+        except OrographError as error:
+            raise TraitError(str(error)) from error
+        self.window.refresh()
+        return str(shown.priority) if name == "priority" else value
 
     @observe("camera", "exaggeration", "azimuth", "altitude", "light", "layers", "measure", "picked")
     def _set(self, change: Any) -> None:

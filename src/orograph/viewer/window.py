@@ -19,6 +19,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.store.terrain import Terrain
 from orograph.viewer import overlay, panels
 from orograph.viewer.cover import Cover
+from orograph.viewer.data import Found
 from orograph.viewer.drawing import Drawer, Drawing
 from orograph.viewer.events import Events
 from orograph.viewer.opening import Opened, open_canvas
@@ -145,6 +146,14 @@ class Window:
             ),
         )
         return found
+
+    def found(self) -> tuple[Found, ...]:
+        """What data say under the pointer: of the thing that is seen there, then of what is painted on the ground."""
+        shown, hit = self.session.settings.shown, self.session.probe.hit
+        if shown is None or self.pointer is None:
+            return ()
+        thing = shown.of_thing(self.drawing.thing_at(*self.pointer))
+        return thing if hit is None else (*thing, *shown.at(hit.easting, hit.northing))
 
     def cached(self, key: Any, make: Callable[[], Any]) -> Any:
         """What ``make`` gives, made once for a key; the last of each kind (the key's first part) is kept."""

@@ -61,6 +61,7 @@ def views() -> dict[str, View]:
         "restricted-quadtree",
         "seamless-patches",
         "cdlod",
+        "chunked-lod,cells=16",
         "bdam",
         "clipmap,n=63",
     ],

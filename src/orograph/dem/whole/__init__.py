@@ -5,19 +5,21 @@ was in memory. ``check_file`` looks at those formats when a file is first opened
 was changed; ``check_blocks`` at the blocks of a GeoTIFF as they are read. Which formats need it was found by cutting
 and altering files of every driver (``tests/dem/test_mutants.py``):
 
-- GeoTIFF: streams that do not fill their block, or yield more than it holds (``blocks``); blocks that overlap, bytes
-  that were put in, a mask behind a link that leads nowhere (``tiff``).
+- GeoTIFF: streams that do not fill their block, or yield more than it holds, JPEG that libjpeg only warns of
+  (``blocks``); blocks that overlap, bytes that were put in, a mask that nothing leads to (``tiff``).
 - Raw samples: sizes that differ from what the header promises (``sizes``, ``labels``, ``ilwis``); headers of text with
   words that are damaged, numbers that are none, or contradictions (``header_text``).
 - PNG: a file that ends early is padded with uninitialised memory (``png``).
 - HFA (.img), classic netCDF: blocks beyond the end of the file are uninitialised or 0 (``hfa``, ``netcdf``).
 - JPEG 2000, MRF: tiles that are lost or do not decode are uninitialised memory (``jp2``, ``mrf``).
 - GeoPackage, MBTiles: tiles that do not decode are 0; HDF5: bytes too many (``containers``).
+- USGS DEMs: profiles that contradict what they say of themselves (``usgs``).
 - GRIB 2: packed pictures whose checksums differ (``grib``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
 - Archives: what is read on where their checksums differ (``files``).
-- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without.
+- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without; a CRS (.prj) that was
+  cut short.
 - GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
@@ -26,6 +28,7 @@ Formats without checksums (raw samples, LZW…) cannot tell an altered number fr
 from __future__ import annotations
 
 import os
+import re
 import threading
 import xml.etree.ElementTree as ET
 from collections import OrderedDict
@@ -47,9 +50,11 @@ from orograph.dem.whole import (
     mrf,
     netcdf,
     png,
+    raw,
     sizes,
     text,
     tiff,
+    usgs,
 )
 from orograph.dem.whole.files import (
     DAMAGED,
@@ -62,7 +67,7 @@ from orograph.dem.whole.files import (
     on_disk,
     stream,
 )
-from orograph.dem.whole.virtual import Part, check_parts
+from orograph.dem.whole.virtual import Part, Place, check_parts
 from orograph.errors import ReadError
 
 Window = tuple[int, int, int, int]
@@ -104,6 +109,17 @@ def _refuse_lost_notes(dataset: Any) -> None:
             f"What was noted beside the raster cannot be understood ({error}).", path=notes,
             remedy="Restore it from a copy, or remove it if the raster needs none.",
         ) from None  # fmt: skip
+
+
+def _refuse_cut_crs(dataset: Any) -> None:
+    """GDAL makes some other CRS of what is left of one that lies beside a raster (.prj) and was cut short."""
+    for name in files_listed(dataset):
+        file = Path(name)
+        if file.suffix.lower() != ".prj" or not file.is_file():
+            continue
+        text = re.sub(r'"[^"]*"', "", file.read_text("latin-1"))
+        if re.match(r"\s*[A-Z_]+\s*[\[(]", text) and any(text.count(a) != text.count(b) for a, b in ("[]", "()")):
+            raise ReadError("The CRS beside the raster is cut short or damaged.", path=file, remedy=DAMAGED)
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -162,8 +178,26 @@ _CHECKS: dict[str, Check] = {
     "LAN": sizes.behind(128),
     "ELAS": sizes.elas,
     "Terragen": sizes.terragen,
-    "FIT": sizes.fit,
-    "R": sizes.rdata,
+    "FIT": raw.fit,
+    "R": _checks(sizes.rdata, text.r_numbers),
+    "BYN": sizes.behind(80),
+    "Leveller": raw.leveller,
+    "LCP": raw.landscape,
+    "NGSGEOID": raw.geoid,
+    "USGSDEM": usgs.fault,
+    "EIR": _checks(header_text.check("EIR"), raw.eir),
+    "GenBin": _checks(header_text.check("GenBin"), sizes.behind(0)),
+    "ROI_PAC": _checks(header_text.check("ROI_PAC"), raw.roi_pac),
+    "PNM": raw.pnm,
+    "RMF": raw.rmf,
+    "WEBP": raw.webp,
+    "GIF": raw.gif,
+    "BIGGIF": raw.gif,
+    "XPM": raw.xpm,
+    "PDS": raw.pds3,
+    "ISIS2": raw.isis2,
+    "ISG": text.isg,
+    "ZMap": text.zmap,
     "Zarr": sizes.zarr,
     "GRIB": grib.fault,
     "ISIS3": labels.isis,
@@ -189,7 +223,7 @@ def fault_before(location: str) -> str | None:
     if archived(location) or not path.is_file():
         return None
     try:
-        return netcdf.fault_before(str(path))
+        return netcdf.fault_before(str(path)) or jp2.fault_before(str(path))
     except OSError:
         return None  # GDAL says why it cannot be opened
 
@@ -207,6 +241,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         return
     check_packed(dataset)
     _refuse_lost_notes(dataset)
+    _refuse_cut_crs(dataset)
     _refuse_lost_mask(dataset)
     if dataset.driver == "GTI":
         _refuse_index(location)
@@ -260,7 +295,7 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
         lend: opens the files of which a VRT is made.
     """
     if dataset.driver == "VRT":
-        check_parts(dataset, key, window, partial(_check_part, lend))
+        check_parts(dataset, key, window, partial(_check_part, lend), partial(_place_of, lend))
     else:
         _check_layout(dataset, key)
         blocks.check_blocks(dataset, key, band, window, step)
@@ -273,7 +308,7 @@ def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
     if dataset.driver not in ("GTiff", "VRT") or not here(name):
         return
     if dataset.driver == "VRT":
-        check_parts(dataset, key, window, partial(_check_part, lend), mask=True)
+        check_parts(dataset, key, window, partial(_check_part, lend), partial(_place_of, lend), mask=True)
         return
     beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
     location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
@@ -307,6 +342,12 @@ def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
                     path=part.location, remedy="Make the VRT again (gdalbuildvrt), or restore the file from a copy.",
                 )  # fmt: skip
     _check_window(lend, part.location, part.band, window, part.by_mask)
+
+
+def _place_of(lend: Lend, part: Part) -> Place:
+    """Where the file of a part says that it lies."""
+    with lend(part.location) as (dataset, _):
+        return dataset.transform, dataset.crs
 
 
 def _check_window(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:

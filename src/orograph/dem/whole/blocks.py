@@ -10,6 +10,7 @@ it is, and repeat its last bytes behind it: these are compared whatever the code
 from __future__ import annotations
 
 import threading
+import warnings
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -18,7 +19,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from orograph.dem.whole.files import DAMAGED, archived, main_file, stream
+from orograph.dem.whole.files import DAMAGED, OPENING, archived, main_file, stream
 from orograph.dem.whole.kernels import lzw_length, packed_length
 from orograph.errors import ReadError
 
@@ -40,7 +41,7 @@ def check_blocks(dataset: Any, key: object, band: int, window: tuple[int, int, i
     if dataset.driver != "GTiff" or archived(name) or not Path(name).is_file():
         return
     codec, guarded = _compression(dataset), _guarded(dataset)
-    if codec not in CODECS and not guarded:
+    if codec not in CODECS and not codec.endswith("JPEG") and not guarded:
         return
     top, left, height, width = window
     high, wide = dataset.block_shapes[band - 1]
@@ -66,7 +67,7 @@ def _block_rows(top: int, height: int, high: int, step: int) -> Iterable[int]:
 def check_archived(dataset: Any) -> None:
     """Raise ReadError if any block of a GeoTIFF in an archive is damaged: all at once, in the order of the file."""
     codec, guarded = _compression(dataset), _guarded(dataset)
-    if codec not in CODECS and not guarded:
+    if codec not in CODECS and not codec.endswith("JPEG") and not guarded:
         return
     high, wide = dataset.block_shapes[0]
     blocks = [
@@ -126,7 +127,9 @@ def _check(dataset: Any, file: IO[bytes], band: int, row: int, col: int, codec: 
         before, data, after = data[:4], data[4:-4], data[-4:]
         if int.from_bytes(before, "little") != place[1] or after != data[-4:]:
             cause = "what stands before and behind it to guard it does not fit it"
-    if cause is None and codec in CODECS:
+    if cause is None and codec.endswith("JPEG"):
+        cause = _jpeg(dataset, data, band)
+    elif cause is None and codec in CODECS:
         least, most = _bytes_held(dataset, band, row)
         cause = CODECS[codec](data, least, most)
     if cause is not None:
@@ -145,7 +148,7 @@ def _deflate(data: bytes, least: int, most: int) -> str | None:
         made = len(inflate.decompress(data))
     except zlib.error:
         made = -1
-    return None if inflate.eof and made >= least else "its Deflate stream is damaged"
+    return None if inflate.eof and made in (least, most) else "its Deflate stream is damaged"
 
 
 def _lzw(data: bytes, least: int, most: int) -> str | None:
@@ -169,6 +172,27 @@ def _zstandard(data: bytes, least: int, most: int) -> str | None:
     except (RuntimeError, ValueError):
         made = -1
     return None if made in (least, most) else "its Zstandard frame is damaged"
+
+
+def _jpeg(dataset: Any, data: bytes, band: int) -> str | None:
+    """What is wrong with a block of JPEG, whose tables stand once for all: libtiff goes on where libjpeg warns, so the
+    block is decoded as a file of its own, of which GDAL is told to take warnings for errors (``handles``)."""
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.io import MemoryFile
+
+    if dataset.dtypes[band - 1] != "uint8":
+        return None  # of 12 bits, which GDAL's JPEG files may not have
+    tables = bytes.fromhex(dataset.get_tag_item("JPEGTABLES", "TIFF", bidx=band) or "")
+    whole = tables[:-2] + data[2:] if tables else data
+    try:
+        with OPENING, warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with MemoryFile(whole, ext=".jpg") as file, file.open(driver="JPEG") as block:
+                block.read()
+                wide = block.width
+    except (RasterioError, OSError, ValueError):
+        wide = 0
+    return None if wide == dataset.block_shapes[band - 1][1] else "its JPEG stream is damaged"
 
 
 def _frame_end(data: bytes) -> int:

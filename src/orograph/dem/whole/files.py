@@ -7,6 +7,7 @@ import re
 import shutil
 import tarfile
 import tempfile
+import threading
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from typing import IO, Any
 from orograph.errors import ReadError
 
 DAMAGED = "The file is damaged or was cut short: fetch it again, or restore it from a copy."
+
+OPENING = threading.Lock()  # catch_warnings is not safe in threads: it may leave another's filters behind
 
 _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 """Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""

@@ -16,6 +16,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\Z")
 _WHOLE = re.compile(r"\d+\Z")
 
@@ -109,6 +112,28 @@ FORMS = {
         (("", "RawDefinition", "ChanDefinition-1"), ("UpLeftX", "UpLeftY", "LoRightX", "LoRightY")),
         (("UpLeftX", "LoRightX"), ("LoRightY", "UpLeftY")),
         ("RawDefinition", "ChanDefinition-1", "AuxilaryTarget"),
+    ),
+    "EIR": Form(
+        ("",), None, ("WIDTH", "HEIGHT", "NUM_LAYERS", "DATA_OFFSET"), (),
+        {"FORMAT": ("BIL", "BIP", "BSQ"), "BYTE_ORDER": ("LSB", "MSB", "NA"),
+         "DATATYPE": ("U1", "U2", "U4", "U8", "U16", "U32", "S16", "S32", "F32", "F64")},
+        (("", "WIDTH", "HEIGHT", "DATATYPE", "BYTE_ORDER"),), other=("PIXEL_FILES",),
+    ),
+    "GenBin": Form(
+        (".hdr", ".HDR"), ":", ("ROWS", "COLS", "BANDS"),
+        ("UL_X_COORDINATE", "UL_Y_COORDINATE", "LR_X_COORDINATE", "LR_Y_COORDINATE"),
+        {"INTERLEAVING": ("BIL", "BIP", "BSQ"), "BYTE_ORDER": ("LSB", "MSB", "NA"),
+         "DATATYPE": ("U1", "U2", "U4", "U8", "U16", "U32", "S8", "S16", "S32", "F32", "F64")},
+        (("", "ROWS", "COLS", "BANDS", "DATATYPE", "BYTE_ORDER"),
+         ("UL_X_COORDINATE", "UL_Y_COORDINATE", "LR_X_COORDINATE", "LR_Y_COORDINATE")),
+        (("UL_X_COORDINATE", "LR_X_COORDINATE"), ("LR_Y_COORDINATE", "UL_Y_COORDINATE")),
+        ("PROJECTION_NAME", "PROJECTION_ZONE", "DATUM_NAME"),
+    ),
+    "ROI_PAC": Form(
+        ("+.rsc",), None, ("WIDTH", "FILE_LENGTH"),
+        ("X_FIRST", "X_STEP", "Y_FIRST", "Y_STEP", "Z_OFFSET", "Z_SCALE"), {},
+        (("", "WIDTH", "FILE_LENGTH"), ("X_FIRST", "X_STEP", "Y_FIRST", "Y_STEP")),
+        other=("PROJECTION", "DATUM", "X_UNIT", "Y_UNIT"),
     ),
     "MFF": Form(
         ("",), "=", ("IMAGE_LINES", "LINE_SAMPLES"), _MFF_CORNERS, {"BYTE_ORDER": ("LSB", "MSB")},
@@ -234,3 +259,31 @@ def _nearly(a: str, b: str) -> bool:
         return len(changed) == 1 and not (changed[0][0].isdigit() and changed[0][1].isdigit())
     short, long = sorted((a, b), key=len)
     return any(long[:i] + long[i + 1 :] == short for i in range(len(long)))
+
+
+_ROWS, _PLAUSIBLE, _GREATEST = 16, (1e-6, 1e6), 1e8
+
+
+def kind_fault(dataset: Any, said: dict[str, str]) -> str | None:
+    """A header of numbers of 32 bits that does not call them floating, which they clearly are; one of a corner and no
+    step, for which GDAL takes 1."""
+    if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
+        return "Its header does not say what its 'CELLSIZE' is."
+    if np.dtype(dataset.dtypes[0]).itemsize != 4:
+        return None
+    first = dataset.read(1, window=((0, min(_ROWS, dataset.height)), (0, dataset.width)))
+    words = np.ascontiguousarray(first).view(np.uint32).reshape(-1)  # (as GDAL reads them)
+    if first.dtype.kind == "f":
+        turned = not _floating(words) and _floating(words.byteswap())
+        return "Its numbers are in the other order of bytes than its header says ('BYTEORDER')." if turned else None
+    large = words[words > 0]
+    if "PIXELTYPE" in said or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
+        return None
+    return "Its header does not say that its numbers are floating ('PIXELTYPE FLOAT'), which they look like."
+
+
+def _floating(words: NDArray[np.uint32]) -> bool:
+    """Whether words of 32 bits are floating numbers such as heights are: nearly all, and not all 0."""
+    there = words[words > 0]
+    values = np.abs(there.view(np.float32))
+    return bool(there.size) and float(((values > _PLAUSIBLE[0]) & (values < _PLAUSIBLE[1])).mean()) > 0.5

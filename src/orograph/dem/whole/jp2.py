@@ -15,6 +15,39 @@ from typing import IO, Any
 _SIZ, _SOT, _END = b"\xff\x51", b"\xff\x90", b"\xff\xd9"
 
 
+_FIRST = b"\x00\x00\x00\x0cjP  "
+_NESTS = (b"jp2h", b"asoc", b"res ", b"uinf")
+
+
+def fault_before(path: str) -> str | None:
+    """What is wrong with the boxes of a file that GDAL has not opened yet: one within another whose length cannot be
+    keeps GDAL busy for ever. None: nothing, or it is no JPEG 2000."""
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        if file.read(8) != _FIRST:
+            return None
+        waiting = [(0, size, True)]
+        while waiting:
+            at, end, outer = waiting.pop()
+            while at + 8 <= end:
+                file.seek(at)
+                head = file.read(16)
+                length, kind = struct.unpack(">I4s", head[:8])
+                begin = at + (16 if length == 1 else 8)
+                if length == 1 and len(head) == 16:
+                    (length,) = struct.unpack(">Q", head[8:])
+                if length == 0 and outer:
+                    break
+                if not outer and not begin <= at + length <= end:
+                    return f"Its box {kind.decode('latin-1')!r} at byte {at:,} has a length that it cannot have."
+                if not begin <= at + length <= end:
+                    break  # it is cut short, which is found when it is open
+                if kind in _NESTS:
+                    waiting.append((begin, at + length, False))
+                at += length
+    return None
+
+
 def fault(dataset: Any, path: str) -> str | None:
     """What is wrong with a JPEG 2000 file, a sentence; None: nothing."""
     size = Path(path).stat().st_size

@@ -43,8 +43,8 @@ def fault(dataset: Any, path: str) -> str | None:
         file.seek(max(end, size - 65536))
         padded = size in (end, -(-end // 4) * 4) or (size % 128 == 0 and not any(file.read()))
         behind = not header.streaming and not padded
-    if size < end:
-        return f"It ends after {size:,} of the {end:,} bytes that its header promises."
+    if size < max(end, header.filled):
+        return f"It ends after {size:,} of the {max(end, header.filled):,} bytes that its header promises."
     if behind:
         return f"It has {size:,} bytes where its header promises {end:,}: the one or the other is damaged."
     return None
@@ -59,6 +59,7 @@ class _Header:
         self.count = ">q" if version == 5 else ">I"
         self.offset = ">I" if version == 1 else ">q"
         self.streaming = False
+        self.filled = 0  # where the last variable without records ends, filled up to four bytes
 
     def end(self) -> int:
         """The byte at which the last variable ends."""
@@ -81,6 +82,7 @@ class _Header:
                 begins.append((begin, size))
             else:
                 plain = max(plain, begin + size)
+                self.filled = max(self.filled, begin + -(-size // 4) * 4)
         if not begins or self.streaming:
             return plain
         per_record = sum(-(-s // 4) * 4 for _, s in begins) if len(begins) > 1 else begins[0][1]

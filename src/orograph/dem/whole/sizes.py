@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from orograph.dem.whole.header_text import pairs
+from orograph.dem.whole.header_text import kind_fault, pairs
 
 _BLOCK = 128
 _TAIL = 1 << 16
@@ -95,7 +95,7 @@ def ehdr(dataset: Any, path: str) -> str | None:
     if header is None:
         return None
     said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
-    if fault := _row_fault(said, dataset.width, dataset.count):
+    if fault := _row_fault(said, dataset.width, dataset.count) or kind_fault(dataset, said):
         return fault
     bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
     rows, bands = dataset.height, dataset.count
@@ -250,12 +250,6 @@ def bmp(dataset: Any, path: str) -> str | None:
     return exact(path, said) if said else None
 
 
-def fit(dataset: Any, path: str) -> str | None:
-    """FIT: GDAL gives other samples than there are where the last page is not full."""
-    high, wide = dataset.block_shapes[0]
-    return "Its last page is not full, which GDAL misreads." if dataset.height % high or dataset.width % wide else None
-
-
 def elas(dataset: Any, path: str) -> str | None:
     """ELAS: the header says how many bytes it has itself, and how many a record, of which each row has one."""
     with Path(path).open("rb") as file:
@@ -282,7 +276,7 @@ def zarr(dataset: Any, path: str) -> str | None:
     those are that are not."""
     header = next((p for name in dataset.files if (p := Path(str(name))).name == ".zarray" and p.is_file()), None)
     if header is None:
-        return None
+        return _zarr3(dataset)
     said = json.loads(header.read_bytes())
     counts = [-(-size // chunk) for size, chunk in zip(said["shape"], said["chunks"], strict=True)]
     wanted = math.prod(said["chunks"]) * np.dtype(said["dtype"]).itemsize
@@ -295,6 +289,22 @@ def zarr(dataset: Any, path: str) -> str | None:
                 return f"Its chunk {chunk.name} is not there, and nothing says what it would hold."
         elif said.get("compressor") is None and not said.get("filters") and chunk.stat().st_size != wanted:
             return f"Its chunk {chunk.name} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
+    return None
+
+
+def _zarr3(dataset: Any) -> str | None:
+    """Zarr, version 3: chunks that are plain bytes have the size that they must."""
+    for header in (Path(str(file)) for file in dataset.files):
+        said = json.loads(header.read_bytes()) if header.name == "zarr.json" and header.is_file() else {}
+        shape = said.get("chunk_grid", {}).get("configuration", {}).get("chunk_shape")
+        if shape is None or [codec.get("name") for codec in said.get("codecs", ())] not in ([], ["bytes"], ["endian"]):
+            continue
+        wanted = math.prod(shape) * np.dtype(said["data_type"]).itemsize
+        for chunk in sorted((header.parent / "c").rglob("*"))[:_CHUNKS]:
+            if chunk.is_file() and chunk.stat().st_size != wanted:
+                return (
+                    f"Its chunk {chunk.relative_to(header.parent)} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
+                )
     return None
 
 
@@ -334,11 +344,20 @@ def pcidsk(dataset: Any, path: str) -> str | None:
         if fault is not None:
             return fault
     wanted = int(blocks) * 512
-    if size % 512 and size > wanted:
+    if size % 512 and (size > wanted or _whole_blocks(dataset, path)):
         return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
     if size >= wanted or _tiled(path):
         return None
     return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+
+
+def _whole_blocks(dataset: Any, path: str) -> bool:
+    """Whether the samples of a PCIDSK file lie in tiles that are not compressed and of whole blocks of 512 bytes."""
+    rows, cols = dataset.block_shapes[0]
+    whole = all(rows * cols * np.dtype(kind).itemsize % 512 == 0 for kind in dataset.dtypes)
+    with Path(path).open("rb") as file:
+        head = file.read(1 << 20)
+    return whole and b"Block Tile Directory" in head and b"NONE" in head
 
 
 def _channels_fault(dataset: Any, path: str) -> str | None:

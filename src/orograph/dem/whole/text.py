@@ -9,6 +9,7 @@ Formats: Arc/Info and GRASS ASCII grids, Surfer ASCII grids (DSAA), columns of x
 from __future__ import annotations
 
 import re
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,6 +23,8 @@ REMEDY = "Write it again with plain numbers such as -1234.5, and missing heights
 
 _PIECE = 8 << 20
 _HEADER = 16384
+_TAIL = 4096
+_ENOUGH = 20  # numbers that tell how many decimals they have
 _LONGEST = 64  # bytes of a token that are shown
 _ARC = re.compile(
     rb"\s*(?:(?:ncols|nrows|xllcorner|yllcorner|xllcenter|yllcenter|cellsize|dx|dy|nodata_value)\s+\S+\s+)+", re.I
@@ -29,6 +32,8 @@ _ARC = re.compile(
 _GRASS = re.compile(rb"\s*(?:(?:north|south|east|west|rows|cols|null|type|multiplier):\s*\S+\s+)+", re.I)
 _SURFER = re.compile(rb"DSAA\s+(?:\S+\s+){8}")
 _GXF = re.compile(rb".*?^#GRID[ \t]*\r?\n", re.S | re.M)
+_ISG = re.compile(rb".*?^end_of_head[^\n]*\n", re.S | re.M)
+_ZMAP = re.compile(rb"(?:![^\n]*\n)*@[^\n]*\n[ \t]*(\d+)[^@]*?\n@[ \t]*\r?\n")
 _TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
 _FIELDS = re.compile(rb"[\s,;]+")
 _NEGATIVE = re.compile(rb"\s*[^\s,;]+[\s,;]+[^\s,;]+[\s,;]+-[0-9.]*[1-9]")
@@ -60,6 +65,55 @@ def gxf(dataset: Any, path: str) -> str | None:
     return _grid_fault(dataset, path, _GXF, False)
 
 
+def isg(dataset: Any, path: str) -> str | None:
+    """What is wrong with the grid of a geoid model as text (ISG), a sentence; None: nothing."""
+    return _grid_fault(dataset, path, _ISG, False)
+
+
+def zmap(dataset: Any, path: str) -> str | None:
+    """What is wrong with a ZMap Plus grid, whose numbers stand in fields of one width; a sentence; None: nothing."""
+    count = 0
+    with Path(path).open("rb") as file:
+        found = _ZMAP.match(file.read(_HEADER))
+        if found is None or not int(found[1]):
+            return "Its header is not understood."
+        wide = int(found[1])
+        file.seek(found.end())
+        for number, line in enumerate(file):
+            said = line.rstrip()
+            for field in (said[at : at + wide] for at in range(0, len(said), wide)):
+                if not _is_number(field):
+                    return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is no number."
+                count += 1
+    wanted = dataset.width * dataset.height
+    return None if count == wanted else f"It holds {count:,} numbers where its header promises {wanted:,}."
+
+
+def r_numbers(dataset: Any, path: str) -> str | None:
+    """What is wrong with the numbers of R's data as text, one in each line, a sentence; None: nothing, or none are."""
+    with Path(path).open("rb") as file:
+        if file.read(7) != b"RDA2\nA\n":
+            return None
+        lines = file.read().split(b"\n")
+    wanted = dataset.count * dataset.width * dataset.height
+    try:
+        begin = lines.index(b"%d" % wanted) + 1
+    except ValueError:
+        return "Its header is not understood."
+    odd = next((i for i in range(begin, begin + wanted) if i >= len(lines) or not _is_number(lines[i])), None)
+    if odd is None and lines[begin + wanted : begin + wanted + 1] == [b"1026"]:
+        return None
+    return f"It does not hold {wanted:,} numbers, one in a line: what differs is line {(odd or begin + wanted) + 3:,}."
+
+
+def _is_number(token: bytes) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return token == b"NA"
+    return b"_" not in token
+
+
 def points(dataset: Any, path: str) -> str | None:
     """What is wrong with columns of x, y and height, a sentence; None: nothing."""
     with Path(path).open("rb") as file:
@@ -72,8 +126,13 @@ def points(dataset: Any, path: str) -> str | None:
         fault, count = _scanned(file, start, head.count(b"\n", 0, start), parting, True)
         if fault is not None:
             return fault
-        return _gap_fault(dataset, count // (_scanned(BytesIO(line), 0, 0, parting, True)[1] or 3)) or _column_fault(
-            dataset, file, start
+        columns = _scanned(BytesIO(line), 0, 0, parting, True)[1] or 3
+        if count % columns or count // columns > _lines(file, start):
+            return f"It holds {count:,} numbers, not {columns} in each line: lines were joined, or cut short."
+        return (
+            _gap_fault(dataset, count // columns)
+            or _column_fault(dataset, file, start)
+            or _shortened(file, start, columns)
         )
 
 
@@ -107,7 +166,7 @@ def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
     return None if lacks is None else f"Its header does not say where it lies ({lacks!r}…)."
 
 
-CHECKS = (arc, grass, surfer, points, gxf)
+CHECKS = (arc, grass, surfer, points, gxf, isg, zmap)
 
 
 def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool) -> str | None:
@@ -121,9 +180,33 @@ def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool)
         fault, count = _scanned(file, start, lines, b"", comma)
         wanted = dataset.width * dataset.height
         if fault is not None or count == wanted:
-            return fault
+            return fault or _shortened(file, start)
         odd = _odd_line(file, start, lines, dataset.width)
     return f"It holds {count:,} numbers where its header promises {wanted:,}: {odd}."
+
+
+def _lines(file: BinaryIO, start: int) -> int:
+    """How many lines there are from a byte on, the last of which may lack its end."""
+    file.seek(start)
+    lines, last = 0, b"\n"
+    for piece in iter(partial(file.read, _PIECE), b""):
+        lines, last = lines + piece.count(b"\n"), piece[-1:]
+    return lines + (last != b"\n")
+
+
+def _shortened(file: BinaryIO, start: int, columns: int = 1) -> str | None:
+    """A last number at the very end of a file that has fewer decimals than all before it in its column, which have as
+    many."""
+    size = file.seek(0, 2)
+    file.seek(max(start, size - _TAIL))
+    text = file.read()
+    fields = _FIELDS.split(text)[::-columns][::-1]
+    alike = {len(field.partition(b".")[2]) for field in fields[1:-1]}
+    if text[-1:].isspace() or len(fields) < _ENOUGH or len(alike) > 1 or min(alike) == 0:
+        return None
+    if len(fields[-1].partition(b".")[2]) >= min(alike):
+        return None
+    return f"Its last number is {fields[-1].decode('latin-1')!r}, with fewer decimals than others: it was cut short."
 
 
 def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool) -> tuple[str | None, int]:

@@ -12,29 +12,30 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.dem.whole.blocks import CODECS
+from orograph.dem.whole.tiff_tags import (
+    COUNTS,
+    LARGEST,
+    OFFSETS,
+    Directory,
+    blocks_fault,
+    lost_mask,
+    plain_bytes,
+    row_major,
+    tags_fault,
+)
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
-_CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 18: "u8"}
-_OFFSETS, _COUNTS = (273, 324), (279, 325)
+_CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 17: "u8", 18: "u8"}  # 17 is signed, and no offset is negative
 _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperability
 _MOST = 4096  # directories
-_LARGEST = 1 << 27  # entries of a table that is looked at
 _TAIL = 1 << 16
 _BLOCK = 128  # zeros that fill the last such block are no part of a file
-
-
-class _Directory(NamedTuple):
-    """One directory: its tags' (type, count, place of the values), and where it and all its values end."""
-
-    tags: dict[int, tuple[int, int, int]]
-    end: int
-    following: int
 
 
 def fault(dataset: Any, file: IO[bytes]) -> str | None:
@@ -55,7 +56,23 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
         return "Its directories break off: a mask or an overview behind the first is lost."
     if not found:
         return None
-    return _half_there(tiff, found[0]) or _overlap(dataset, tiff, found[0]) or _behind(dataset, tiff, found, size)
+    if found[0].following == 0 and lost_mask(tiff, found, tiff.directory):
+        return "It holds a mask that its directories do not lead to: they are damaged."
+    return (
+        tags_fault(tiff, found)
+        or _overlap(dataset, tiff, found[0])
+        or _places_fault(tiff, found)
+        or _behind(dataset, tiff, found, size)
+    )
+
+
+def _places_fault(tiff: _Tiff, found: list[Directory]) -> str | None:
+    """Blocks that lie where they cannot."""
+    tiff.file.seek(0)
+    ordered = row_major(tiff.file.read(1024))
+    at, size = tiff.blocks(found[0])
+    plain = plain_bytes(tiff, found[0]) if tiff.plain(found[0]) else 0
+    return blocks_fault(tiff, found, at, size, plain, ordered)
 
 
 _CODEC = {1: "", 5: "LZW", 8: "DEFLATE", 32946: "DEFLATE", 32773: "PACKBITS", 50000: "ZSTD"}
@@ -115,9 +132,9 @@ class _Tiff:
         self.word = self.order + ("Q" if self.big else "I")
         (self.first,) = struct.unpack_from(self.word, head, 8 if self.big else 4)
 
-    def directories(self) -> tuple[list[_Directory], bool]:
+    def directories(self) -> tuple[list[Directory], bool]:
         """All directories, the first of the chain first, and whether the chain breaks off."""
-        found: list[_Directory] = []
+        found: list[Directory] = []
         waiting, seen, broken = [(self.first, True)], set[int](), False
         while waiting and len(found) < _MOST:
             at, chained = waiting.pop()
@@ -126,7 +143,7 @@ class _Tiff:
                 continue
             seen.add(at)
             try:
-                directory = self._directory(at)
+                directory = self.directory(at)
             except (struct.error, ValueError):
                 broken |= chained
                 continue
@@ -138,7 +155,8 @@ class _Tiff:
                 waiting.append((directory.following, True))
         return found, broken and bool(found)
 
-    def _directory(self, at: int) -> _Directory:
+    def directory(self, at: int) -> Directory:
+        """The directory at a byte; struct.error or ValueError if there is none."""
         self.file.seek(at)
         (count,) = struct.unpack(self.order + ("Q" if self.big else "H"), self.file.read(8 if self.big else 2))
         if not 0 < count < _MOST:
@@ -147,6 +165,7 @@ class _Tiff:
         begin = at + (8 if self.big else 2)
         end = begin + count * self.entry.size + struct.calcsize(self.word)
         tags: dict[int, tuple[int, int, int]] = {}
+        twice = 0
         for i in range(count):
             tag, kind, number, value = self.entry.unpack_from(data, i * self.entry.size)
             room = _SIZES.get(kind, 0) * number
@@ -155,31 +174,32 @@ class _Tiff:
                 (place,) = struct.unpack(self.word, value)
                 if place + room <= self.size:
                     end = max(end, place + room)
+            twice = tag if tag in tags else twice
             tags.setdefault(tag, (kind, number, place))
-        if not any(tag in tags for tag in (256, *_OFFSETS, 513)) and at == self.first:
+        if not any(tag in tags for tag in (256, *OFFSETS, 513)) and at == self.first:
             raise ValueError("no directory of a picture")
         (following,) = struct.unpack(self.word, self.file.read(struct.calcsize(self.word)))
-        return _Directory(tags, end, following)
+        return Directory(tags, at, end, following, twice)
 
-    def numbers(self, directory: _Directory, tag: int) -> NDArray[np.int64]:
+    def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
         """The whole numbers of a tag; none if it is not there or not in the file."""
         kind, count, place = directory.tags.get(tag, (0, 0, 0))
-        if kind not in _CODES or not 0 < count < _LARGEST or place + count * _SIZES[kind] > self.size:
+        if kind not in _CODES or not 0 < count < LARGEST or place + count * _SIZES[kind] > self.size:
             return np.zeros(0, np.int64)
         self.file.seek(place)
         read = np.frombuffer(self.file.read(count * _SIZES[kind]), self.order + _CODES[kind])
         return np.minimum(read.astype(np.uint64), np.uint64(1 << 62)).astype(np.int64)
 
-    def blocks(self, directory: _Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def blocks(self, directory: Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Offsets and sizes of the blocks that are there."""
-        for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
+        for places, sizes in zip(OFFSETS, COUNTS, strict=True):
             at, size = self.numbers(directory, places), self.numbers(directory, sizes)
             if at.size and at.size == size.size:
                 there = (at > 0) & (size > 0)
                 return at[there], size[there]
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
 
-    def plain(self, directory: _Directory) -> bool:
+    def plain(self, directory: Directory) -> bool:
         """Whether samples are not compressed."""
         code = self.numbers(directory, 259)
         return not code.size or code[0] == 1
@@ -196,16 +216,7 @@ def _block_bytes(dataset: Any) -> int:
     return int(high * -(-wide * together * sample // 8))
 
 
-def _half_there(tiff: _Tiff, first: _Directory) -> str | None:
-    """Blocks that have a size and no place; those that a sparse file leaves out have no size."""
-    for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
-        at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
-        if at.size and at.size == size.size and ((at == 0) & (size > 0)).any():
-            return "A block of it has a size and no place: the table of its blocks is damaged."
-    return None
-
-
-def _overlap(dataset: Any, tiff: _Tiff, first: _Directory) -> str | None:
+def _overlap(dataset: Any, tiff: _Tiff, first: Directory) -> str | None:
     """Blocks of the raster that lie partly in one another (the very same block may stand for several)."""
     at, size = tiff.blocks(first)
     if tiff.plain(first):
@@ -218,7 +229,7 @@ def _overlap(dataset: Any, tiff: _Tiff, first: _Directory) -> str | None:
     return None
 
 
-def _behind(dataset: Any, tiff: _Tiff, found: list[_Directory], size: int) -> str | None:
+def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str | None:
     """Bytes behind all that the directories speak of, of a raster that is not compressed."""
     if not tiff.plain(found[0]) or not tiff.blocks(found[0])[0].size:
         return None
@@ -228,17 +239,31 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[_Directory], size: int) -> st
         if not at.size:
             continue
         if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
-            return None  # it is cut short, and GDAL says where
+            return _cut_fault(dataset, tiff, at, size)
         wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0
-    if size <= end or (size == end + 1 and end % 2):
+    if size <= end:
         return None
     tiff.file.seek(max(end, size - _TAIL))
-    if size % _BLOCK == 0 and not any(tiff.file.read()):
+    padded = size % _BLOCK == 0 or (size == end + 1 and end % 2)
+    if padded and not any(tiff.file.read()):
         return None
     return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
+
+
+def _cut_fault(dataset: Any, tiff: _Tiff, at: NDArray[np.int64], size: int) -> str | None:
+    """What is wrong with a raster that is not compressed and ends within a block. Where samples lack GDAL says so; of a
+    last strip that is filled up it does not see that bytes lack before. Some writers leave the filling out."""
+    high = dataset.block_shapes[0][0]
+    down = -(-dataset.height // high)
+    if OFFSETS[1] in tiff.directories()[0][0].tags or dataset.height % high == 0 or at.size % down:
+        return None
+    end = int(at.max()) + _block_bytes(dataset) // high * (dataset.height % high)
+    if size <= end + 1:
+        return None
+    return f"It ends {int(at.max()) + _block_bytes(dataset) - size:,} bytes before its last part does."
 
 
 def _trailed(file: IO[bytes]) -> bool:

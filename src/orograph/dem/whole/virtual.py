@@ -15,15 +15,24 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from affine import Affine
+
 from orograph.dem.whole.files import DAMAGED, archive_name, file_in, here, main_file, on_disk, stream
 from orograph.errors import ReadError
 
 Rect = tuple[float, float, float, float]
 Window = tuple[int, int, int, int]
 
+Place = tuple[Affine, object]
+"""Transform and CRS of a file."""
+
 MARGIN = 2
 """Samples around a mapped window that resampling may look at."""
 
+SHIFT = 0.75
+"""Samples by which a part may lie elsewhere than its file says: mosaics are laid to the nearest."""
+
+_COMPARED = 8
 _KNOWN = 64
 _parts: OrderedDict[object, list[Part]] = OrderedDict()
 _lock = threading.Lock()
@@ -63,7 +72,12 @@ class Part(NamedTuple):
 
 
 def check_parts(
-    dataset: Any, key: object, window: Window, check: Callable[[Part, Window | None], None], mask: bool = False
+    dataset: Any,
+    key: object,
+    window: Window,
+    check: Callable[[Part, Window | None], None],
+    place: Callable[[Part], Place],
+    mask: bool = False,
 ) -> None:
     """Raise ReadError if a part of a file that a window of a VRT is made of is damaged.
 
@@ -72,9 +86,11 @@ def check_parts(
         key: the VRT's name and state.
         window: top, left, height, width.
         check: looks at a window (None: all) of a part whose file lies on this disk.
+        place: where the file of a part says that it lies.
         mask: it is the VRT's mask that is wanted.
     """
-    for part in _parts_of(dataset, key):
+    parts = _parts_of(dataset, key)
+    for part in parts:
         mapped = _mapped(part, window)
         if part.for_mask != mask or mapped == ():
             continue
@@ -87,8 +103,55 @@ def check_parts(
             continue
         if not part.needs:
             check(part, mapped or None)
-        elif Path(part.location).is_file() and Path(part.location).stat().st_size < part.needs:
-            raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
+            if _shifted(dataset, part, place):
+                _check_place(dataset, parts, part, place)
+        elif Path(part.location).is_file():
+            _check_length(part, max(one.needs for one in parts if one.location == part.location), dataset)
+
+
+def _check_length(part: Part, needs: int, dataset: Any) -> None:
+    """Raise ReadError unless a file of raw bands has the samples that they need, in whole rows. (It may have further
+    bands, of which a VRT says nothing.)"""
+    behind = Path(part.location).stat().st_size - needs
+    if behind < 0:
+        raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
+    if 0 < behind < dataset.width:
+        raise ReadError(
+            f"It has {behind:,} bytes more than the samples need that the VRT says.", path=part.location, remedy=DAMAGED
+        )
+
+
+def _shifted(dataset: Any, part: Part, place: Callable[[Part], Place]) -> bool | None:
+    """Whether a part lies elsewhere in a VRT than its own file says; None: it cannot be told."""
+    if part.source is None or part.target is None or part.by_mask or part.for_mask:
+        return None
+    transform, crs = place(part)
+    if crs is None or crs != dataset.crs or dataset.transform == Affine.identity():
+        return None
+    vrt, step = dataset.transform, abs(transform.a) + abs(transform.b)
+    for right, below in ((0.0, 0.0), part.source[2:]):
+        x, y = part.source[0] + right, part.source[1] + below  # a corner in the file, and in the VRT
+        u = part.target[0] + right * part.target[2] / part.source[2]
+        v = part.target[1] + below * part.target[3] / part.source[3]
+        east = vrt.a * u + vrt.b * v + vrt.c - (transform.a * x + transform.b * y + transform.c)
+        if dataset.crs.is_geographic:
+            east = math.remainder(east, 360)  # tiles beyond the antimeridian
+        north = vrt.d * u + vrt.e * v + vrt.f - (transform.d * x + transform.e * y + transform.f)
+        if max(abs(east), abs(north)) > SHIFT * step:
+            return True
+    return False
+
+
+def _check_place(dataset: Any, parts: list[Part], part: Part, place: Callable[[Part], Place]) -> None:
+    """Raise ReadError if a part lies elsewhere than its file says while another lies where its own says: a VRT may
+    place all its parts anew, not one alone."""
+    others = [one for one in parts if one.location != part.location and _named_here(one.location)]
+    for other in others[:_COMPARED]:
+        if on_disk(other.location).is_file() and _shifted(dataset, other, place) is False:
+            raise ReadError(
+                f"It lays {part.location} elsewhere than that file says of itself.", path=str(dataset.name),
+                remedy="Make the VRT again (gdalbuildvrt), or restore what was exchanged from a copy.",
+            )  # fmt: skip
 
 
 def _named_here(location: str) -> bool:
@@ -156,6 +219,8 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         size = None if size == (0, 0) else size
         taken = _rect(element.find("SrcRect")) if as_is and element.tag != "VRTRasterBand" else None
         part = Part(location, number, source, target, needs, size, by_mask, element in of_mask, taken)
+        if target is not None and not _meets(target, shape):
+            raise ValueError(f"{location} lies outside of it")
         yield part
         if (element.findtext("UseMaskBand") or "").lower() == "true":
             yield part._replace(by_mask=True)
@@ -164,8 +229,19 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
 def _rect(element: ET.Element | None) -> Rect | None:
     if element is None:
         return None
-    left, top, width, height = (float(element.get(side, 0)) for side in ("xOff", "yOff", "xSize", "ySize"))
+    said = [element.get(side) for side in ("xOff", "yOff", "xSize", "ySize")]
+    if None in said:
+        raise ValueError(f"a {element.tag} does not say where it lies")
+    left, top, width, height = (float(side or 0) for side in said)
+    if not (math.isfinite(left + top) and 0 < width < math.inf and 0 < height < math.inf):
+        raise ValueError(f"a {element.tag} lies nowhere")
     return left, top, width, height
+
+
+def _meets(target: Rect, shape: tuple[int, int]) -> bool:
+    """Whether a rectangle has a part in a VRT of so many columns and rows."""
+    left, top, width, height = target
+    return left < shape[0] and top < shape[1] and left + width > 0 and top + height > 0
 
 
 def _raw_bytes(band: ET.Element, cols: int, rows: int) -> int:

@@ -16,10 +16,12 @@ from typing import Any, Literal, Self, TypeVar, get_args
 from orograph.errors import UsageError
 from orograph.geovis.layers import keyed
 
-Style = Literal["continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows"]
+Style = Literal[
+    "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate"
+]
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
-Standing = Literal["bars", "spheres", "cones", "discs", "flags"]
+Standing = Literal["bars", "spheres", "cones", "discs", "flags", "tubes", "curtains"]
 """Ways of showing values at places by things that stand on the ground (A³)."""
 
 Sign = Literal[
@@ -36,6 +38,9 @@ and 95 % quantiles (linear between members)."""
 T = TypeVar("T")
 
 Breaks = Literal["quantiles", "equal", "jenks"]
+
+Geometry = Literal["points", "lines", "polygons"]
+"""Kinds of features."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,19 +90,24 @@ class Dataset:
     """Data to be shown on a terrain.
 
     Attributes:
-        source: a raster or a file of points in any CRS; a ``DataArray`` (with dimensions ``time`` and ``member``, if it
-            has them); a mapping of columns, a table, or GeoJSON, with places in its columns.
-        variable: of several (NetCDF, HDF5), or the attribute of points that is shown; for arrows two, "u10+v10": the
-            components to the east and to the north (or so the band).
+        source: a raster, or a file of points, lines or polygons, in any CRS; a ``DataArray`` (with dimensions ``time``
+            and ``member``, if it has them); a mapping of columns, a table with places in its columns, or GeoJSON; what
+            has ``__geo_interface__`` (GeoDataFrames).
+        variable: of several (NetCDF, HDF5), or the attribute of features that is shown; for arrows and lic two,
+            "u10+v10": the components to the east and to the north (or so the band).
         band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
             (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
             Where several are chosen their mean is shown.
+        layer: of a file of features with several. geometry: "points", "lines" or "polygons", where it mixes them.
         style: see ``Style`` and ``Standing``; None: what the priority says, of points spheres.
-        colormap: any name of the cmap catalogue. range: the values at its ends; None: the 2nd and the 98th percentile.
+        colormap: any name of the cmap catalogue; of classes colours by name, {"Water": "#56b4e9"}.
+        range: the values at its ends; None: the 2nd and the 98th percentile.
         classes, breaks: of segments: how many (2 to 12), and where they begin: quantiles, equal steps, Jenks' natural
             breaks, or the values themselves.
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
             end of the range. None: what suits the terrain.
+        width: of lines, and of the outlines of polygons: pixels of a picture that shows the whole terrain, or metres
+            on the ground ("30m"). None: 3 pixels, outlines 1; 0: no outlines.
         opacity: 0 to 1. unit, name: what the legend says instead of what the source says.
         uncertainty: how uncertain they are.
 
@@ -110,12 +120,15 @@ class Dataset:
     band: str | int | None = None
     time: str | None = None
     member: str | int | None = None
+    layer: str | None = None
+    geometry: Geometry | None = None
     style: Style | Standing | None = None
-    colormap: str = "viridis"
+    colormap: str | Mapping[str, str] = "viridis"
     range: tuple[float, float] | None = None
     classes: int = 5
     breaks: Breaks | tuple[float, ...] = "quantiles"
     size: float | None = None
+    width: float | str | None = None
     opacity: float = 1.0
     unit: str | None = None
     name: str | None = None
@@ -127,10 +140,15 @@ class Dataset:
         if isinstance(self.source, os.PathLike):
             object.__setattr__(self, "source", os.fspath(self.source))
         if self.source is None or (isinstance(self.source, str) and not self.source):
-            raise UsageError("A dataset has no source.", remedy="Name a raster or a file of points.")
+            raise UsageError(
+                "A dataset has no source.", remedy="Name a raster, or a file of points, lines or polygons."
+            )
         _check_choice("style", self.style, (*get_args(Style), *get_args(Standing)))
         _check_range(self.range, "values")
-        color_table(self.colormap, 2)
+        if isinstance(self.colormap, str):
+            color_table(self.colormap, 2)
+        else:
+            _check_colors(self.colormap)
         if not 2 <= self.classes <= 12:
             raise UsageError(f"There are 2 to 12 classes, not {self.classes}.")
         if isinstance(self.breaks, str):
@@ -141,6 +159,9 @@ class Dataset:
             raise UsageError(f"A size is in metres, above 0, not {self.size}.")
         if not 0 <= self.opacity <= 1:
             raise UsageError(f"An opacity is a number from 0 to 1, not {self.opacity:g}.")
+        _check_choice("kind of geometry", self.geometry, get_args(Geometry))
+        if self.width is not None:
+            object.__setattr__(self, "width", _width(self.width))
         doubt: Any = self.uncertainty
         if doubt is not None and not isinstance(doubt, Uncertainty):
             object.__setattr__(self, "uncertainty", Uncertainty(doubt))
@@ -156,6 +177,17 @@ class Dataset:
             cls, text, {"range": _range, "classes": _whole, "breaks": _breaks, "size": _number, "opacity": _number},
             without=("uncertainty",),
         )  # fmt: skip
+
+    @property
+    def plain_colormap(self) -> str:
+        """Its colour map, of numbers.
+
+        Raises:
+            UsageError: there are colours by name.
+        """
+        if isinstance(self.colormap, str):
+            return self.colormap
+        raise UsageError("Colours by name are for classes, and these values are numbers.", remedy="Name a colormap.")
 
     def but(self, **changes: Any) -> Dataset:
         """The same with other attributes."""
@@ -201,6 +233,25 @@ def _whole(text: str) -> int:
     if found != int(found):
         raise UsageError(f"{text!r} is no whole number.")
     return int(found)
+
+
+def _check_colors(given: Mapping[str, str]) -> None:
+    from PIL import ImageColor
+
+    for name, color in given.items():
+        try:
+            ImageColor.getrgb(color)
+        except (ValueError, AttributeError):
+            raise UsageError(f"The colour of {name!r} is a name or #rrggbb, not {color!r}.") from None
+
+
+def _width(given: float | str) -> float | str:
+    """Pixels, or metres as "30m"."""
+    text = str(given).strip()
+    number = _number(text.removesuffix("m"))
+    if number < 0:
+        raise UsageError(f"A width is in pixels, or in metres (30m), not below 0: {text}.")
+    return text if text.endswith("m") else number
 
 
 def _range(text: str) -> tuple[float, float]:

@@ -7,6 +7,7 @@ image is made.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,9 +15,10 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid, compose
+from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.lic import STEP, STEPS, brightness
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import Field, read
@@ -24,7 +26,7 @@ from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors
-from orograph.geovis.keys import Legend, Scale
+from orograph.geovis.keys import Legend, Scale, Square
 from orograph.geovis.layers import Layer
 
 Array = NDArray[np.float64]
@@ -38,6 +40,18 @@ LEAST_PITCH = 6.0
 
 LINE = 2.4
 """Texels that an isoline is wide."""
+
+TURN = 45.0
+"""Degrees between the hatchings of classes without an order: four directions."""
+
+OUTLINE, CASING = 0.8, 0.65
+"""Opacity of the outlines of polygons, and of what stands out on either side of a line."""
+
+FLOWS = ("arrows", "lic")
+"""Styles of two components."""
+
+DARKER, LIGHTER = 0.75, 0.22
+"""How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
 
 EDGE = np.array([0.03, 0.03, 0.04], np.float32)
 
@@ -54,6 +68,10 @@ class Shown:
         sigma: (rows, cols) of the field's grid, in the data's unit; None: nothing is known. its grid is ``over``'s.
         scale: colours of values. doubt: the ends of the scale of uncertainties.
         toward: of arrows, unit vectors along the image's columns and rows.
+        cover, outline: of lines and polygons, how much of a texel they and their outlines (``cased``: what stands out
+            beneath a line on either side) cover; None: values are everywhere.
+        classes: names of values 0, 1, …; None: they are numbers.
+        streaks: of lic, how bright texels are. square: of two datasets in one, what their colours mean.
     """
 
     dataset: Dataset
@@ -66,6 +84,12 @@ class Shown:
     scale: ColorScale
     doubt: tuple[float, float]
     toward: tuple[Array, Array] | None = None
+    cover: Array | None = None
+    outline: Array | None = None
+    cased: bool = False
+    classes: tuple[str, ...] | None = None
+    streaks: Array | None = None
+    square: Square | None = None
 
     @property
     def title(self) -> str:
@@ -90,30 +114,57 @@ class Shown:
         return self.field.unit if self.dataset.unit is None else self.dataset.unit
 
 
-def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:
+def shown(
+    dataset: Dataset, grid: Grid, texels: int, priority: Priority, surface: Callable[[Grid], Array] | None = None
+) -> Shown:  # fmt: skip
     """Read data and say how they are shown.
 
     Args:
-        grid: the terrain's. texels: along the longer side of the image.
+        grid: the terrain's. texels: along the longer side of the image. surface: heights (rows, cols) at the samples of
+            a grid over the terrain, for what goes along the surface; None: it is flat.
 
     Raises: as ``reading.read``.
     """
     style = dataset.style or priority.style
-    field, *components = read_vectors(dataset, grid) if style == "arrows" else (read(dataset, grid),)
-    over = _cropped(field, grid, texels)
+    field, *components = read_vectors(dataset, grid) if style in FLOWS else (read(dataset, grid),)
+    over = cropped(field, grid, texels)
     positions = Positions.of(over, field)
     values = positions.values(field.mean)
     sigma = _sigma(dataset, field, grid, over, positions)
     toward = directions(field, positions, *components) if components else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign(style))
-    classes = 0 if style in ("continuous", "arrows") else dataset.classes
-    scale = ColorScale.of(values, dataset.colormap, dataset.range, classes, dataset.breaks)
+    classes = 0 if style in ("continuous", *FLOWS) else dataset.classes
+    scale = ColorScale.of(values, dataset.plain_colormap, dataset.range, classes, dataset.breaks)
     doubt = (0.0, 1.0)
     if sigma is not None:
         asked = None if dataset.uncertainty is None else dataset.uncertainty.range
         doubt = asked or (0.0, spanned(sigma, None)[1])
-    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward)
+    streaks = None
+    if style == "lic" and toward is not None:
+        flat = np.zeros(over.shape) if surface is None else surface(over)
+        there = np.isfinite(values)
+        streaks = _streaks((toward[0] * there, toward[1] * there), over, image_grid(grid, texels), flat, dataset.size)
+    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward, streaks=streaks)
+
+
+def _streaks(toward: tuple[Array, Array], over: Grid, whole: Grid, heights: Array, size: float | None) -> Array:
+    """Brightness of streaks along a flow.
+
+    Args:
+        toward: unit vectors in texels. over, whole: grids of the image and of one over all of the terrain. heights: at
+            the image's texels. size: metres that a streak is long; None: what suits the image.
+    """
+    across, down = toward
+    a, b, _, d, e, _ = over.transform[:6]
+    rise_down, rise_across = np.gradient(np.where(np.isfinite(heights), heights, 0.0))
+    rise = np.nan_to_num(rise_across * across + rise_down * down)
+    metres = np.sqrt((a * across + b * down) ** 2 + (d * across + e * down) ** 2 + rise**2)
+    step = STEP * float(np.sqrt(abs(over.transform.determinant)))
+    steps = STEPS if size is None else max(1, round(size / 2 / step))
+    pace = np.divide(step, metres, out=np.zeros_like(metres), where=metres > 0)
+    col, row = (round(float(v)) for v in apply(~whole.transform, over.transform.c, over.transform.f))
+    return brightness(across, down, pace, steps, (row, col))
 
 
 def _sigma(
@@ -137,12 +188,17 @@ def _sigma(
     return found
 
 
-def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
-    """The grid of the image: the part of the terrain that has data, in texels as long as the whole allows."""
-    longer = max(grid.shape)
-    step = longer / texels
+def image_grid(grid: Grid, texels: int) -> Grid:
+    """The grid of an image over a terrain, so many texels along its longer side."""
+    step = max(grid.shape) / texels
     rows, cols = (max(2, round(n / step)) for n in grid.shape)
-    whole = Grid((rows, cols), compose(grid.transform, Affine.scale(grid.cols / cols, grid.rows / rows)), grid.crs)
+    return Grid((rows, cols), compose(grid.transform, Affine.scale(grid.cols / cols, grid.rows / rows)), grid.crs)
+
+
+def cropped(field: Field, grid: Grid, texels: int) -> Grid:
+    """The part of an image's grid that has data."""
+    whole = image_grid(grid, texels)
+    rows, cols = whole.shape
     if grid.crs is None:
         return whole
     few = 8
@@ -197,8 +253,8 @@ def _paint(found: Shown, paint: Paint) -> Paint:
     if found.style == "cells":
         paint = _aggregated(paint)
     values = drawn_values(paint, found.scale, found.sign)
-    there = np.isfinite(values)
-    paint = replace(paint, rgb=colored(values, paint.u, found.scale, found.sign), alpha=there.astype(np.float64))
+    there = np.isfinite(values) * (1.0 if found.cover is None else found.cover)
+    paint = replace(paint, rgb=colored(values, paint.u, found.scale, found.sign), alpha=there)
     share = (np.nan_to_num(found.scale.place(values)) + 1) / max(len(found.scale.table) + 1, 2)
     if found.style in ("isolines", "isobands") and found.scale.edges is not None:
         cover = _isolines(values, found.scale.edges[1:-1]) * there
@@ -207,16 +263,33 @@ def _paint(found: Shown, paint: Paint) -> Paint:
         else:
             paint = replace(paint, alpha=cover)
     elif found.style == "hatching":
-        paint = replace(paint, alpha=hatched(paint.x, paint.y, paint.pitch / 2, share) * there)
+        turn: Any = 45.0
+        if found.classes is not None:  # unordered: told by direction, then by three densities that say no more or less
+            number = np.nan_to_num(values)
+            turn, share = 45.0 + number % 4 * TURN, 0.25 + 0.2 * (number // 4)
+        paint = replace(paint, alpha=hatched(paint.x, paint.y, paint.pitch / 2, share, turn) * there)
     elif found.style == "stipple":
         paint = replace(paint, alpha=dotted(paint.x, paint.y, paint.pitch / 2, 0.7 * share) * there)
     elif found.style == "arrows" and found.toward is not None:
         length = np.nan_to_num(found.scale.place(values))
         paint = replace(paint, alpha=arrows(paint.x, paint.y, paint.pitch, *found.toward, length) * there)
+    elif found.style == "lic" and found.streaks is not None:
+        paint = replace(paint, rgb=_streaked(paint.rgb, found.streaks))
     elif found.style == "cells":
         border = np.minimum(*(0.5 - np.abs(v / paint.pitch % 1 - 0.5) for v in (paint.x, paint.y))) * paint.pitch
         paint = paint.under(EDGE, covered(border - 0.5) * 0.5 * there)
-    return signed(paint, found.sign)
+    if found.outline is None:
+        return signed(paint, found.sign)
+    if not found.cased:
+        return signed(paint, found.sign).under(EDGE, found.outline * OUTLINE)
+    casing = replace(paint, rgb=np.broadcast_to(EDGE, paint.rgb.shape), alpha=found.outline * CASING)
+    return signed(casing.under(paint.rgb, paint.alpha), found.sign)
+
+
+def _streaked(rgb: Colors, streaks: Array) -> Colors:
+    """Colours, darker and lighter by streaks, the mean about what it was."""
+    part = streaks[..., None].astype(np.float32)
+    return np.asarray(rgb * (1 - DARKER * (1 - part)) * (1 - LIGHTER * part) + LIGHTER * part, np.float32)
 
 
 def _aggregated(paint: Paint) -> Paint:
@@ -250,30 +323,46 @@ def _isolines(values: Array, levels: tuple[float, ...]) -> Array:
 
 def key_of(found: Shown) -> Legend:
     """What the colours and signs of data mean."""
+    if found.square is not None:
+        return Legend(note=found.field.chosen, squares=(found.square,))
     scale = Scale(
         found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
         below=found.dataset.range is None, above=found.dataset.range is None,
     )  # fmt: skip
+    scales, classes = ((scale,), ()) if found.classes is None else ((), _classes(found, found.classes))
     if found.sign == "none" or found.sigma is None:
-        return Legend((scale,), note=found.note)
+        return Legend(scales, classes=classes, note=found.note)
     low, high = found.doubt
     swatches = []
     for part in SWATCHES:
         sigma = low + part * (high - low)
         words = f"± {rounded(sigma, high)} {found.unit}".rstrip()
         swatches.append((words, _swatch(found, sigma)))
-    return Legend((scale,), tuple(swatches), found.note)
+    return Legend(scales, tuple(swatches), classes, found.note)
+
+
+def _classes(found: Shown, names: tuple[str, ...]) -> tuple[tuple[str, NDArray[np.uint8]], ...]:
+    """Names of classes, and what each looks like where it is certain."""
+    bare = replace(found, sign="none", cover=None, outline=None)
+    tiles = (_painted_swatch(bare, np.full((SWATCH, SWATCH), float(k)), 0.0) for k in range(len(names)))
+    return tuple(zip(names, tiles))
 
 
 def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
     """A tile (rows, cols, 3) of what the data look like in the middle of their scale, so uncertain."""
-    y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
+    x = np.mgrid[:SWATCH, :SWATCH][1] + 0.5
     at = np.where(x < SWATCH / 2, 0.25, 0.75) if found.sign == "blur" else np.full((SWATCH, SWATCH), 0.5)
     middle = found.scale.low + at * (found.scale.high - found.scale.low)
-    doubt = np.full(middle.shape, sigma)
-    bare = Paint(x, y, SWATCH / 2, middle, doubt, _along(found, doubt, middle.shape),
-                 np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(middle.shape))  # fmt: skip
-    paint = _paint(_plainly(found), bare)
+    return _painted_swatch(_plainly(found), middle, sigma)
+
+
+def _painted_swatch(found: Shown, values: Array, sigma: float) -> NDArray[np.uint8]:
+    """A tile of values so uncertain, on light grey."""
+    y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
+    doubt = np.full(values.shape, sigma)
+    bare = Paint(x, y, SWATCH / 2, values, doubt, _along(found, doubt, values.shape),
+                 np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(values.shape))  # fmt: skip
+    paint = _paint(found, bare)
     alpha = paint.alpha[..., None].astype(np.float32)
     seen = paint.rgb * alpha + np.float32(0.8) * (1 - alpha)
     return np.asarray(np.rint(linear_to_srgb(seen) * 255), np.uint8)
@@ -281,7 +370,8 @@ def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
 
 def _plainly(found: Shown) -> Shown:
     """The same as plain colours, under which signs are told best."""
-    return replace(found, style="continuous" if found.scale.edges is None else "segmented")
+    style = "continuous" if found.scale.edges is None else "segmented"
+    return replace(found, style=style, cover=None, outline=None, streaks=None)
 
 
 def rounded(value: float, top: float) -> str:

@@ -19,9 +19,9 @@ def covered(distance: NDArray[Any]) -> Array:
     return np.clip(0.5 - distance, 0.0, 1.0)
 
 
-def hatched(x: Array, y: Array, pitch: float, share: NDArray[Any]) -> Array:
-    """Lines at 45°, ``pitch`` texels apart, that cover ``share`` of the ground."""
-    across = (x + y) / np.sqrt(2.0)
+def hatched(x: Array, y: Array, pitch: float, share: NDArray[Any], turn: NDArray[Any] | float = 45.0) -> Array:
+    """Lines ``pitch`` texels apart that cover ``share`` of the ground; ``turn``: degrees of what is across them."""
+    across = x * np.cos(np.radians(turn)) + y * np.sin(np.radians(turn))
     return covered(np.abs(across / pitch - np.floor(across / pitch) - 0.5) * pitch - share * pitch / 2)
 
 

@@ -1,13 +1,12 @@
-"""Points with values: stations, quakes, samples; of GeoJSON, of tables (CSV), of columns in memory, of other vectors.
+"""Points with values: stations, quakes, samples; of tables (CSV), of columns in memory, of features.
 
-Places are longitude and latitude where a file's columns are called so, or its format says so (GeoJSON, RFC 7946); else
-they are in the terrain's CRS, or in the file's. What is no number is missing.
+Places are longitude and latitude where a table's columns are called so; else they are in the terrain's CRS, or in the
+features'. What is no number is missing.
 """
 
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +19,11 @@ from orograph.dem.handles import locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.features import Features, has_features, read_features
 
 Array = NDArray[np.float64]
 
 TABLES = (".csv", ".tsv", ".txt")
-GEOJSON = (".geojson", ".json")
-VECTORS = (".gpkg", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".gdb")
 
 EAST = ("longitude", "lon", "long", "lng", "x", "easting", "east")
 NORTH = ("latitude", "lat", "y", "northing", "north")
@@ -49,21 +47,26 @@ class Points:
     name: str
 
 
-def are_points(source: Any) -> bool:
-    """Whether a dataset's source holds points, and no raster."""
+def is_table(source: Any) -> bool:
+    """Whether a dataset's source is a table of points, by its looks."""
     if isinstance(source, str):
-        return Path(source).suffix.lower() in (*TABLES, *GEOJSON, *VECTORS)
-    return isinstance(source, Mapping) or hasattr(source, "__geo_interface__") or hasattr(source, "columns")
+        return Path(source).suffix.lower() in TABLES
+    return isinstance(source, Mapping) or hasattr(source, "columns")
 
 
-def read_points(given: Dataset, grid: Grid) -> Points:
+def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Points:
     """The points of a dataset that lie on a terrain with this grid, and have a value.
+
+    Args:
+        found: its features, if they were read already.
 
     Raises:
         ReadError: the file cannot be read, or none of its points lies on the terrain.
         UsageError: it is not clear which attribute is meant.
     """
-    columns, crs, name = _columns(given.source)
+    if found is None and has_features(given.source):
+        found = read_features(given, grid)
+    columns, crs, name = _columns(given.source) if found is None else _of_features(found)
     east, north = (next((k for k in columns if k.lower() in known), None) for known in (EAST, NORTH))
     if east is None or north is None:
         raise ReadError(
@@ -83,6 +86,7 @@ def read_points(given: Dataset, grid: Grid) -> Points:
         from orograph.geo.transform import transformer
 
         x, y = transformer(crs, grid.crs)(x, y)
+        x, y = (np.where(np.isfinite(v), v, np.nan) for v in (x, y))  # inf where the CRS ends
     col, row = grid.index(x, y)
     with np.errstate(invalid="ignore"):
         here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1) & np.isfinite(numbers[value])
@@ -105,82 +109,33 @@ def _attribute(asked: Any, numbers: Mapping[str, Array], name: str) -> str:
 
 
 def _columns(source: Any) -> tuple[dict[str, Array], Any, str]:
-    """Columns of numbers by name, their CRS (None: not known), and what the source is called."""
+    """Columns of numbers of a table by name, their CRS (None: not known), and what the source is called."""
     if not isinstance(source, str):
-        return _of_memory(source)
-    path = Path(locate(source))
-    ending = path.suffix.lower()
+        keys = list(source) if isinstance(source, Mapping) else list(source.columns)
+        return {str(k): np.array([_number(v) for v in np.asarray(source[k])]) for k in keys}, None, "points"
     try:
-        if ending in TABLES:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                sample = file.read(4096)
-                file.seek(0)
-                mark = max(",;\t", key=sample.split("\n", 1)[0].count)
-                rows = list(csv.DictReader(file, delimiter=mark))
-            keys = [k for k in (rows[0] if rows else {}) if k]
-            return {k.strip(): np.array([_number(row.get(k)) for row in rows]) for k in keys}, None, source
-        if ending in GEOJSON:
-            return (*_of_geojson(json.loads(path.read_text("utf-8"))), source)
+        with Path(locate(source)).open(newline="", encoding="utf-8-sig") as file:
+            sample = file.read(4096)
+            file.seek(0)
+            mark = max(",;\t", key=sample.split("\n", 1)[0].count)
+            rows = list(csv.DictReader(file, delimiter=mark))
     except (OSError, ValueError, csv.Error) as error:
         raise ReadError(f"Its points cannot be read: {error}", path=source, remedy="See what it holds.") from error
-    return _of_vectors(source)
+    keys = [k for k in (rows[0] if rows else {}) if k]
+    return {k.strip(): np.array([_number(row.get(k)) for row in rows]) for k in keys}, None, source
 
 
-def _of_memory(source: Any) -> tuple[dict[str, Array], Any, str]:
-    if hasattr(source, "__geo_interface__") and not isinstance(source, Mapping):
-        columns, _ = _of_geojson(source.__geo_interface__)
-        return columns, getattr(source, "crs", None) or "EPSG:4326", "points"
-    if isinstance(source, Mapping) and source.get("type") in ("FeatureCollection", "Feature"):
-        return (*_of_geojson(source), "points")
-    keys = list(source) if isinstance(source, Mapping) else list(source.columns)
-    return {str(k): np.array([_number(v) for v in np.asarray(source[k])]) for k in keys}, None, "points"
-
-
-def _of_geojson(found: Mapping[str, Any]) -> tuple[dict[str, Array], Any]:
-    """Points of features; of lines and polygons none. Attributes that are no numbers are missing."""
-    features = found.get("features", [found] if found.get("type") == "Feature" else [])
-    rows: list[dict[str, float]] = []
-    for feature in features:
-        shape: Mapping[str, Any] = feature.get("geometry") or {}
-        where = shape.get("coordinates")
-        places: list[Any] = {"Point": [where], "MultiPoint": where}.get(shape.get("type", "")) or []
-        about = {k: _number(v) for k, v in (feature.get("properties") or {}).items()}
-        for place in places:
-            height = {"z": float(place[2])} if len(place) > 2 else {}
-            rows.append({**height, **about, "longitude": float(place[0]), "latitude": float(place[1])})
-    keys = dict.fromkeys(key for row in rows for key in row)
-    return {k: np.array([row.get(k, np.nan) for row in rows]) for k in keys}, "EPSG:4326"
-
-
-def _of_vectors(source: str) -> tuple[dict[str, Array], Any, str]:
-    """Of any format that OGR reads."""
-    try:
-        from pyogrio.raw import read
-    except ImportError as error:
-        raise ReadError(
-            "Points of this format need pyogrio.", path=source,
-            remedy="Install orograph[vector], or convert them to GeoJSON.",
-        ) from error  # fmt: skip
-    from pyogrio.errors import DataSourceError
-
-    try:
-        meta, _, shapes, values = read(source)
-    except DataSourceError as error:
-        raise ReadError(f"Its points cannot be read: {error}", path=source, remedy="See what it holds.") from error
-    places = np.array([_wkb_point(shape) for shape in shapes], np.float64).reshape(-1, 2)
-    columns = {str(k): np.array([_number(v) for v in column]) for k, column in zip(meta["fields"], values)}
-    return {**columns, "x": places[:, 0], "y": places[:, 1]}, meta["crs"], source
-
-
-def _wkb_point(shape: bytes | None) -> tuple[float, float]:
-    """x and y of a point in well-known binary; NaN of anything else."""
-    if shape is None or len(shape) < 21:
-        return np.nan, np.nan
-    order = "<" if shape[0] == 1 else ">"
-    if (int(np.frombuffer(shape, order + "u4", 1, 1)[0]) & 0xFFFF) % 1000 != 1:  # (Z, M and flags aside)
-        return np.nan, np.nan
-    x, y = np.frombuffer(shape, order + "f8", 2, 5)
-    return float(x), float(y)
+def _of_features(found: Features) -> tuple[dict[str, Array], Any, str]:
+    """Of features, as ``_columns`` has it: a row for each place; attributes that are no numbers are missing."""
+    if found.kind != "points":
+        raise UsageError(f"It holds {found.kind}, not points.", path=found.name)
+    places = np.concatenate([np.concatenate(own) for own in found.parts])
+    of = np.repeat(np.arange(len(found)), [sum(map(len, own)) for own in found.parts])
+    places_too = (*EAST, *NORTH)
+    columns = {k: v[of] for k, v in found.columns.items() if v.dtype != object and k.lower() not in places_too}
+    if np.isfinite(places[:, 2]).any() and "z" not in columns:
+        columns["z"] = places[:, 2]
+    return {**columns, "x": places[:, 0], "y": places[:, 1]}, found.crs, found.name
 
 
 def _number(value: Any) -> float:

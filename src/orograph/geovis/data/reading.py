@@ -289,6 +289,26 @@ def times_of(file: Any) -> list[str]:
 _SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
 
 
+def times_in(given: Dataset) -> list[str]:
+    """The times of a dataset, ISO 8601 in UTC, in order; none of what is no series."""
+    import sys
+
+    from orograph.geovis.data.features import has_features
+    from orograph.geovis.data.points import is_table
+
+    source, xarray = given.source, sys.modules.get("xarray")
+    if xarray is not None and isinstance(source, xarray.Dataset):
+        source = source[str(given.variable).split("+")[0]]
+    if xarray is not None and isinstance(source, xarray.DataArray):
+        found = np.atleast_1d(source.coords["time"].values) if "time" in source.coords else np.empty(0, "M8[m]")
+        return sorted(set(found.astype("datetime64[m]").astype(str).tolist()))
+    if not isinstance(source, str) or has_features(source) or is_table(source):
+        return []
+    variable = given.variable.split("+")[0] if given.variable is not None else None
+    with HANDLES.borrow(_subdataset(locate(source), variable, source)) as file:
+        return sorted({time for time in times_of(file) if time})
+
+
 def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
     """Of a DataArray, or of an array that spans the terrain."""
     import sys

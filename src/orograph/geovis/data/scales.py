@@ -5,13 +5,15 @@ Colours are linear RGB (n, 3) float32, as everywhere before they are shown.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import ImageColor
 
-from orograph.geovis.color import color_table
+from orograph.geovis.color import color_table, srgb_to_linear
 from orograph.geovis.data.dataset import Breaks
 
 Colors = NDArray[np.float32]
@@ -22,6 +24,11 @@ PERCENTILES = (2.0, 98.0)
 
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
+
+DISTINCT = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#555555", "#7f3c8d",
+            "#a5aa99", "#80ba5a", "#8c510a")  # fmt: skip
+"""Colours of classes without an order, at most twelve: Okabe & Ito's (2008), which colour-blind readers tell apart,
+then others."""
 
 PALE = (0.86, 0.86, 0.86)
 """Linear grey: what nothing is known of, in a value-suppressing palette."""
@@ -68,6 +75,15 @@ class ColorScale:
             edges = (low, *class_breaks(inside, classes, breaks, low, high), high)
         middle = (np.arange(len(edges) - 1) + 0.5) / (len(edges) - 1)
         return cls(edges[0], edges[-1], table[np.round(middle * 1023).astype(int)], edges)
+
+    @classmethod
+    def of_classes(cls, names: tuple[str, ...], colors: Any) -> ColorScale:
+        """Of classes without an order, numbered from 0, at most twelve; ``colors``: by name, where it is a mapping."""
+        own = colors if isinstance(colors, Mapping) else {}
+        rest = iter(DISTINCT)
+        rgb = np.array([ImageColor.getrgb(own.get(name) or next(rest))[:3] for name in names], np.float32) / 255
+        edges = tuple(k - 0.5 for k in range(len(names) + 1))
+        return cls(edges[0], edges[-1], srgb_to_linear(rgb).astype(np.float32), edges)
 
     def place(self, values: NDArray[Any]) -> Array:
         """Of a value, how far it lies along the table: 0 to 1, or the index of its class."""

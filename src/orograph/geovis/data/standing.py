@@ -14,6 +14,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset, Standing
@@ -48,6 +49,8 @@ class Kind(IntEnum):
     CONE = 2
     CYLINDER = 3
     FLAG = 4
+    TUBE = 5
+    WALL = 6
 
 
 KINDS = {"bars": Kind.BAR, "spheres": Kind.SPHERE, "cones": Kind.CONE, "discs": Kind.CYLINDER, "flags": Kind.FLAG}
@@ -61,6 +64,8 @@ class Things:
         kind: (n,) of ``Kind``. x, y: (n,) in the terrain's CRS. lift: (n,) metres of the picture above the ground.
         radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
         values: (n,), what they show, NaN of parts that show none. legend: what it means.
+        ends: (n, 4) of tubes and walls: the height of the one end, NaN where it is on the ground; x, y and height of
+            the other end; None: there are none of them.
     """
 
     kind: NDArray[np.int8]
@@ -72,6 +77,7 @@ class Things:
     rgb: NDArray[np.float32]
     values: Array
     legend: Legend
+    ends: Array | None = None
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -84,19 +90,22 @@ class Things:
             for name in ("kind", "x", "y", "lift", "radius", "height", "rgb", "values")
         }
         legends = [one.legend for one in several]
+        upright = [np.full((len(one), 4), np.nan) if one.ends is None else one.ends for one in several]
         return cls(
             **arrays,
+            ends=np.concatenate(upright) if any(one.ends is not None for one in several) else None,
             legend=Legend(
                 tuple(scale for one in legends for scale in one.scales),
                 tuple(swatch for one in legends for swatch in one.swatches),
-                "; ".join(one.note for one in legends if one.note),
+                tuple(named for one in legends for named in one.classes),
+                note="; ".join(one.note for one in legends if one.note),
             ),
         )
 
 
-def stands(dataset: Dataset, points: bool) -> bool:
-    """Whether data are shown by things that stand: where their style is such, or they are points without a style."""
-    return dataset.style in get_args(Standing) or (dataset.style is None and points)
+def stands(dataset: Dataset) -> bool:
+    """Whether data are shown by things that stand, by their style."""
+    return dataset.style in get_args(Standing)
 
 
 def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, unit: str, note: str) -> Things:
@@ -106,12 +115,16 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         unit, note: what the legend says besides.
     """
     style = dataset.style or "spheres"
-    scale = ColorScale.of(points.values, dataset.colormap, dataset.range)
+    if style not in KINDS:
+        raise UsageError(
+            f"There is no style {style} of points.", path=str(dataset.source), remedy=f"There are {', '.join(KINDS)}."
+        )
+    scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
     part = np.maximum(np.clip((values - scale.low) / (scale.high - scale.low), 0, 1), FLOOR)
-    size = dataset.size if dataset.size is not None else _longer(grid) / ACROSS[style]
+    size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     sign = _sign(dataset, priority, style) if sigma is not None else "none"
     doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
     if dataset.uncertainty is not None and dataset.uncertainty.range is not None:
@@ -120,7 +133,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     radius, height = _shape(style, size, part)
     main = Things(
         np.full(len(values), KINDS[style], np.int8), x, y, np.zeros(len(values)), radius, height,
-        colored(values, u, scale, sign), values, _legend(dataset, points.name, scale, unit, note, sign, doubt),
+        colored(values, u, scale, sign), values, key_of(dataset, points.name, scale, unit, note, sign, doubt),
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
         return main
@@ -166,15 +179,17 @@ def _error_bars(main: Things, half: Array) -> list[Things]:
     ]  # fmt: skip
 
 
-def _longer(grid: Grid) -> float:
+def longer(grid: Grid) -> float:
     """Metres along the longer side of a terrain."""
     a, b, _, d, e, _ = grid.transform[:6]
     return max(grid.cols * float(np.hypot(a, d)), grid.rows * float(np.hypot(b, e)))
 
 
-def _legend(
-    dataset: Dataset, name: str, scale: ColorScale, unit: str, note: str, sign: str, doubt: tuple[float, float]
+def key_of(
+    dataset: Dataset, name: str, scale: ColorScale, unit: str, note: str, sign: str, doubt: tuple[float, float],
+    classes: tuple[str, ...] | None = None,
 ) -> Legend:  # fmt: skip
+    """What the colours of things mean."""
     title = dataset.name or name
     beyond = dataset.range is None
     colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, below=beyond, above=beyond)
@@ -185,7 +200,11 @@ def _legend(
         for part, shade in zip(SWATCHES, shades):
             sigma = doubt[0] + part * (doubt[1] - doubt[0])
             swatches.append((f"± {rounded(sigma, doubt[1])} {unit}".rstrip(), shade))
-    return Legend((colors,), tuple(swatches), f"{title}: {note}" if note else "")
+    told = f"{title}: {note}" if note else ""
+    if classes is None:
+        return Legend((colors,), tuple(swatches), note=told)
+    names = zip(classes, linear_to_srgb(scale.color(np.arange(len(classes), dtype=np.float64))))
+    return Legend((), tuple(swatches), tuple(names), told)
 
 
 def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
@@ -195,7 +214,7 @@ def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
         size: metres of the largest thing; things then stand at least half as far apart. None: ``LATTICE``.
     """
     a, b, _, d, e, _ = grid.transform[:6]
-    step = _longer(grid) / LATTICE if size is None else max(size / 2, _longer(grid) / 200)
+    step = longer(grid) / LATTICE if size is None else max(size / 2, longer(grid) / 200)
     cols = np.arange(step / 2 / np.hypot(a, d), grid.cols - 1, step / np.hypot(a, d))
     rows = np.arange(step / 2 / np.hypot(b, e), grid.rows - 1, step / np.hypot(b, e))
     return grid.xy(*(v.ravel() for v in np.meshgrid(cols, rows)))

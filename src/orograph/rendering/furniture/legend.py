@@ -97,7 +97,7 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     shown, tint = drawn.shown, drawn.tint
     dry = shown["ground"] - shown["water"]
     scales = [scale for key in scene.keys for scale in key.scales]
-    swatches = [swatch for key in scene.keys for swatch in key.swatches]
+    swatches = [swatch for key in scene.keys for swatch in (*key.classes, *key.swatches)]
     for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
         explained = explain(layer, scene.terrain.grid)
         if isinstance(explained, Scale):
@@ -113,7 +113,10 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     if shown["missing"] >= VISIBLE:
         y, x = np.mgrid[:HATCH, :HATCH].reshape(2, -1) + 0.5
         swatches.append(("No data", linear_to_srgb(hatching(x, y)).reshape(HATCH, HATCH, 3)))
-    return Legend(tuple(scales[:MOST_SCALES]), tuple(swatches)) if scales or swatches else None
+    squares = tuple(one for key in scene.keys for one in key.squares)
+    if not (scales or swatches or squares):
+        return None
+    return Legend(tuple(scales[:MOST_SCALES]), tuple(swatches), squares=squares[:1])
 
 
 def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.keys import Legend, Scale
+from orograph.geovis.color import linear_to_srgb
+from orograph.geovis.keys import Legend, Scale, Square
 from orograph.rendering.furniture.lettering import Color, Style, cut, length
 
 PAPER: Color = (246, 244, 239)
@@ -76,7 +77,9 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
         piece.height += 0.9 * u if i else 0.0
         top = piece.height + 1.35 * u + (tip if scale.above else 0.0)
         _scale(piece, scale, style, top, round(each * u), bar, tip)
-    lead = 0.75 * u if legend.scales else 0.15 * u
+    for both in legend.squares:
+        _square(piece, both, style)
+    lead = 0.75 * u if legend.scales or legend.squares else 0.15 * u
     y, high = float(round(piece.height + lead)), round(0.95 * u)  # whole pixels, for patterns
     piece.height += pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u)
     piece.width += 2 * pad
@@ -111,6 +114,37 @@ def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, ba
     reach = max([length(small, name) for name in names], default=0.0)
     piece.width = max(piece.width, bar + 0.8 * u + reach, length(small, words))
     piece.height = top + tall + (tip if scale.below else 0.0)
+
+
+def _square(piece: Piece, both: Square, style: Style) -> None:
+    """Add a square of colours, what grows upwards written above it and what grows to the right below. The piece grows
+    with it."""
+    u, pad, small = style.unit, style.pad, style.font(0.9)
+    rows, cols = both.colors.shape[:2]
+    cell, left, top = round(2.4 * u), pad, piece.height + 1.5 * u
+    up, across = (cut(style.text(f"{way} {told}"), small, WIDEST * u, style)
+                  for way, told in (("up:", both.up), ("across:", both.across)))  # fmt: skip
+    piece.texts.append((left, top - 0.63 * u, up, small, GREY, "ls"))
+    piece.framed(left, top, left + cols * cell, top + rows * cell, PAPER, style.hair / 2)
+    table = _bytes(linear_to_srgb(both.colors))
+    for i in range(rows):
+        for j in range(cols):
+            y = top + (rows - 1 - i) * cell
+            piece.box(left + j * cell, y, left + (j + 1) * cell, y + cell, _color(table[i, j]))
+    ends, names = (both.up_edges[1:-1], both.across_edges[1:-1]), []
+    for k, value in enumerate(ends[0]):
+        y = top + (rows - 1 - k) * cell
+        names.append(f"{value:.3g}")
+        piece.box(left + cols * cell, y - style.hair / 2, left + cols * cell + 0.35 * u, y + style.hair / 2, INK)
+        piece.texts.append((left + cols * cell + 0.65 * u, y + 0.31 * u, names[-1], small, INK, "ls"))
+    for k, value in enumerate(ends[1]):
+        x = left + (k + 1) * cell
+        piece.box(x - style.hair / 2, top + rows * cell, x + style.hair / 2, top + rows * cell + 0.35 * u, INK)
+        piece.texts.append((x, top + rows * cell + 1.3 * u, f"{value:.3g}", small, INK, "ms"))
+    piece.texts.append((left, top + rows * cell + 2.6 * u, across, small, GREY, "ls"))
+    beside = cols * cell + 0.8 * u + max([length(small, one) for one in names], default=0.0)
+    piece.width = max(piece.width, beside, length(small, up), length(small, across))
+    piece.height = top + rows * cell + 2.7 * u
 
 
 def foot(

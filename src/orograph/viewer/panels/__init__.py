@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from orograph.viewer.panels import camera, detail, layers, light, statistics, tour
+from orograph.viewer.panels import camera, data, detail, layers, light, statistics, tour
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Area, Window
@@ -16,6 +16,7 @@ PANELS = (
     ("Camera", camera.draw, "top"),
     ("Light", light.draw, "middle"),
     ("Layers", layers.draw, "middle"),
+    ("Data", data.draw, "middle"),
     ("Detail", detail.draw, "bottom"),
     ("Tour", tour.draw, "bottom"),
     ("Statistics", statistics.draw, "bottom"),
@@ -38,7 +39,8 @@ def dock(window: Window) -> Area:
     if window.gui.fresh:
         window.gui.fresh = False
         _layout(viewport)
-        window.gui.raised = list(RAISED)
+        shown = window.session.settings.shown is not None
+        window.gui.raised = ["Data" if shown and name == "Light" else name for name in RAISED]
     flags = imgui.DockNodeFlags_.passthru_central_node | imgui.DockNodeFlags_.no_docking_over_central_node
     imgui.dock_space_over_viewport(DOCK, viewport, flags)
     node = imgui.internal.dock_builder_get_central_node(DOCK)

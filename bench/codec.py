@@ -1,0 +1,123 @@
+"""Bits a sample, and M samples a second, of the codecs that heights in steps can be packed with, on chunks of 256².
+
+    python bench/codec.py [--data ../shared/data] [--quick]
+
+*portable* and *compact* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with zstd at
+level 1 or 5, whichever is smaller, as a store could have it without a codec of its own; LERC and JPEG XL are
+imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+
+from orograph._blosc import blosc
+from orograph.store.arrays import ArraySpec
+from orograph.store.coding import Packing, floored
+
+SIDE = 256
+TERRAIN = {
+    "SRTM 3″, White Mountains": ("n44w072-hgt/N44W072.hgt", (1.0, 2.0)),
+    "Big Tujunga, 30 m": ("bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif", (1.0,)),
+    "NRW surface model, 1 m": ("nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif", (0.01, 0.2)),
+    "Gabilan lidar, 1 m": ("lsd-topo/gabilan.tif", (0.01, 0.2)),
+}
+"""Files, and steps in metres: the data's own, or twice the error."""
+
+Coder = tuple[Callable[[Any], Any], Callable[[Any], Any]]
+
+
+def chunks(path: Path, step: float) -> Iterator[np.ndarray]:
+    """Whole chunks of heights in such steps, float32."""
+    with rasterio.open(path) as file:
+        heights = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+    heights = (np.rint(heights / step) * step).astype(np.float32)
+    for row in range(0, heights.shape[0] - SIDE + 1, SIDE):
+        for col in range(0, heights.shape[1] - SIDE + 1, SIDE):
+            part = heights[row : row + SIDE, col : col + SIDE]
+            if not np.isnan(part).any():
+                yield np.ascontiguousarray(part)
+
+
+def coders(step: float) -> dict[str, Coder]:
+    """(Encode, decode) by name: of heights."""
+    found: dict[str, Coder] = {}
+    for codec in ("portable", "compact"):
+        spec = ArraySpec("heights/0/height", (SIDE, SIDE), SIDE, SIDE, packing=Packing(step, codec))
+        found[codec] = (spec._compressed, spec.decompressed)
+    packing = Packing(step, "portable")
+
+    def lorenzo(heights: np.ndarray) -> bytes:
+        around = np.pad(packing.numbers(heights), ((1, 0), (1, 0)))
+        left = (around[1:, 1:] - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]).astype(np.int32)
+        left = (left << 1) ^ (left >> 31)
+        return min((blosc.compress(left, b"zstd", level, blosc.SHUFFLE, 1 << 18) for level in (1, 5)), key=len)
+
+    def unlorenzo(data: bytes) -> np.ndarray:
+        left = np.frombuffer(blosc.decompress(data), np.int32).reshape(SIDE, SIDE)
+        left = (left >> 1) ^ -(left & 1)
+        return packing.heights(np.cumsum(np.cumsum(left, 0, dtype=np.int32), 1, dtype=np.int32))
+
+    found["Lorenzo"] = (lorenzo, unlorenzo)
+    try:
+        import imagecodecs
+    except ImportError:
+        return found
+    found["LERC"] = (lambda h: imagecodecs.lerc_encode(h, level=step / 2), imagecodecs.lerc_decode)
+
+    def jxl(heights: np.ndarray) -> bytes:
+        numbers = packing.numbers(heights)
+        return imagecodecs.jpegxl_encode((numbers - numbers.min()).astype(np.uint16), lossless=True, effort=3)
+
+    found["JPEG XL, effort 3"] = (jxl, imagecodecs.jpegxl_decode)
+    return found
+
+
+def best(work: Callable[[], Any], rounds: int) -> float:
+    times = []
+    for _ in range(rounds):
+        began = time.process_time()
+        work()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def measure(parts: Sequence[np.ndarray], coder: Coder, rounds: int) -> tuple[float, float, float]:
+    """Bits a sample, and M samples/s of encoding and decoding."""
+    encode, decode = coder
+    data = [encode(part) for part in parts]
+    decode(data[0])
+    samples = SIDE * SIDE * len(parts)
+    encoding = best(lambda: [encode(part) for part in parts], max(rounds // 3, 1))
+    decoding = best(lambda: [decode(one) for one in data], rounds)
+    return 8 * sum(map(len, data)) / samples, samples / encoding / 1e6, samples / decoding / 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--quick", action="store_true", help="two chunks of each, one round")
+    given = parser.parse_args()
+    print("| heights | step, m | codec | bits a sample | encode, M samples/s | decode, M samples/s |")
+    print("|---|---|---|---|---|---|")
+    for name, (path, steps) in TERRAIN.items():
+        if not (given.data / path).exists():
+            continue
+        for step in steps:
+            # (a step that is not the data's own is one that a store would have)
+            kept = step if step in (1.0, 0.01) else floored(step)
+            parts = list(chunks(given.data / path, kept))[: 2 if given.quick else 16]
+            for codec, coder in coders(kept).items():
+                bits, encoding, decoding = measure(parts, coder, 1 if given.quick else 9)
+                print(f"| {name} | {kept:.4g} | {codec} | {bits:.2f} | {encoding:.0f} | {decoding:.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

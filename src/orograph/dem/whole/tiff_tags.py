@@ -1,0 +1,251 @@
+"""TIFF: what the tags of a directory say of each other and of the blocks.
+
+libtiff goes on after a warning where a tag stands twice, has a type or a number of values that it cannot have, or where
+its tables list other blocks than there are; GDAL gives nodata, else 0, for a block that has a place and no size.
+
+Sources: TIFF 6.0, sections 2, 8 and 15; GeoTIFF 1.1 (OGC 19-008r4); COG as GDAL writes it.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable
+from typing import IO, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+OFFSETS, COUNTS = (273, 324), (279, 325)
+LARGEST = 1 << 27  # entries of a table that is looked at
+
+_WHOLE = (1, 3, 4, 16)
+_TYPES: dict[int, tuple[int, ...]] = {
+    **dict.fromkeys((254, 256, 257, 258, 259, 262, 266, 274, 277, 278, 284, 317, 322, 323, 338, 339), _WHOLE),
+    **dict.fromkeys((33550, 33922, 34264, 34736), (11, 12)), 34735: (3,), 34737: (2,), 42113: (2,),
+}  # fmt: skip
+"""Tags that decide heights and places → the types that their values may have."""
+
+_SINGLE = (254, 256, 257, 259, 262, 266, 274, 277, 278, 284, 317, 322, 323)
+_COUNTED = {33550: 3, 34264: 16}
+_MULTIPLE = {33922: 6, 34735: 4}
+_LOOKED_AT = 4096
+_SMALLEST = 64  # bytes of a directory that says of what size its raster is
+_GAPS = 32
+_SEARCHED = 1 << 18  # bytes at either end of a gap, for a directory
+_GUARDS = 9  # bytes around a block: its length, its end once more, and one to make it even
+_MASK = 4  # as a bit of the kind of a directory, and as what its samples mean
+
+
+class Directory(NamedTuple):
+    """One directory: its tags' (type, count, place of the values), where it begins and where it and all its values end,
+    the next one, and a tag that stands in it twice (0: none)."""
+
+    tags: dict[int, tuple[int, int, int]]
+    begin: int
+    end: int
+    following: int
+    twice: int = 0
+
+
+class Tiff(Protocol):
+    """What is asked of a file here."""
+
+    file: IO[bytes]
+    size: int
+    order: str
+    big: bool
+
+    def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
+        """The whole numbers of a tag."""
+
+
+def tags_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
+    """What is wrong with the tags of directories, the first of which is the raster's, a sentence; None: nothing."""
+    for directory in directories:
+        if directory.twice:
+            return f"Its tag {directory.twice} stands twice in a directory: it is damaged."
+        wrong = next((tag for tag, (kind, count, _) in directory.tags.items() if not _may_be(tag, kind, count)), None)
+        if wrong is not None:
+            return f"Its tag {wrong} has a type or a number of values that it cannot have: it is damaged."
+    first = directories[0]
+    together = _one(tiff, first, 277, 1)
+    for tag in (258, 339):
+        if tag in first.tags and first.tags[tag][1] not in (1, together):
+            return f"It has {together} samples in a pixel, and {first.tags[tag][1]} values of its tag {tag}."
+    if not all(map(first.tags.__contains__, (256, 257, 262))):
+        return "A tag that every raster has is lost: its directory is damaged."
+    return _mask_fault(tiff, directories) or _tables_fault(tiff, first)
+
+
+def _may_be(tag: int, kind: int, count: int) -> bool:
+    return (
+        kind in _TYPES.get(tag, (kind,))
+        and (tag not in _SINGLE or count == 1)
+        and count == _COUNTED.get(tag, count)
+        and count % _MULTIPLE.get(tag, 1) == 0
+    )
+
+
+def _one(tiff: Tiff, directory: Directory, tag: int, otherwise: int) -> int:
+    numbers = tiff.numbers(directory, tag)
+    return int(numbers[0]) if numbers.size else otherwise
+
+
+def _mask_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
+    """A mask that is none any more to GDAL, which then takes what is missing for heights."""
+    shapes = [tuple(_one(tiff, directory, tag, 0) for tag in (256, 257)) for directory in directories]
+    masks = [bool(_one(tiff, directory, 254, 0) & _MASK) for directory in directories]
+    for directory, shape, mask in zip(directories[1:], shapes[1:], masks[1:], strict=True):
+        if mask != (_one(tiff, directory, 262, -1) == _MASK):
+            return "One of its directories is a mask by one tag and none by another."
+        alike = any(one == shape and not other for one, other in zip(shapes, masks, strict=True))
+        bands = _one(tiff, directory, 277, 1)
+        odd = bands not in (1, _one(tiff, directories[0], 277, 1)) or _one(tiff, directory, 258, 1) not in (1, 8)
+        if mask and (odd or not alike):
+            return "Its mask has another size than what it masks, or is none."
+    return None
+
+
+def _tables_fault(tiff: Tiff, first: Directory) -> str | None:
+    """Tables that list too few blocks, more that hold something, or blocks of which one half is lost."""
+    wanted = _blocks_wanted(tiff, first)
+    for places, sizes in zip(OFFSETS, COUNTS, strict=True):
+        at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
+        if places in first.tags and sizes in first.tags and first.tags[places][1] != first.tags[sizes][1]:
+            return (
+                f"It lists the places of {first.tags[places][1]:,} blocks and the sizes of {first.tags[sizes][1]:,}: "
+                "the table of its blocks is damaged."
+            )
+        for tag, read in ((places, at), (sizes, size)):
+            kind, count, _ = first.tags.get(tag, (0, 0, 0))
+            if kind in _WHOLE and 0 < count < LARGEST and not read.size:
+                return "The table of its blocks lies beyond its end: it was cut short."
+        if not at.size or at.size != size.size:
+            continue
+        if ((at == 0) & (size > 0)).any():
+            return "A block of it has a size and no place: the table of its blocks is damaged."
+        if at.size > 1 and any(_holds(tiff, first, int(place)) for place in at[(at > 0) & (size == 0)][:_LOOKED_AT]):
+            return "A block of it has a place and no size: the table of its blocks is damaged."
+        more = (size[wanted:] > 0) & (at[wanted:] > 0) & (at[wanted:] + size[wanted:] <= tiff.size)
+        if wanted and (at.size < wanted or more.any()):
+            return f"It lists {at.size:,} blocks, and its size asks for {wanted:,}: the one or the other is damaged."
+    return None
+
+
+def _holds(tiff: Tiff, first: Directory, place: int) -> bool:
+    """Whether there is anything but zeros in a block that the table gives a place and no size: of blocks of zeros GDAL
+    writes none in sparse cloud-optimised files, where four bytes before a block say how long it is."""
+    tiff.file.seek(0)
+    if b"BLOCK_LEADER=SIZE_AS_UINT4" not in tiff.file.read(1024):
+        return True
+    tiff.file.seek(place - 4)
+    length = int.from_bytes(tiff.file.read(4), "little")
+    samples = _one(tiff, first, 322, 1) * _one(tiff, first, 323, 1) * _one(tiff, first, 258, 8) // 8
+    if _one(tiff, first, 259, 1) == 1:
+        return any(tiff.file.read(min(length, samples)))
+    return length > samples // 50 + 32  # what hardly any terrain is compressed to
+
+
+def _blocks_wanted(tiff: Tiff, first: Directory) -> int:
+    """Of how many blocks a raster is made; 0 if its tags do not say."""
+    cols, rows = _one(tiff, first, 256, 0), _one(tiff, first, 257, 0)
+    planes = _one(tiff, first, 277, 1) if _one(tiff, first, 284, 1) == 2 else 1
+    wide, high = _one(tiff, first, 322, 0), _one(tiff, first, 323, 0)
+    if OFFSETS[1] not in first.tags:
+        wide, high = cols, min(_one(tiff, first, 278, rows), rows)
+    return -(-cols // wide) * -(-rows // high) * planes if wide > 0 and high > 0 else 0
+
+
+def blocks_fault(
+    tiff: Tiff, directories: list[Directory], at: NDArray[np.int64], size: NDArray[np.int64], plain: int, ordered: bool
+) -> str | None:
+    """What is wrong with where the blocks of the first directory lie, a sentence; None: nothing.
+
+    Args:
+        at, size: of the blocks that are there.
+        plain: bytes of a block that is not compressed; 0: they are compressed.
+        ordered: whether they lie in the order of the raster, as the file says of itself.
+    """
+    if ordered and (np.diff(at) <= 0).any():
+        return "Its blocks do not lie in the order that it says: the table of where they lie is damaged."
+    ends = at + size
+    for directory in directories:
+        if ((at < directory.end) & (ends > directory.begin) & (ends <= tiff.size)).any():
+            return "A block of it and one of its directories lie in one another."
+    if plain and at.size > 1 and (size[ends <= tiff.size] > plain + 1).any():
+        return f"A block of it has {int(size.max()):,} bytes, and its samples need {plain:,}."
+    at, size = at[ends <= tiff.size], size[ends <= tiff.size]
+    order = np.argsort(at, kind="stable")
+    twice = size[order][1:][np.diff(at[order]) == 0]
+    if twice.size and any(_lost(size, twice, length, plain) for _, length in unused(tiff, directories)):
+        return "It lists a block twice, and has bytes that belong to none: the table of its blocks is damaged."
+    return None
+
+
+def _lost(size: NDArray[np.int64], twice: NDArray[np.int64], length: int, plain: int) -> bool:
+    """Whether bytes that belong to nothing may be a block whose place was overwritten with that of another. Compressed
+    blocks of one kind may share a place, and leave gaps where they were written anew: only one of the same size is
+    taken for lost."""
+    if plain:
+        return bool(length >= size.min())
+    return bool(((twice <= length) & (length <= twice + _GUARDS)).any())
+
+
+def lost_mask(tiff: Tiff, directories: list[Directory], parse: Callable[[int], Directory]) -> bool:
+    """Whether a mask of the raster lies where no directory leads to, and none of those that are reached is one.
+
+    Args:
+        parse: the directory at a byte; struct.error or ValueError if there is none.
+    """
+    shape = [_one(tiff, directories[0], tag, 0) for tag in (256, 257)]
+    if any(_one(tiff, directory, 254, 0) & _MASK for directory in directories):
+        return False
+    mark = struct.pack(tiff.order + "HH", 254, 4)
+    gaps = [gap for gap in unused(tiff, directories) if gap[1] >= _SMALLEST]
+    for begin, length in dict.fromkeys((*gaps[:_GAPS], *gaps[-_GAPS:])):
+        for at in {begin, max(begin, begin + length - _SEARCHED)}:
+            tiff.file.seek(at)
+            data = tiff.file.read(min(_SEARCHED, begin + length - at))
+            for found in re.finditer(re.escape(mark), data):
+                try:
+                    inner = parse(at + found.start() - (8 if tiff.big else 2))
+                except (struct.error, ValueError):
+                    continue
+                is_mask = _one(tiff, inner, 254, 0) & _MASK and _one(tiff, inner, 262, -1) == _MASK
+                if is_mask and [_one(tiff, inner, tag, 0) for tag in (256, 257)] == shape:
+                    return True
+    return False
+
+
+def unused(tiff: Tiff, directories: list[Directory]) -> list[tuple[int, int]]:
+    """First byte and number of all bytes in a row that belong to no block and no directory."""
+    begins = [np.array([0, tiff.size, *(directory.begin for directory in directories)])]
+    stops = [np.array([8, tiff.size, *(directory.end for directory in directories)])]
+    for directory in directories:
+        for places, sizes in zip(OFFSETS, COUNTS, strict=True):
+            starts, lengths = tiff.numbers(directory, places), tiff.numbers(directory, sizes)
+            if starts.size == lengths.size:
+                begins.append(np.minimum(starts, tiff.size))
+                stops.append(np.minimum(starts + lengths, tiff.size))
+    begin, stop = np.concatenate(begins), np.concatenate(stops)
+    order = np.argsort(begin, kind="stable")
+    begin, reached = begin[order], np.maximum.accumulate(stop[order])
+    free = np.flatnonzero(begin[1:] > reached[:-1])
+    return [(int(reached[i]), int(begin[i + 1] - reached[i])) for i in free]
+
+
+def row_major(head: bytes) -> bool:
+    """Whether a file says in its first bytes that its blocks lie in the order of the raster, and it was not changed
+    since."""
+    return b"BLOCK_ORDER=ROW_MAJOR" in head and b"KNOWN_INCOMPATIBLE_EDITION=NO" in head
+
+
+def plain_bytes(tiff: Tiff, first: Directory) -> int:
+    """Bytes of a block of a directory's samples, if they are not compressed."""
+    cols, rows = _one(tiff, first, 256, 0), _one(tiff, first, 257, 0)
+    wide, high = _one(tiff, first, 322, 0), _one(tiff, first, 323, 0)
+    if OFFSETS[1] not in first.tags:
+        wide, high = cols, min(_one(tiff, first, 278, rows), rows)
+    together = _one(tiff, first, 277, 1) if _one(tiff, first, 284, 1) == 1 else 1
+    return high * -(-wide * together * _one(tiff, first, 258, 1) // 8)

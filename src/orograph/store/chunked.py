@@ -1,0 +1,230 @@
+"""Chunks of a terrain's quadtree, each a mesh of its own that is simplified to its level's error, with skirts.
+
+Ulrich, *Rendering Massive Terrains using Chunked Level of Detail Control* (SIGGRAPH 2002 course notes). Chunks of level
+l are squares of ``cells`` · 2^l cells; the vertices of their meshes are those whose error, that of the middle of their
+hypotenuse, reaches the level's: ``error`` at level 0, and twice as much from level to level, rounded in the exponent;
+besides them those that these depend on. One decision a vertex and level for the whole terrain: chunks of one level fit.
+A *skirt* hangs from a chunk's sides, as low as no neighbour's edge can be that is up to ``APART`` levels coarser.
+
+Of a chunk is kept which triangles were split (``chunked_kernels``), the heights of the vertices in the order in which
+they are met, how low its skirt reaches, and the heights of its corners in the mesh of the next coarser level. The rest
+follows: positions, triangles, and the height that each vertex has in that mesh, to which it can move.
+
+*Words* (uint32) of a chunk: numbers of codes and of vertices; codes, 16 a word; heights (float32) of the corners and of
+the vertices; the skirt's lowest heights (float32) at the vertices on its sides, NaN where none hangs; those of the
+corners in the coarser mesh (float32). Of a level, chunk after chunk, row by row; ``lengths`` has how many each takes.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.hierarchy import diamonds
+from orograph.store.arrays import ArraySpec
+from orograph.store.terrain import Shape, exponent
+
+if TYPE_CHECKING:
+    from orograph.store.stored import StoredTerrain
+
+CELLS = 32
+"""Cells along a finest chunk's side, unless otherwise asked."""
+
+ALL_CELLS = (16, 32, 64, 128)
+"""What that can be."""
+
+APART = 2
+"""Chunks beside each other differ by as many levels at most."""
+
+PER_WORD = 16
+"""Codes in a word."""
+
+Words = NDArray[np.uint32]
+Corners = NDArray[np.int64]
+
+
+def checked_sizes(chunked: Any) -> tuple[int, float]:
+    """The cells and the metres of the finest chunks as numbers.
+
+    Raises:
+        UsageError: they make no sense.
+    """
+    pair = tuple(chunked) if isinstance(chunked, (tuple, list)) else ()
+    if (
+        len(pair) != 2
+        or pair[0] not in ALL_CELLS
+        or not isinstance(pair[1], (int, float))
+        or not 0 <= pair[1] < math.inf
+    ):
+        raise UsageError(
+            f"'chunked' is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, and metres, 0 or more, "
+            f"not {chunked!r}.", remedy="(32, 0) is what chunked-lod takes by itself.",
+        )  # fmt: skip
+    return int(pair[0]), float(pair[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A chunk's mesh.
+
+    Attributes:
+        vertices: (v, 3) float64, column, row, metres; those of the skirt's lower edge last.
+        targets: (v,), metres in the next coarser level's mesh.
+        triangles: (t, 3) int32, turning as the hierarchy's do: counter-clockwise on the map where rows run southwards.
+        skirt: how many of the triangles, the last ones, are the skirt's.
+    """
+
+    vertices: NDArray[np.float64]
+    targets: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    skirt: int
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes it takes in memory."""
+        return self.vertices.nbytes + self.targets.nbytes + self.triangles.nbytes
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which chunks there are.
+
+    Attributes:
+        shape: of the raster. cells: along a side of the finest chunks, as asked for.
+    """
+
+    shape: Shape
+    cells: int
+
+    @property
+    def p(self) -> int:
+        """The exponent of a finest chunk's side; smaller than asked for if the raster is."""
+        return min(self.cells.bit_length() - 1, max(exponent(self.shape), 1))
+
+    @property
+    def top(self) -> int:
+        """The coarsest level, of one chunk."""
+        return max(exponent(self.shape), 1) - self.p
+
+    def side(self, level: int) -> int:
+        """Samples along a side."""
+        return 1 << (self.p + level)
+
+    def chunks(self, level: int) -> Shape:
+        """Rows and columns of a level's chunks that have a cell of the raster."""
+        rows, cols = (-((1 - size) >> (self.p + level)) for size in self.shape)
+        return max(rows, 1), max(cols, 1)
+
+    def corners(self, level: int, i: int, j: int) -> Corners:
+        """(4, 2) rows and columns of a chunk's corners, as ``chunked_kernels`` takes them."""
+        half = self.side(level) // 2
+        row, col = (2 * i + 1) * half, (2 * j + 1) * half
+        (p, q), (a, b) = ([way(row, col, k) for k in (0, 1)] for way in (diamonds.apex, diamonds.end))
+        return np.array([p, a, q, b], np.int64)
+
+
+def lengths_spec(layout: Layout, level: int, shard: int, chunk: int) -> ArraySpec:
+    """How many words each chunk of a level takes."""
+    return ArraySpec(f"chunked/level-{level}/lengths", layout.chunks(level), shard, chunk, "uint32", 0.0)
+
+
+def words_spec(level: int, rows: int, shard: int, chunk: int) -> ArraySpec:
+    """The words of a level's chunks, ``chunk`` a row."""
+    return ArraySpec(f"chunked/level-{level}/words", (rows, chunk), shard, chunk, "uint32", 0.0)
+
+
+def unpacked(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
+    """The mesh of chunk (i, j) of a level from its words."""
+    codes, count = int(words[0]), int(words[1]) + 4
+    at = 2 - (-codes // PER_WORD)
+    bits = words[2:at, None] >> np.arange(0, 2 * PER_WORD, 2, dtype=np.uint32) & 3
+    numbers = words[at:].view(np.float32)
+    heights, hanging, coarse = numbers[:count], numbers[count:-4], numbers[-4:].astype(np.float64)
+    slots = np.full((1 << max(2 * count, 16).bit_length(), 2), -1, np.int64)
+    places, triangles = np.empty((count, 2), np.int64), np.empty((codes, 3), np.int32)
+    vertices, targets = np.empty((count, 3)), np.empty(count)
+    last_row, last_col = layout.shape[0] - 1, layout.shape[1] - 1
+    from orograph.store.chunked_kernels import read_walk  # a store is read without Numba
+
+    made = read_walk(
+        bits.reshape(-1)[:codes].astype(np.uint8), heights, layout.corners(level, i, j), coarse, last_row, last_col,
+        places, vertices, targets, triangles, slots,
+    )  # fmt: skip
+    sides = np.flatnonzero(on_sides(places, layout.side(level), i, j).any(0))
+    low = np.full(count, np.nan)
+    low[sides] = hanging
+    return with_skirt(vertices, targets, triangles[:made], places, low, layout.side(level), i, j)
+
+
+def on_sides(places: Corners, side: int, i: int, j: int) -> NDArray[np.bool_]:
+    """(4, v) which vertices lie on the north, west, south and east side of chunk (i, j)."""
+    row, col = places.T
+    return np.stack([row == i * side, col == j * side, row == (i + 1) * side, col == (j + 1) * side])
+
+
+def with_skirt(
+    vertices: NDArray[np.float64], targets: NDArray[np.float64], triangles: NDArray[np.int32], places: Corners,
+    low: NDArray[np.float64], side: int, i: int, j: int,
+) -> Chunk:  # fmt: skip
+    """A chunk's mesh with its skirt: two triangles below each edge on a side, where both ends know how low."""
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    on = on_sides(places, side, i, j)
+    hangs = ~np.isnan(low[edges]).any(1) & np.any([one[edges].all(1) for one in on], axis=0)
+    edges = edges[hangs]
+    tops, below = np.unique(edges, return_inverse=True)
+    a, b = edges.T
+    a_, b_ = len(vertices) + below.reshape(-1, 2).T
+    hung = np.concatenate([np.stack([b, a, a_], 1), np.stack([b, a_, b_], 1)]).astype(np.int32)
+    down = vertices[tops].copy()
+    down[:, 2] = low[tops]
+    return Chunk(
+        np.concatenate([vertices, down]), np.append(targets, low[tops]), np.concatenate([triangles, hung]), len(hung)
+    )
+
+
+class StoredChunks:
+    """The chunks of a store. Safe from any number of threads.
+
+    Attributes:
+        layout: which there are. error: metres, of level 0.
+    """
+
+    def __init__(self, terrain: StoredTerrain, what: dict[str, Any]) -> None:
+        self.terrain, self.layout, self.error = terrain, Layout(terrain.grid.shape, what["cells"]), float(what["error"])
+        self._rows = what["rows"]
+        self._sizes = terrain.record.shard, terrain.record.chunk
+        self._starts: dict[int, NDArray[np.int64]] = {}
+        self._lock = threading.Lock()
+
+    def chunk(self, level: int, i: int, j: int) -> Chunk:
+        """The mesh of chunk (i, j) of a level.
+
+        Raises:
+            DamagedChunkError: as ``terrain.read``.
+        """
+        _, cols = self.layout.chunks(level)
+        starts = self._of(level)
+        begin, end = int(starts[i * cols + j]), int(starts[i * cols + j + 1])
+        wide = self._sizes[1]
+        first = begin // wide
+        array = self.terrain.opened(
+            "chunked/words", level, lambda: words_spec(level, self._rows[level], *self._sizes)
+        )  # fmt: skip
+        read: Words = array.read(first, -(-end // wide), 0, wide).reshape(-1)
+        return unpacked(read[begin - first * wide : end - first * wide], self.layout, level, i, j)
+
+    def _of(self, level: int) -> NDArray[np.int64]:
+        """Where each chunk of a level begins, and the last one ends."""
+        with self._lock:
+            if level not in self._starts:
+                rows, cols = self.layout.chunks(level)
+                spec = lengths_spec(self.layout, level, *self._sizes)
+                lengths = self.terrain.opened("chunked/lengths", level, lambda: spec).read(0, rows, 0, cols)
+                self._starts[level] = np.append(0, np.cumsum(lengths.reshape(-1), dtype=np.int64))
+            return self._starts[level]

@@ -1,0 +1,195 @@
+"""Meshes of chunks made from a terrain's heights (Ulrich 2002): which levels have a vertex, then chunk by chunk.
+
+What a vertex needs to know follows from errors of diamonds (``midpoint``: how far a vertex is above or below the middle
+of its hypotenuse, no less than for those that depend on it): the levels whose error it reaches. Chunks need nothing
+else of each other, so they are made in any order, by any number of threads, when they are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.hierarchy import diamonds
+from orograph.parallel import map_ordered
+from orograph.store.chunked import APART, PER_WORD, Chunk, Layout, Words, on_sides, unpacked
+from orograph.store.chunked_kernels import lowest, middle, write_walk
+from orograph.store.terrain import TILE, Heights, Terrain
+
+SHARE = 1 / 2
+"""Of the median error of the finest vertices: the error of level 0, unless it is given."""
+
+BAND = 256
+"""Rows of diamonds that are read at once."""
+
+SEEN = 64
+"""Bands of the finest vertices that the median is found from, at most."""
+
+Integers = NDArray[np.int64]
+
+
+class MemoryChunks:
+    """The chunks of a terrain, each made when it is asked for; some 1.4 bytes a sample are held.
+
+    Args:
+        terrain: the ground; its ``midpoint`` errors are needed. cells: along a finest chunk's side.
+        finest: metres, the error of level 0; 0: found from the terrain.
+
+    Attributes:
+        layout: which there are. error: metres, of level 0.
+
+    Raises:
+        StoreError: a store has no such errors. DamagedChunkError: as ``terrain.read``.
+    """
+
+    def __init__(self, terrain: Terrain, cells: int, finest: float = 0.0) -> None:
+        self.terrain, self.layout = terrain, Layout(terrain.grid.shape, cells)
+        self._table = terrain.derived("diamonds", error="midpoint") if terrain.n else None
+        self.error = finest or self._usual()
+        self._levels, self._places = self._vertices()
+        self._corners: dict[tuple[int, int, int], float] = {}
+
+    def chunk(self, level: int, i: int, j: int) -> Chunk:
+        """As ``StoredChunks.chunk``."""
+        return unpacked(self.words(level, i, j), self.layout, level, i, j)
+
+    def all_words(self, level: int, jobs: int | None = None) -> Iterator[Words]:
+        """The words of a level's chunks, row by row."""
+        rows, cols = self.layout.chunks(level)
+        yield from map_ordered(lambda at: self.words(level, *divmod(at, cols)), range(rows * cols), jobs, ahead=8)
+
+    def words(self, level: int, i: int, j: int) -> Words:
+        """What is kept of a chunk."""
+        corners, side = self.layout.corners(level, i, j), self.layout.side(level)
+        codes, places, known = self._walk(corners, level)
+        places = np.concatenate([corners, places])
+        known = np.concatenate([np.full(4, 255, np.uint8), known])
+        heights = self._heights(places)
+        hanging = self._skirt(places, heights, known, level, i, j, side)
+        coarse = np.array([self._corner(level + 1, int(row), int(col)) for row, col in corners], np.float32)
+        padded = np.zeros(-(-len(codes) // PER_WORD) * PER_WORD, np.uint32)
+        padded[: len(codes)] = codes
+        shifts = np.arange(0, 2 * PER_WORD, 2, dtype=np.uint32)
+        packed = np.bitwise_or.reduce(padded.reshape(-1, PER_WORD) << shifts, axis=1)
+        counts = np.array([len(codes), len(places) - 4], np.uint32)
+        numbers = np.concatenate([heights, hanging, coarse]).astype(np.float32)
+        return np.concatenate([counts, packed.astype(np.uint32), numbers.view(np.uint32)])
+
+    # ---- which levels have a vertex ----
+
+    def _usual(self) -> float:
+        """The error of level 0 where none is given: a share of the median of the finest vertices'."""
+        found = [errors[(errors > 0) & np.isfinite(errors) & (radii >= 0)] for errors, radii in self._bands(0, SEEN)]
+        some = np.concatenate([np.zeros(0, np.float32), *found])
+        return float(np.median(some)) * SHARE if len(some) else 1.0
+
+    def _bands(self, level: int, most: int | None = None) -> Iterator[tuple[Heights, Heights]]:
+        """Errors and radii of a level's diamonds, by rows; ``most``: so many bands at most, evenly spaced."""
+        if self._table is None:
+            return
+        rows, cols = self.terrain.diamond_shape(level)
+        starts = np.arange(0, rows, BAND)
+        if most is not None:
+            starts = starts[:: -(-len(starts) // most)]
+        for row in starts.tolist():
+            yield self._table.read(level, row, min(row + BAND, rows), 0, cols)
+
+    def _vertices(self) -> tuple[NDArray[np.uint8], Integers]:
+        """The levels of all vertices, and where the table of each octave lies (``chunked_kernels.level_of``)."""
+        if self._table is None:  # a raster of one cell, whose square has one diamond, squeezed onto it
+            return np.full(9, 255, np.uint8), np.array([[0, 3, 3]], np.int64)
+        reached = self.error * 2.0 ** np.append(0.0, np.arange(1, self.layout.top + 1) - 0.5)
+        found, places, begin = [], [], 0
+        for level in range(self.terrain.levels):
+            shape = self.terrain.diamond_shape(level)
+            places.append((begin, *shape))
+            begin += shape[0] * shape[1]
+            for errors, radii in self._bands(level):
+                levels = (1 + np.searchsorted(reached, errors, side="right")).astype(np.uint8)
+                levels[np.isinf(errors)] = 255
+                levels[radii < 0] = 0
+                found.append(levels.reshape(-1))
+        return np.concatenate(found), np.array(places, np.int64)
+
+    def _known(self, row: int, col: int) -> int:
+        """The levels of one vertex."""
+        k = min(int(diamonds.octave(row, col)), len(self._places) - 1)
+        begin, rows, cols = self._places[k].tolist()
+        i, j = row >> k, col >> k
+        return int(self._levels[begin + i * cols + j]) if i < rows and j < cols else 0
+
+    # ---- a chunk ----
+
+    def _walk(self, corners: Integers, level: int) -> tuple[NDArray[np.uint8], Integers, NDArray[np.uint8]]:
+        room = 1 << 11
+        while True:
+            codes, found, known = np.empty(4 * room, np.uint8), np.empty((room, 2), np.int64), np.empty(room, np.uint8)
+            slots = np.full((4 * room, 2), -1, np.int64)
+            count, vertices = write_walk(self._levels, self._places, corners, level, codes, found, known, slots)
+            if count >= 0:
+                return codes[:count], found[:vertices], known[:vertices]
+            room *= 4
+
+    def _heights(self, places: Integers) -> Heights:
+        """The heights of vertices, squeezed onto the raster: each from the coarsest level that has it."""
+        found = np.empty(len(places), np.float32)
+        octave = np.minimum(diamonds.octave(*places.T), self.terrain.levels - 1)
+        octave[(places == 0).all(1)] = self.terrain.levels - 1
+        for k in np.unique(octave).tolist():
+            here = np.flatnonzero(octave == k)
+            rows, cols = self.terrain.shape(k)
+            i, j = np.minimum(places[here, 0] >> k, rows - 1), np.minimum(places[here, 1] >> k, cols - 1)
+            blocks = i // TILE * cols + j // TILE
+            for block in np.unique(blocks).tolist():
+                some = blocks == block
+                r, c = i[some], j[some]
+                r0, c0 = int(r.min()), int(c.min())
+                found[here[some]] = self.terrain.read(k, r0, int(r.max()) + 1, c0, int(c.max()) + 1)[r - r0, c - c0]
+        return found
+
+    def _skirt(
+        self, places: Integers, heights: Heights, known: NDArray[np.uint8], level: int, i: int, j: int, side: int
+    ) -> Heights:
+        """How low the skirt reaches at the vertices on the sides; NaN along the raster's border, where none hangs."""
+        low = np.full(len(places), np.nan, np.float32)
+        last_row, last_col = (size - 1 for size in self.terrain.grid.shape)
+        sides = on_sides(places, side, i, j)
+        for number, on in enumerate(sides):
+            across, along = (0, 1) if number % 2 == 0 else (1, 0)  # (the coordinate that is the same all along, …)
+            fixed = int((i, j)[across] + number // 2) * side
+            if not 0 < fixed < (last_row, last_col)[across]:
+                continue
+            here = np.flatnonzero(on)
+            here = here[np.argsort(places[here, along], kind="stable")]
+            first = int((i, j)[along]) * side
+            end = min(first + side, (last_row, last_col)[along]) + 1
+            window = (fixed, fixed + 1, first, end) if across == 0 else (first, end, fixed, fixed + 1)
+            # A neighbour is as much coarser as chunks may be apart and as its own border allows, and may be moving to
+            # the next level.
+            coarsest = min(int(diamonds.octave(fixed, 0)) - self.layout.p, level + APART)
+            reach = min(coarsest + 1, self.layout.top) - level
+            line = np.ascontiguousarray(self.terrain.read(0, *window).reshape(-1))
+            ends = [[self._corner(level + 1 + m, *places[at].tolist()) for at in here[[0, -1]]] for m in range(reach)]
+            result = np.empty(len(here), np.float32)
+            lowest(
+                places[here, along] - first, heights[here], known[here], line, np.array(ends).reshape(reach, 2), level,
+                reach, result,
+            )  # fmt: skip
+            low[here] = np.fmin(low[here], np.nextafter(result, np.float32(-np.inf)))
+        return low[sides.any(0)]
+
+    def _corner(self, level: int, row: int, col: int) -> float:
+        """The height of a corner of chunks in the mesh of a coarser level (its own above the last)."""
+        key = level, row, col
+        if key not in self._corners:
+            own = float(self._heights(np.array([[row, col]]))[0])
+            whole = (row | col) % self.layout.side(min(level, self.layout.top)) == 0  # a corner of chunks of that level
+            if level <= self.layout.top and not whole and self._known(row, col) < level + 2:
+                (lr, lc), (rr, rc) = ends = [tuple(map(int, diamonds.end(row, col, k))) for k in (0, 1)]
+                left, right = (self._corner(level, *end) for end in ends)
+                last_row, last_col = (size - 1 for size in self.terrain.grid.shape)
+                own = float(middle(lr, lc, rr, rc, left, right, own, last_row, last_col))
+            self._corners[key] = own
+        return self._corners[key]

@@ -1,0 +1,82 @@
+"""Chunks' meshes as a kind of derived data: what a store has of them, and how they are opened, made and written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orograph.errors import StoreError
+from orograph.geo.grid import Grid
+from orograph.store.arrays import ArraySpec
+from orograph.store.chunked import Layout, StoredChunks, lengths_spec, words_spec
+from orograph.store.derived import At, Attributes, Derived, Nodes
+
+if TYPE_CHECKING:
+    from orograph.store.chunked_build import MemoryChunks
+    from orograph.store.memory import MemoryTerrain
+    from orograph.store.stored import StoredTerrain
+
+
+class ChunkedKind(Derived[dict[str, Any]]):
+    """Meshes of chunks. Options: ``cells``; ``finest``, as asked for.
+
+    A record has both, the ``error`` of level 0 in metres, and of each level the ``rows`` of its words.
+    """
+
+    name, version, group = "chunked", 1, "chunked"
+
+    def nothing(self) -> dict[str, Any]:
+        return {}
+
+    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {name: told[name] for name in ("cells", "finest", "error", "rows")}
+
+    def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
+        return what
+
+    def arrays(self, what: dict[str, Any], at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
+        layout = Layout(at.grid.shape, what["cells"])
+        for level, rows in enumerate(what["rows"]):
+            yield lengths_spec(layout, level, at.shard, at.chunk), {"long_name": "words that each chunk's mesh takes"}
+            about = "meshes of chunks: splits, heights, skirts, corners"
+            yield words_spec(level, rows, at.shard, at.chunk), {"long_name": about}
+
+    def groups(self, what: dict[str, Any], at: At) -> tuple[Nodes, dict[str, bytes]]:
+        from orograph.store.conventions import group
+
+        nodes, data = super().groups(what, at)
+        return {**nodes, self.group: group({name: what[name] for name in ("cells", "error")})}, data
+
+    def open(self, terrain: StoredTerrain, **options: Any) -> StoredChunks:
+        found = self.of(terrain.record)
+        if any(found.get(name) != options[name] for name in ("cells", "finest")):
+            raise StoreError(
+                f"This store has no chunks of {options['cells']} cells"
+                + (f" and {options['finest']:g} m." if options["finest"] else "."),
+                path=terrain.url,
+                remedy=f"Build it with them (`orograph.build(..., chunked=({options['cells']}, {options['finest']:g}))`"
+                "), or have them made.",
+            )
+        return StoredChunks(terrain, found)
+
+    def compute(self, terrain: MemoryTerrain, **options: Any) -> MemoryChunks:
+        from orograph.store.chunked_build import MemoryChunks
+
+        return MemoryChunks(terrain, int(options["cells"]), float(options["finest"]))
+
+
+CHUNKED = ChunkedKind()
+
+
+def rows_of(words: int, chunk: int) -> int:
+    """Rows of so many words, one at least."""
+    return max(1, -(-words // chunk))
+
+
+def block_of(words: np.ndarray[Any, np.dtype[np.uint32]], chunk: int) -> np.ndarray[Any, np.dtype[np.uint32]]:
+    """A level's words in rows, zeros after the last."""
+    whole = np.zeros(rows_of(len(words), chunk) * chunk, np.uint32)
+    whole[: len(words)] = words
+    return whole.reshape(-1, chunk)

@@ -1,0 +1,47 @@
+"""The codec *compact*: chunks of whole numbers, predicted from what surrounds them and entropy-coded.
+
+A sample is foretold by twelve others to the left and above (weights by least squares, one set for each chunk), and what
+it differs by is written with ranged asymmetric numeral systems (Duda 2013), in one of up to eight tables that the size
+of the differences above it chooses. docs/codec.md has the format, byte by byte.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.store.coding import Numbers
+
+NAME = "orograph.compact"
+"""In the metadata of arrays, and in Zarr's registry of codecs."""
+
+WRONG = {
+    1: "it ends too early",
+    2: "it is of another version of the codec, or no chunk of it",
+    3: "its tables are not possible",
+    4: "its runs of missing samples are not possible",
+    5: "its stream does not end where it must",
+}
+
+
+def compressed(numbers: Numbers) -> bytes:
+    """The bytes of a chunk, (rows, cols) int32, -2^31 where missing."""
+    from orograph.store.compact_encode import encode
+
+    found: NDArray[np.uint8] = encode(np.ascontiguousarray(numbers, np.int32))
+    return found.tobytes()
+
+
+def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
+    """A chunk of its bytes.
+
+    Raises:
+        ValueError: they are not those of such a chunk.
+    """
+    from orograph.store.compact_decode import decode
+
+    found = np.empty(shape, np.int32)
+    wrong = decode(np.frombuffer(data, np.uint8), found)
+    if wrong:
+        raise ValueError(f"A chunk cannot be decoded: {WRONG[wrong]}.")
+    return found

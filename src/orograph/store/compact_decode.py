@@ -1,0 +1,400 @@
+"""The kernel that decodes chunks of the codec *compact* (``compact``; docs/codec.md has the format).
+
+Nothing that is read out of a chunk becomes an index before it is checked, and the stream of words is copied to where a
+row more than there can be may be read: damaged bytes end with a status, and touch nothing else.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from orograph._numba import inlined, kernel
+
+MISSING = -(1 << 31)
+VERSION = 1
+LANES = 4
+NEIGHBOURS = 11  # besides N
+CONTEXTS = 8
+BITS = 12  # of probabilities
+TOTAL = 1 << BITS
+DIRECT = 224  # at most so many symbols of a table are values themselves; the others are ranges of larger ones
+SYMBOLS = DIRECT + 32
+START = 36  # what the first code of a table differs from
+DEEPEST = 16  # bits below symbols
+LEAST = 1 << 16  # state
+CAP = 65535  # of magnitudes that make a context
+LEVELS = 256  # of activity
+HEADER = 8 + 2 * NEIGHBOURS
+WORDS = 5  # that one sample takes at most
+
+CUT_OFF, UNKNOWN, TABLES, MASK, STREAM = 1, 2, 3, 4, 5
+"""What is wrong: the chunk is too short; another version; its tables, mask or stream of words are not possible."""
+
+
+@inlined
+def _u16(data, at):
+    return np.int64(data[at]) | np.int64(data[at + 1]) << 8
+
+
+@inlined
+def _u32(data, at):
+    return (
+        np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24
+    )
+
+
+@kernel
+def frequencies(codes, count, out):
+    """The frequencies that codes stand for, which sum to ``TOTAL``; whether they can.
+
+    Args:
+        codes: of ``count`` symbols. out: becomes the frequencies.
+    """
+    total, most = np.int64(0), np.int64(0)
+    for s in range(count):
+        code = np.int64(codes[s])
+        out[s] = code if code < 8 else (4 + (code & 3)) << ((code >> 2) - 1)
+        total += out[s]
+        if out[s] > out[most]:
+            most = np.int64(s)
+    if total == 0:
+        return False
+    rest = np.int64(TOTAL)
+    for s in range(count):
+        if out[s]:
+            out[s] = max(out[s] * TOTAL // total, 1)
+            rest -= out[s]
+    out[most] += rest
+    return out[most] > 0
+
+
+@kernel
+def _tables(data, at, contexts, table, depths, direct):
+    """Read the tables of all contexts from ``at``; where they end, or -1.
+
+    Args:
+        table: (contexts × TOTAL,) uint32, becomes frequency - 1, offset and symbol (12, 12 and 8 bits) by slot.
+            Symbols from ``DIRECT`` are ranges.
+        depths: becomes the bits below symbols, by context. direct: becomes how many symbols are values.
+    """
+    codes, found = np.zeros(SYMBOLS, np.int64), np.zeros(SYMBOLS, np.int64)
+    for context in range(contexts):
+        if at + 3 > data.size:
+            return -1
+        depths[context], direct[context], ranges = np.int64(data[at]), np.int64(data[at + 1]), np.int64(data[at + 2])
+        at += 3
+        count = direct[context] + ranges
+        if depths[context] > DEEPEST or direct[context] > DIRECT or ranges > 32 or count == 0:
+            return -1
+        bit, last, code = at * 8, data.size * 8, np.int64(START)
+        for s in range(count):
+            # A difference: its half in unary (ones, then a zero), its lowest bit, after zigzag.
+            ones = np.int64(0)
+            while bit < last and data[bit >> 3] >> (bit & 7) & 1:
+                ones += 1
+                bit += 1
+            if bit + 2 > last:
+                return -1
+            value = ones << 1 | np.int64(data[(bit + 1) >> 3]) >> ((bit + 1) & 7) & 1
+            bit += 2
+            code += (value >> 1) ^ -(value & 1)
+            if code < 0 or code > 47:
+                return -1
+            codes[s] = code
+        at = (bit + 7) >> 3
+        if not frequencies(codes, count, found):
+            return -1
+        slot = np.int64(context * TOTAL)
+        for s in range(count):
+            entry = (found[s] - 1) << 20 | (s if s < direct[context] else s - direct[context] + DIRECT)
+            for k in range(found[s]):
+                table[slot + k] = np.uint32(entry | k << 8)
+            slot += found[s]
+    return at
+
+
+@kernel
+def _mask(data, at, mode, out):
+    """Put ``MISSING`` where the runs from ``at`` say so, and zeros elsewhere; where they end, or -1."""
+    rows, cols = out.shape
+    filled, missing, size = np.int64(0), False, rows * cols
+    flat = out.reshape(size)
+    while filled < size:
+        run, shift = np.int64(0), np.int64(0)
+        while True:
+            if at >= data.size or shift > 35:
+                return -1
+            byte = np.int64(data[at])
+            at += 1
+            run |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                break
+        if run > size - filled:
+            return -1
+        flat[filled : filled + run] = MISSING if missing else 0
+        filled += run
+        missing = not missing
+    if mode == 2:
+        for row in range(1, rows):
+            for col in range(cols):
+                out[row, col] ^= out[row - 1, col]
+    return at
+
+
+@inlined
+def _symbol(x, p, words, table, base):
+    """(The state after a symbol, the next word, the symbol)."""
+    entry = np.int64(table[np.uint64(base + (x & (TOTAL - 1)))])
+    x = ((entry >> 20) + 1) * (x >> BITS) + (entry >> 8 & (TOTAL - 1))
+    short = x < LEAST
+    more = x << 16 | np.int64(words[np.uint64(p)])
+    return more if short else x, p + short, entry & 255
+
+
+@inlined
+def _raw(x, p, words, bits):
+    """(The state after so many plain bits, at most 16, the next word, the bits)."""
+    value = x & ((np.int64(1) << bits) - 1)
+    x >>= bits
+    short = x < LEAST
+    more = x << 16 | np.int64(words[np.uint64(p)])
+    return more if short else x, p + short, value
+
+
+@kernel
+def _range(x, p, words, symbol, direct):
+    """(The state, the next word, the value that a range and the bits behind it stand for)."""
+    bits = symbol - DIRECT
+    x, p, value = _raw(x, p, words, min(bits, 16))
+    if bits > 16:
+        x, p, high = _raw(x, p, words, bits - 16)
+        value |= high << 16
+    return x, p, (np.int64(1) << bits) + value + direct - 1
+
+
+@inlined
+def _step(value, base, north, w0, w1, west, farther):
+    """A sample: its value, what ``foretold`` gave, N, and the two samples before it."""
+    residual = np.int32(np.int32(value >> np.uint32(1)) ^ -np.int32(value & np.uint32(1)))
+    t = np.int32(np.int32(base + np.int32(w1 * farther)) + np.int32(w0 * west))
+    return np.int32(np.int32(north + residual) + np.int32(t >> np.int32(12)))
+
+
+@kernel
+def _row(states, p, words, table, depths, direct, deep, begins, values, weights, before, base, near, line):
+    """Decode the values of a row in four lanes, and rebuild the samples of the row above it; the next word.
+
+    The two have nothing to do with each other. Each waits for itself most of the time: a state for the table, a sample
+    for the one before it. Done together they take little longer than one of them.
+
+    Args:
+        states: of the lanes. begins: where the table of each column begins.
+        values: (n,) uint32, become the row's.
+        weights, base, near: as in ``foretold``, for the row above; before: its values.
+        line: (n + 4,) int32, becomes its samples, two places from the left.
+    """
+    a, b, c, d = states[0], states[1], states[2], states[3]
+    w0, w1 = weights[0], weights[1]
+    west = farther = near[2]
+    for i in range(values.size // LANES):
+        j = np.uint64(4 * i)
+        k, l, m = j + np.uint64(1), j + np.uint64(2), j + np.uint64(3)  # noqa: E741
+        ca, cb, cc, cd = np.int64(begins[j]), np.int64(begins[k]), np.int64(begins[l]), np.int64(begins[m])
+        a, p, va = _symbol(a, p, words, table, ca)
+        b, p, vb = _symbol(b, p, words, table, cb)
+        c, p, vc = _symbol(c, p, words, table, cc)
+        d, p, vd = _symbol(d, p, words, table, cd)
+        if max(max(va, vb), max(vc, vd)) >= DIRECT:
+            if va >= DIRECT:
+                a, p, va = _range(a, p, words, va, direct[ca >> BITS])
+            if vb >= DIRECT:
+                b, p, vb = _range(b, p, words, vb, direct[cb >> BITS])
+            if vc >= DIRECT:
+                c, p, vc = _range(c, p, words, vc, direct[cc >> BITS])
+            if vd >= DIRECT:
+                d, p, vd = _range(d, p, words, vd, direct[cd >> BITS])
+        if deep:
+            da, db, dc, dd = depths[ca >> BITS], depths[cb >> BITS], depths[cc >> BITS], depths[cd >> BITS]
+            a, p, low = _raw(a, p, words, da)
+            va = va << da | low
+            b, p, low = _raw(b, p, words, db)
+            vb = vb << db | low
+            c, p, low = _raw(c, p, words, dc)
+            vc = vc << dc | low
+            d, p, low = _raw(d, p, words, dd)
+            vd = vd << dd | low
+        values[j], values[k], values[l], values[m] = va, vb, vc, vd
+        n, o = m + np.uint64(1), m + np.uint64(2)
+        e0 = _step(before[j], base[j], near[l], w0, w1, west, farther)
+        e1 = _step(before[k], base[k], near[m], w0, w1, e0, west)
+        farther = _step(before[l], base[l], near[n], w0, w1, e1, e0)
+        west = _step(before[m], base[m], near[o], w0, w1, farther, e1)
+        line[l], line[m], line[n], line[o] = e0, e1, farther, west
+    states[0], states[1], states[2], states[3] = a, b, c, d
+    return p
+
+
+@kernel
+def activities(values, shift, padded, levels):
+    """How much the values around each column of a row were, for the contexts of the next row.
+
+    Args:
+        values: (n,) uint32, of the row. padded: (n + 4,) int32, zeros at both ends; scratch.
+        levels: (n,) int32, become the activity, in 0 to ``LEVELS`` - 1.
+    """
+    for j in range(values.size):
+        padded[j + 2] = np.int32(min(values[j], np.uint32(CAP)))
+    for j in range(values.size):
+        near = np.int32(3) * padded[j + 2] + np.int32(2) * (padded[j + 1] + padded[j + 3])
+        levels[j] = min(np.int32(near + padded[j] + padded[j + 4]) >> np.int32(shift), np.int32(LEVELS - 1))
+
+
+@kernel
+def foretold(weights, far, near, out):
+    """What the two rows above give for the prediction of a row: all of the sum but W's and WW's share.
+
+    Args:
+        weights: (12,) int32, in 1/4096: W, WW, NWW, NW, NE, NEE, NNWW, NNW, NN, NNE, NNEE, and N's.
+        far, near: int32, the row two above and the one above, with two samples more at both ends.
+        out: int32, becomes the sums, rounding included.
+    """
+    w2, w3, w4, w5 = weights[2], weights[3], weights[4], weights[5]
+    w6, w7, w8, w9, w10, north = weights[6], weights[7], weights[8], weights[9], weights[10], weights[11]
+    for j in range(out.size):
+        upper = w6 * far[j] + w7 * far[j + 1] + w8 * far[j + 2] + w9 * far[j + 3] + w10 * far[j + 4]
+        lower = w2 * near[j] + w3 * near[j + 1] + north * near[j + 2] + w4 * near[j + 3] + w5 * near[j + 4]
+        out[j] = np.int32(upper + lower + 2048)
+
+
+@kernel
+def full_weights(weights, out):
+    """All twelve: N's is such that the sum is nothing, for N itself is added to it."""
+    total = np.int64(0)
+    for k in range(NEIGHBOURS):
+        out[k] = weights[k]
+        total += weights[k]
+    out[NEIGHBOURS] = -total
+
+
+@kernel
+def decode(data, out):
+    """Decode a chunk.
+
+    Args:
+        data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
+
+    Returns:
+        0, or what is wrong.
+    """
+    rows, cols = out.shape
+    if data.size < HEADER:
+        return CUT_OFF
+    mode, contexts, shift = np.int64(data[1]), np.int64(data[2]), np.int64(data[3])
+    if data[0] != VERSION or mode > 2:
+        return UNKNOWN
+    if contexts < 1 or contexts > CONTEXTS or shift > 15:
+        return TABLES
+    first = np.int32(_u32(data, 4))
+    given, weights = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS + 1, np.int32)
+    for k in range(NEIGHBOURS):
+        given[k] = np.int16(_u16(data, 8 + 2 * k))
+    full_weights(given, weights)
+    at: Any = HEADER
+    if at + contexts - 1 > data.size:
+        return CUT_OFF
+    table_of = np.zeros(LEVELS, np.int32)
+    for k in range(contexts - 1):
+        for level in range(np.int64(data[at + k]), LEVELS):
+            table_of[level] += TOTAL
+    at += contexts - 1
+    table = np.empty(contexts * TOTAL, np.uint32)
+    depths, direct = np.zeros(CONTEXTS, np.int64), np.zeros(CONTEXTS, np.int64)
+    at = _tables(data, at, contexts, table, depths, direct)
+    if at < 0:
+        return TABLES
+    marks = np.empty((rows if mode else 0, cols), np.int32)
+    if mode:
+        at = _mask(data, at, mode, marks)
+        if at < 0:
+            return MASK
+    if at + 4 * LANES > data.size:
+        return CUT_OFF
+    states = np.empty(LANES, np.int64)
+    for k in range(LANES):
+        states[k] = _u32(data, at + 4 * k)
+    at += 4 * LANES
+    count = (data.size - at) // 2
+    width = LANES * (-(-cols // LANES))
+    words = np.zeros(count + WORDS * width + 1, np.uint16)
+    for k in range(count):
+        words[k] = np.uint16(np.uint16(data[at + 2 * k]) | np.uint16(data[at + 2 * k + 1]) << np.uint16(8))
+    p = np.int64(0)
+    values, before, padded = np.zeros(width, np.uint32), np.zeros(width, np.uint32), np.zeros(width + 4, np.int32)
+    levels, base, lines = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros((3, width + 4), np.int32)
+    begins = np.zeros(width, np.int32)
+    deep = depths.any()
+    for row in range(rows):  # the values of this row, and the samples of the one above
+        line, near, far = lines[(row + 2) % 3], lines[(row + 1) % 3], lines[row % 3]
+        if row > 1:
+            foretold(weights, near if row == 2 else far, near, base)
+        for col in range(width):
+            begins[col] = table_of[np.uint64(levels[col])]
+        p = _row(states, p, words, table, depths, direct, deep, begins, values, weights, before, base, near, line)
+        if p > count:
+            return STREAM
+        if row == 1:
+            _first(before, first, line)
+        if row > 0:
+            extend(line, cols)
+            out[row - 1] = line[2 : cols + 2]
+        activities(values, shift, padded, levels)
+        values, before = before, values
+    line, near, far = lines[(rows + 2) % 3], lines[(rows + 1) % 3], lines[rows % 3]
+    if rows == 1:
+        _first(before, first, line)
+    else:
+        foretold(weights, near if rows == 2 else far, near, base)
+        _rebuilt(weights, before, base, near, line)
+    out[rows - 1] = line[2 : cols + 2]
+    if p != count or at + 2 * count != data.size:
+        return STREAM
+    for k in range(LANES):
+        if states[k] != LEAST:
+            return STREAM
+    if mode:
+        for row in range(rows):
+            for col in range(cols):
+                if marks[row, col]:
+                    out[row, col] = MISSING
+    return 0
+
+
+@kernel
+def _first(values, first, line):
+    """The samples of the first row: each is predicted by the one before it."""
+    west = first
+    for j in range(values.size):
+        v = values[j]
+        west = np.int32(west + np.int32(np.int32(v >> np.uint32(1)) ^ -np.int32(v & np.uint32(1))))
+        line[j + 2] = west
+
+
+@kernel
+def _rebuilt(weights, before, base, near, line):
+    """The samples of a row, as in ``_row``."""
+    west = farther = near[2]
+    for j in range(before.size):
+        here = _step(before[j], base[j], near[j + 2], weights[0], weights[1], west, farther)
+        farther = west
+        west = here
+        line[j + 2] = here
+
+
+@kernel
+def extend(line, cols):
+    """Repeat the first and last of a row's samples in the two places beside them."""
+    line[0] = line[1] = line[2]
+    line[cols + 2] = line[cols + 3] = line[cols + 1]

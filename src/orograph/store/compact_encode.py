@@ -1,0 +1,350 @@
+"""The kernels that encode chunks as the codec *compact* (``compact``; docs/codec.md has the format).
+
+What a decoder need not know is decided here: the weights (least squares over some of the chunk's rows), what missing
+samples count as, and (``compact_contexts``) how activities are divided among tables. Nothing depends on a library's
+arithmetic or on the order of threads, so that the same samples are the same bytes everywhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import inlined, kernel, shared
+from orograph.store.compact_contexts import activity_of, divided, length, shift_of
+from orograph.store.compact_decode import (
+    BITS,
+    CONTEXTS,
+    DEEPEST,
+    DIRECT,
+    HEADER,
+    LANES,
+    LEAST,
+    MISSING,
+    NEIGHBOURS,
+    START,
+    SYMBOLS,
+    TOTAL,
+    VERSION,
+    WORDS,
+    extend,
+    foretold,
+    frequencies,
+    full_weights,
+)  # fmt: skip
+
+SAMPLED = 64  # rows that weights are fitted to
+RARE = 8  # values that one in 2^8 exceeds are ranges
+OFFSETS = np.array(
+    [(0, -1), (0, -2), (-1, -2), (-1, -1), (-1, 1), (-1, 2), (-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2)], np.int64
+)
+"""Rows and columns from a sample to those its weights belong to."""
+
+
+@kernel
+def _sums(numbers, matrix, right):
+    """The normal equations of the prediction, of some rows; how many samples they are of.
+
+    A sample weighs less the rougher it is around: a cliff must not outvote the plain.
+    """
+    rows, cols = numbers.shape
+    d, used = np.empty(NEIGHBOURS), 0
+    for row in range(2, rows, max(rows // SAMPLED, 1)):
+        for col in range(2, cols - 2):
+            north, here = numbers[row - 1, col], numbers[row, col]
+            known = north != MISSING and here != MISSING
+            for k in range(NEIGHBOURS):
+                there = numbers[row + OFFSETS[k, 0], col + OFFSETS[k, 1]]
+                known &= there != MISSING
+                d[k] = float(there) - north
+            if not known:
+                continue
+            used += 1
+            sought = float(here) - north
+            rough = abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8])
+            share = 1.0 / (2.0 + rough)
+            for k in range(NEIGHBOURS):
+                part = share * d[k]
+                right[k] += part * sought
+                for m in range(NEIGHBOURS):
+                    matrix[k, m] += part * d[m]
+    return used
+
+
+@kernel
+def fitted(numbers, weights):
+    """The weights (11,) int64, in 1/4096; those of a plane where there is too little to go by."""
+    matrix, right = np.zeros((NEIGHBOURS, NEIGHBOURS)), np.zeros(NEIGHBOURS)
+    used = _sums(numbers, matrix, right)
+    trace = 0.0
+    for k in range(NEIGHBOURS):
+        trace += matrix[k, k]
+    ridge = trace * (1e-5 + (0.1 / used if used else 0.0)) + 1e-3
+    for k in range(NEIGHBOURS):  # towards W + N - NW
+        matrix[k, k] += ridge
+    right[0] += ridge
+    right[3] -= ridge
+    for k in range(NEIGHBOURS):  # elimination: the matrix is positive definite
+        for m in range(k + 1, NEIGHBOURS):
+            share = matrix[m, k] / matrix[k, k]
+            right[m] -= share * right[k]
+            for n in range(k, NEIGHBOURS):
+                matrix[m, n] -= share * matrix[k, n]
+    for k in range(NEIGHBOURS - 1, -1, -1):
+        for n in range(k + 1, NEIGHBOURS):
+            right[k] -= matrix[k, n] * right[n]
+        right[k] /= matrix[k, k]
+        weights[k] = np.int64(np.floor(min(max(right[k], -7.9), 7.9) * TOTAL + 0.5))
+
+
+@kernel
+def _values(numbers, weights, first, lowest, highest, values):
+    """What each sample differs from its prediction by, zigzag, in rows of whole lanes. Missing samples are what is
+    predicted, within the range of the others."""
+    rows, cols = numbers.shape
+    lines, base = np.empty((3, cols + 4), np.int32), np.empty(cols, np.int32)
+    w0, w1 = weights[0], weights[1]
+    for row in range(rows):
+        line, near, far = lines[row % 3], lines[(row + 2) % 3], lines[(row + 1 + (row == 1)) % 3]
+        if row:
+            foretold(weights, far, near, base)
+        west = farther = first if row == 0 else near[2]
+        for col in range(cols):
+            if row:
+                t = np.int32(np.int32(base[col] + np.int32(w1 * farther)) + np.int32(w0 * west))
+                said = np.int32(near[col + 2] + np.int32(t >> np.int32(12)))
+            else:
+                said = np.int32(west)
+            here = numbers[row, col]
+            if here == MISSING:
+                here = np.int32(min(max(said, lowest), highest))
+            residual = np.int32(here - said)
+            values[row, col] = np.uint32(np.int32(residual << np.int32(1)) ^ np.int32(residual >> np.int32(31)))
+            farther = west
+            west = here
+            line[col + 2] = here
+        values[row, cols:] = 0
+        extend(line, cols)
+
+
+@shared
+def _symbol(value, direct):
+    """The symbol of a value without the bits below it."""
+    return value if value < direct else direct - 1 + length(value - direct + 1)
+
+
+@kernel
+def _tables(values, contexts, number, depths, direct, found, codes):
+    """Decide the tables: ``depths`` by context, how many symbols are values (``direct``), the ``codes`` of the
+    ``found`` frequencies; symbols of each."""
+    sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64)
+    size, sizes = values.size, np.zeros(number, np.int64)
+    flat, of = values.reshape(size), contexts.reshape(size)
+    for k in range(size):
+        sums[of[k]] += np.int64(flat[k])
+        counts[of[k]] += 1
+    for c in range(number):
+        depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
+        direct[c] = DIRECT
+    for k in range(size):
+        found[of[k], _symbol(np.int64(flat[k]) >> depths[of[k]], DIRECT)] += 1
+    for c in range(number):
+        rare, s = found[c, DIRECT:].sum(), DIRECT  # from here on ranges are as good
+        while s > 0 and rare + found[c, s - 1] <= counts[c] >> RARE:
+            s -= 1
+            rare += found[c, s]
+        direct[c] = s
+        for s in range(direct[c], SYMBOLS):
+            found[c, s] = 0
+    for k in range(size):
+        c = of[k]
+        value = np.int64(flat[k]) >> depths[c]
+        if value >= direct[c]:
+            found[c, _symbol(value, direct[c])] += 1
+    for c in range(number):
+        for s in range(SYMBOLS):
+            if found[c, s]:
+                sizes[c] = s + 1
+                codes[c, s] = _code(max(float(found[c, s]) * TOTAL / counts[c], 1.0))
+        if counts[c] == 0:
+            direct[c], codes[c, 0] = 1, START
+        direct[c] = min(direct[c], max(sizes[c], 1))
+        sizes[c] = max(sizes[c], 1)
+        frequencies(codes[c], sizes[c], found[c])
+    return sizes
+
+
+@shared
+def _code(frequency):
+    """The code that is nearest to a frequency of at least 1."""
+    step, bits = frequency, 0
+    while step >= 8.0:
+        step *= 0.5
+        bits += 1
+    nearest = np.int64(np.floor(step + 0.5))
+    return min(nearest + 4 * bits, 47)
+
+
+@kernel
+def _write_tables(out, at, number, depths, direct, sizes, codes):
+    """Write the tables at ``at`` of the chunk's bytes, zeros so far; where they end."""
+    for c in range(number):
+        out[at], out[at + 1], out[at + 2] = depths[c], direct[c], sizes[c] - direct[c]
+        bit, last = (at + 3) * 8, np.int64(START)
+        for s in range(sizes[c]):
+            step = codes[c, s] - last
+            last = codes[c, s]
+            value = (step << 1) ^ (step >> 63)
+            for _ in range(value >> 1):
+                out[bit >> 3] |= np.uint8(1 << (bit & 7))
+                bit += 1
+            bit += 1
+            out[bit >> 3] |= np.uint8((value & 1) << (bit & 7))
+            bit += 1
+        at = (bit + 7) >> 3
+    return at
+
+
+@kernel
+def _write_mask(numbers, mode, out, at):
+    """Write the runs of samples that are there and that are missing at ``at``; where they end."""
+    rows, cols = numbers.shape
+    state, run = False, np.int64(0)
+    for row in range(rows):
+        for col in range(cols):
+            bit = numbers[row, col] == MISSING
+            if mode == 2 and row:
+                bit ^= numbers[row - 1, col] == MISSING
+            if bit != state:
+                at = _write_run(out, at, run)
+                state, run = bit, np.int64(0)
+            run += 1
+    return _write_run(out, at, run)
+
+
+@kernel
+def _write_run(out, at, run):
+    while run > 127:
+        out[at] = np.uint8(run & 127 | 128)
+        at += 1
+        run >>= 7
+    out[at] = np.uint8(run)
+    return at + 1
+
+
+@inlined
+def _push(x, p, words, frequency, below):
+    """(The state before a symbol is read, the word before.)"""
+    if x >= frequency << (32 - BITS):
+        p -= 1
+        words[p] = np.uint16(x & 0xFFFF)
+        x >>= 16
+    return (x // frequency << BITS) + below + x % frequency, p
+
+
+@inlined
+def _push_raw(x, p, words, bits, value):
+    """(The state before so many plain bits are read, the word before.)"""
+    if x >= np.int64(1) << (32 - bits):
+        p -= 1
+        words[p] = np.uint16(x & 0xFFFF)
+        x >>= 16
+    return x << bits | value, p
+
+
+@kernel
+def _stream(values, contexts, depths, direct, found, words, states):
+    """Write the words from the end, in the opposite order of reading; where they begin."""
+    rows, size = values.shape
+    width, p = size // LANES, np.int64(words.size)
+    below = np.zeros(found.shape, np.int64)
+    for c in range(found.shape[0]):
+        for s in range(1, SYMBOLS):
+            below[c, s] = below[c, s - 1] + found[c, s - 1]
+    states[:] = LEAST
+    for row in range(rows - 1, -1, -1):
+        for i in range(width - 1, -1, -1):
+            for lane in range(LANES - 1, -1, -1):
+                col = LANES * i + lane
+                depth, value = depths[contexts[row, col]], np.int64(values[row, col])
+                if depth:
+                    states[lane], p = _push_raw(states[lane], p, words, depth, value & ((1 << depth) - 1))
+            for lane in range(LANES - 1, -1, -1):
+                col = LANES * i + lane
+                c = contexts[row, col]
+                value = np.int64(values[row, col]) >> depths[c]
+                if value >= direct[c]:
+                    beyond = value - direct[c] + 1
+                    bits = length(beyond) - 1
+                    beyond -= np.int64(1) << bits
+                    if bits > 16:
+                        states[lane], p = _push_raw(states[lane], p, words, bits - 16, beyond >> 16)
+                    states[lane], p = _push_raw(states[lane], p, words, min(bits, 16), beyond & 0xFFFF)
+            for lane in range(LANES - 1, -1, -1):
+                col = LANES * i + lane
+                c = contexts[row, col]
+                s = _symbol(np.int64(values[row, col]) >> depths[c], direct[c])
+                states[lane], p = _push(states[lane], p, words, found[c, s], below[c, s])
+    return p
+
+
+@kernel
+def encode(numbers):
+    """The bytes of a chunk, (n,) uint8.
+
+    Args:
+        numbers: (rows, cols) int32, C order, at least one sample.
+    """
+    rows, cols = numbers.shape
+    lowest, highest, missing = np.int32(2**31 - 1), np.int32(-(2**31 - 1)), 0
+    for row in range(rows):
+        for col in range(cols):
+            here = numbers[row, col]
+            if here == MISSING:
+                missing += 1
+            else:
+                lowest, highest = min(lowest, here), max(highest, here)
+    if missing == rows * cols:
+        lowest = highest = np.int32(0)
+    first = np.int32(lowest if numbers[0, 0] == MISSING else numbers[0, 0])
+    given, weights = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS + 1, np.int32)
+    fitted(numbers, given)
+    full_weights(given, weights)
+    width = LANES * (-(-cols // LANES))
+    values, activity = np.empty((rows, width), np.uint32), np.empty((rows, width), np.int32)
+    _values(numbers, weights, first, lowest, highest, values)
+    shift = shift_of(values)
+    activity_of(values, shift, activity)
+    bounds = np.zeros(CONTEXTS, np.int64)
+    contexts = divided(values, activity, bounds)
+    depths, direct = np.zeros(contexts, np.int64), np.zeros(contexts, np.int64)
+    codes = np.zeros((contexts, SYMBOLS), np.int64)
+    found = np.zeros((contexts, SYMBOLS), np.int64)
+    sizes = _tables(values, activity, contexts, depths, direct, found, codes)
+    words, states = np.empty(WORDS * values.size, np.uint16), np.empty(LANES, np.int64)
+    p = _stream(values, activity, depths, direct, found, words, states)
+    head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)
+    mode, at = 0, HEADER
+    head[0], head[2], head[3] = VERSION, contexts, shift
+    for k in range(4):
+        head[4 + k] = np.uint8(np.int64(first) >> (8 * k) & 255)
+    for k in range(NEIGHBOURS):
+        head[8 + 2 * k], head[9 + 2 * k] = np.uint8(given[k] & 255), np.uint8(given[k] >> 8 & 255)
+    for k in range(1, contexts):
+        head[at] = np.uint8(bounds[k])
+        at += 1
+    at = _write_tables(head, at, contexts, depths, direct, sizes, codes)
+    if missing:
+        one, two = _write_mask(numbers, 1, head, at), _write_mask(numbers, 2, head, at)
+        mode = 1 if one <= two else 2
+        at = _write_mask(numbers, mode, head, at)
+    head[1] = mode
+    out = np.empty(at + 4 * LANES + 2 * (words.size - p), np.uint8)
+    out[:at] = head[:at]
+    for lane in range(LANES):
+        for k in range(4):
+            out[at + 4 * lane + k] = np.uint8(states[lane] >> (8 * k) & 255)
+    at += 4 * LANES
+    for k in range(words.size - p):
+        out[at + 2 * k] = np.uint8(words[p + k] & 255)
+        out[at + 2 * k + 1] = np.uint8(words[p + k] >> 8)
+    return out

@@ -1,0 +1,148 @@
+"""The codec *compact*: any whole numbers come back, its bytes are as documented, and damaged ones are told."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from compact_reference import decoded
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from surfaces import rough, source
+
+from orograph import store
+from orograph.store.compact import compressed, decompressed
+
+MISSING = -(2**31)
+ROOT = Path(__file__).parents[2]
+
+
+def numbers(shape, seed, step=0.1, missing=0.0):
+    heights = rough(shape, seed, missing)
+    found = np.round(heights / np.float64(step))
+    return np.where(np.isnan(found), MISSING, found).astype(np.int32)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    st.integers(1, 40), st.integers(1, 40), st.sampled_from([1e-6, 1e-3, 0.1, 5.0, 1e4]),
+    st.sampled_from([0.0, 0.02, 0.6, 1.0]),
+)  # fmt: skip
+def test_any_numbers_come_back(rows, cols, step, missing):
+    whole = numbers((rows, cols), rows * 41 + cols, step, missing)
+    data = compressed(whole)
+    np.testing.assert_array_equal(decompressed(data, whole.shape), whole)
+    np.testing.assert_array_equal(decoded(data, whole.shape), whole)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32), st.sampled_from([1, 3, 8, 20, 30, 31]), st.integers(1, 70))
+def test_noise_of_any_size_comes_back(seed, bits, side):
+    whole = np.random.default_rng(seed).integers(-(2**bits), 2**bits, (side, side)).astype(np.int32)
+    whole[:: side // 3 + 1] = 2**31 - 1
+    data = compressed(whole)
+    np.testing.assert_array_equal(decompressed(data, whole.shape), whole)
+    np.testing.assert_array_equal(decoded(data, whole.shape), whole)
+
+
+def test_a_flat_chunk_and_a_plane_take_next_to_nothing():
+    rows, cols = np.mgrid[:256, :256]
+    for whole in (np.full((256, 256), 7), 3 * rows - 2 * cols, np.where(rows > 100, MISSING, 5)):
+        data = compressed(whole.astype(np.int32))
+        np.testing.assert_array_equal(decompressed(data, (256, 256)), whole)
+        assert len(data) < 1500
+
+
+def test_it_is_smaller_than_lorenzo_with_zstd():
+    from orograph._blosc import blosc
+
+    whole = numbers((256, 256), 4, 0.1)
+    around = np.pad(whole, ((1, 0), (1, 0)), mode="edge")
+    left = (whole - around[1:, :-1] - around[:-1, 1:] + around[:-1, :-1]).astype(np.int32)
+    lorenzo = min(len(blosc.compress(left, b"zstd", level, blosc.SHUFFLE, 1 << 18)) for level in (1, 5))
+    assert len(compressed(whole)) <= 0.95 * lorenzo
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_damaged_bytes_are_told_or_give_other_numbers(missing):
+    """Whatever bytes: an error or numbers, never a crash; what is cut off, or has more behind it, is always told."""
+    whole = numbers((64, 64), 5, 0.1, missing)
+    data, rng = compressed(whole), np.random.default_rng(1)
+    for length in [*range(200), *rng.integers(0, len(data), 100)]:
+        with pytest.raises(ValueError, match="cannot be decoded"):
+            decompressed(data[:length], whole.shape)
+    with pytest.raises(ValueError, match="stream does not end"):
+        decompressed(data + b"ab", whole.shape)
+    told = 0
+    for k in [*range(min(len(data), 600)), *rng.integers(0, len(data), 1000)]:
+        changed = bytearray(data)
+        changed[k] ^= 1 << rng.integers(8)
+        try:
+            decompressed(bytes(changed), whole.shape)
+        except ValueError:
+            told += 1
+    assert told > 1000
+    for size in rng.integers(0, 3000, 300):
+        noise = bytes([1, rng.integers(3), rng.integers(1, 9), 0]) + rng.bytes(size)
+        with pytest.raises(ValueError, match="cannot be decoded"):
+            decompressed(noise, (64, 64))
+
+
+def test_zarr_finds_it_by_its_entry_point(tmp_path):
+    """In a process that imports no Orograph by itself, with the entry points that are declared."""
+    pytest.importorskip("zarr")
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["zarr.codecs"]
+    info = tmp_path / "path" / "told-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: told\nVersion: 1\n")
+    lines = "".join(f"{name} = {place}\n" for name, place in points.items())
+    (info / "entry_points.txt").write_text(f"[zarr.codecs]\n{lines}")
+    heights = rough((90, 70), 2, missing=0.05)
+    terrain = store.build(source(heights), tmp_path / "s", codec="compact", max_error=0.5, shard=64, chunk=16)
+    code = (
+        "import sys, zarr, numpy; "
+        "numpy.save(sys.argv[2], zarr.open_group(sys.argv[1], mode='r')['heights/0/height'][:]); "
+        "a = zarr.open_group(sys.argv[1], mode='r')['heights/0/height']; "
+        "b = zarr.create_array(sys.argv[3], shape=(50, 30), chunks=(16, 16), dtype='int32', fill_value=0, "
+        "serializer=a.metadata.codecs[0].codecs[0], compressors=None); b[:] = a[:50, :30]; "
+        "assert (zarr.open_array(sys.argv[3])[:] == a[:50, :30]).all()"
+    )
+    path = f"{tmp_path / 'path'}:{ROOT / 'src'}"
+    subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "s", tmp_path / "n.npy", tmp_path / "again"],
+        check=True, env={"PYTHONPATH": path, "PATH": ""}, timeout=120,
+    )  # fmt: skip
+    kept = terrain.read(0, 0, 90, 0, 70)
+    np.testing.assert_array_equal(np.load(tmp_path / "n.npy"), np.where(np.isnan(kept), MISSING, kept))
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node")
+def test_the_decoder_for_browsers(tmp_path):
+    rng = np.random.default_rng(3)
+    wholes = [numbers((61, 50), 1, 0.1, 0.3), numbers((32, 64), 2, 1e-5), numbers((9, 3), 3), numbers((1, 1), 4)]
+    wholes += [rng.integers(-(2**31), 2**31, (20, 21)).astype(np.int32), np.full((8, 8), MISSING, np.int32)]
+    wholes += [np.where(np.mgrid[:40, :40][0] > 20, MISSING, numbers((40, 40), 6)).astype(np.int32)]
+    for k, whole in enumerate(wholes):
+        (tmp_path / f"{k}.chunk").write_bytes(compressed(whole))
+    shutil.copy(ROOT / "src/orograph/store/browser/compact.js", tmp_path / "compact.mjs")
+    (tmp_path / "all.mjs").write_text(
+        "import { decode } from './compact.mjs'; import { readFileSync, writeFileSync } from 'fs';\n"
+        f"for (const [k, [rows, cols]] of {[list(whole.shape) for whole in wholes]}.entries()) {{\n"
+        "  const data = new Uint8Array(readFileSync(`${k}.chunk`));\n"
+        "  writeFileSync(`${k}.out`, decode(data, rows, cols));\n"
+        "  let told = 0;\n"
+        "  for (const wrong of [data.subarray(0, data.length - 1), data.subarray(0, 9), new Uint8Array(0),\n"
+        "    new Uint8Array([...data, 1, 2])])\n"
+        "    try { decode(wrong, rows, cols) } catch (e) { if (e instanceof RangeError) told++ }\n"
+        "  if (told != 4) throw new Error(`${k}: ${told}`);\n"
+        "}\n"
+    )
+    subprocess.run(["node", "all.mjs"], cwd=tmp_path, check=True, timeout=120)
+    for k, whole in enumerate(wholes):
+        found = np.frombuffer((tmp_path / f"{k}.out").read_bytes(), "<i4").reshape(whole.shape)
+        np.testing.assert_array_equal(found, whole)

@@ -1,0 +1,111 @@
+"""Data in the window, on an off-screen canvas: what stands, switches, what the pointer finds; and as traits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import traitlets
+
+pytest.importorskip("imgui_bundle")
+pytest.importorskip("rendercanvas")
+
+import orograph
+from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.priority import Priority
+from orograph.rendering.standing import stand
+from orograph.viewer.data import ShownData
+from orograph.viewer.panels import data as panel
+
+EAST, NORTH = 412_000.0, 4_987_000.0
+
+
+def give(window, *data, priority="T+D+U-"):
+    """Data to a window that is open."""
+    settings = window.session.settings
+    settings.shown = ShownData(data, Priority.parse(priority))
+    settings.show(window.session.terrain)
+    window.touch()
+
+
+def bar(window):
+    """Something large that stands in the middle of the ground that is seen, and the pixel of its middle."""
+    at = window.session.nav.centre()
+    points = {"x": [float(at[0])], "y": [float(at[1])], "load": [7.0]}
+    return Dataset(points, variable="load", style="bars", size=600.0, range=(0, 7)), (float(at[0]), float(at[1]))
+
+
+def test_what_stands_is_seen_and_told(window, hand):
+    hand.rest()
+    bare = hand.frames(1).astype(int)
+    data, (x, y) = bar(window)
+    give(window, data)
+    hand.rest()
+    shown = hand.frames(1).astype(int)
+    session = window.session
+    (u, v), _ = session.view.project(np.array([x, y, 500.0 + 300.0]), session.settings.exaggeration)
+    px, py = window.to_canvas(float(u), float(v))
+    assert np.abs(shown - bare)[int(py), int(px)].max() > 30
+    hand.move(px, py)
+    hand.until(lambda: session.probe.hit is not None)
+    (found, *_) = window.found()
+    assert (found.name, found.value) == ("load", 7.0)
+    # The same pixels as in a picture over the same ground.
+    scene = session.scene()
+    ground = window.drawing.renderer
+    again = stand(session.settings.shown.things, window.drawing.screen.pixels(), ground.depth(), scene)
+    np.testing.assert_array_equal(again.which, window.drawing.stood.which)
+
+
+def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
+    rows, cols = window.session.terrain.grid.shape
+    members = np.random.default_rng(0).normal(np.linspace(0, 9, cols), 0.5, (6, rows, cols)).astype(np.float32)
+    give(window, Dataset(members, band="all", uncertainty="spread", name="warmth", unit="K"))
+    hand.rest()
+    before = hand.frames(1).astype(int)
+    hand.move(300, 330)
+    hand.until(lambda: window.found())
+    (found,) = window.found()
+    hit = window.session.probe.hit
+    col, _ = window.session.terrain.grid.index(hit.easting, hit.northing)
+    assert found.name == "warmth" and found.unit == "K"
+    assert found.value == pytest.approx(9 * float(col) / (cols - 1), abs=1.0)
+    assert 0.05 < found.sigma < 1.2
+    assert "warmth" in found.words and "±" in found.words
+    panel.change(window, priority=Priority.parse("T-D-U+"))
+    hand.rest()
+    assert np.abs(hand.frames(1).astype(int) - before).mean() > 3
+    assert window.session.settings.shown.painted[0].sign == "glyphs"
+    panel.change(window, time="1999")
+    assert any("no time" in message.text for message in window.session.messages.shown)
+
+
+def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
+    import sys
+    import types
+
+    from rendercanvas.offscreen import OffscreenRenderCanvas
+
+    module = types.ModuleType("rendercanvas.anywidget")
+    module.RenderCanvas = OffscreenRenderCanvas
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)
+    values = np.linspace(0, 1, 257 * 257, dtype=np.float32).reshape(257, 257)
+    widget = orograph.view(str(dem), size=(240, 180), data=Dataset(values, name="part"), priority="T+D+U-")
+    widget.canvas.draw()
+    assert (widget.priority, widget.time) == ("T+D+U-", "")
+    widget.priority = "T-D-U-"
+    assert widget.priority == "T-D-U-" and widget.window.session.settings.light == "none"
+    for name, wrong in (("priority", "X"), ("time", "1999"), ("found", ())):
+        with pytest.raises(traitlets.TraitError):
+            setattr(widget, name, wrong)
+    widget.window.session.settings.show(widget.window.session.terrain, priority=Priority.parse("T+D-U+"))
+    widget.canvas.draw()
+    assert widget.priority == "T+D-U+"
+    widget.close()
+    widget.window.gui.close()
+    bare = orograph.view(str(dem), size=(120, 90))
+    bare.canvas.draw()
+    assert bare.priority == "" and bare.found == ()
+    with pytest.raises(traitlets.TraitError, match="no data"):
+        bare.priority = "T+D+U-"
+    bare.close()
+    bare.window.gui.close()
