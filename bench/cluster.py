@@ -34,6 +34,10 @@ from orograph.errors import StoreError
 
 BIG = {"shard": 1024}
 SMALL = {"shard": 128, "chunk": 64}
+FEW = 9
+"""Tiles, of which shards are small: 820 of them and more."""
+
+KILLED = {"shard": 256, "chunk": 64}
 OPTIONS: dict[str, Any] = {"jobs": 2, "progress": False}
 
 
@@ -67,6 +71,8 @@ def beside_threads(files: list[str], folder: Path, rounds: int) -> None:
     """The same build by threads and by workers."""
     with cluster(2) as (_, client):
         for sizes in (BIG, SMALL):
+            if sizes is SMALL:
+                files = files[:FEW]
             built(files, folder / "threads", **sizes)
             built(files, folder / "workers", dask=client, **sizes)
             pairs = [
@@ -114,7 +120,7 @@ def kill_workers(files: list[str], folder: Path, kills: int, seed: int) -> None:
             try:
                 while True:
                     try:
-                        again = {"resume": True, **OPTIONS, **SMALL}
+                        again = {"resume": True, **OPTIONS, **KILLED}
                         store.build(files, folder / "killed", dask=client, **again).close()
                         break
                     except StoreError as error:
@@ -133,7 +139,7 @@ def kill_clients(files: list[str], folder: Path, kills: int, seed: int) -> None:
     rng, done, builds, wrong = random.Random(seed), 0, 0, 0
     code = (
         "import sys; from orograph import store\nif __name__ == '__main__':\n"
-        f" store.build(sys.argv[2:], sys.argv[1], workers=2, resume=True, jobs=1, progress=False, **{SMALL!r})"
+        f" store.build(sys.argv[2:], sys.argv[1], workers=2, resume=True, jobs=1, progress=False, **{KILLED!r})"
     )
     script = folder / "build_once.py"
     script.write_text(code)
@@ -172,6 +178,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         beside_threads(files, folder, 1 if given.quick else 2)
+        built(files, folder / "threads", **KILLED)
         kill_workers(files, folder, given.kills, given.seed)
         kill_clients(files, folder, max(given.kills // 5, 1), given.seed)
 
