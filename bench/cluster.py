@@ -2,7 +2,7 @@
 
     python bench/cluster.py [--data ../shared/data] [--kills 100] [--quick]
 
-Threads and workers build California (18 tiles of 1201², in degrees) in turn, the cluster's start and compiling left
+Threads and workers build California (40 tiles of 1201², in degrees) in turn, the cluster's start and compiling left
 out, with as many processors. *Per task* is what a build of small shards takes longer on the cluster, per task; memory
 is that of the process that builds. Then workers are killed at random moments (SIGKILL) until there were so many kills,
 and builds with `--workers 2` with all their processes; every store that results is compared with that of threads.
