@@ -26,11 +26,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import distributed
 import psutil
 
 from orograph import store
 from orograph.errors import StoreError
+from orograph.store.clusters import workforce
 
 BIG = {"shard": 1024}
 SMALL = {"shard": 128, "chunk": 64}
@@ -52,11 +52,8 @@ def digest(folder: Path) -> str:
 @contextlib.contextmanager
 def cluster(workers: int) -> Iterator[tuple[Any, Any]]:
     """A cluster of processes of one thread, and its client."""
-    with (
-        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as local,
-        distributed.Client(local) as client,
-    ):
-        yield local, client
+    with workforce(workers, None, 1, workers << 31, 0) as client:
+        yield client.cluster, client
 
 
 def built(files: list[str], target: Path, **options: Any) -> float:
@@ -130,6 +127,7 @@ def kill_workers(files: list[str], folder: Path, kills: int, seed: int) -> None:
                 stop.set()
                 thread.join()
             done, builds = done + count[0], builds + 1
+            print(f"  {done} kills, {builds} builds", flush=True)
             wrong += digest(folder / "killed") != digest(folder / "threads")
     print(f"{done} workers killed over {builds} builds ({resumed} resumed by hand): {wrong} of other bytes", flush=True)
 
@@ -177,7 +175,7 @@ def main() -> None:
         files, given.kills = files[:4], 5
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        beside_threads(files, folder, 1 if given.quick else 2)
+        beside_threads(files, folder, 1 if given.quick else 1)
         built(files, folder / "threads", **KILLED)
         kill_workers(files, folder, given.kills, given.seed)
         kill_clients(files, folder, max(given.kills // 5, 1), given.seed)

@@ -16,12 +16,13 @@ from test_in_parts import files
 
 from orograph import store
 from orograph.errors import StoreError
+from orograph.store.clusters import workforce
 
 pytestmark = pytest.mark.stress
 
 
 def test_killed_workers(tmp_path):
-    distributed = pytest.importorskip("distributed")
+    pytest.importorskip("distributed")
     dem = written(tmp_path / "a.tif")
     store.build(dem, tmp_path / "whole", **SIZES).close()
     rng, kills, ended = random.Random(5), [0], threading.Event()
@@ -34,11 +35,8 @@ def test_killed_workers(tmp_path):
                     os.kill(rng.choice(pids), signal.SIGKILL)
                     kills[0] += 1
 
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as local,
-        distributed.Client(local) as client,
-    ):
-        thread = threading.Thread(target=killer, args=(local,))
+    with workforce(2, None, 1, 4 << 30, 0) as client:
+        thread = threading.Thread(target=killer, args=(client.cluster,))
         thread.start()
         try:
             for trial in range(40):

@@ -82,6 +82,7 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
         ) as cluster,
         made(cluster) as client,
     ):  # fmt: skip
+        cluster.adapt(minimum=workers, maximum=workers)  # what dies as it starts is not started again otherwise
         yield client
 
 
