@@ -175,7 +175,7 @@ def main() -> None:
         files, given.kills = files[:4], 5
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        beside_threads(files, folder, 1 if given.quick else 1)
+        beside_threads(files, folder, 1)
         built(files, folder / "threads", **KILLED)
         kill_workers(files, folder, given.kills, given.seed)
         kill_clients(files, folder, max(given.kills // 5, 1), given.seed)
