@@ -56,6 +56,14 @@ def test_a_fill_between_lowest_and_highest(tmp_path: Path) -> None:
     assert any("`nodata=0`" in s for s in said(tmp_path / "a.tif", heights, "float32"))
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"), [("a_ft.tif", "ft"), ("ft.tif", "ft"), ("a_10ft.tif", None), ("uk_2km.tif", None)]
+)
+def test_units_in_names_are_not_those_of_a_spacing(tmp_path: Path, name: str, unit: str | None) -> None:
+    told = [s for s in said(tmp_path / name, ground((300, 300), 100, 900)) if "Its name says" in s]
+    assert [f"'{unit}'" in s for s in told] == ([True] if unit else [])
+
+
 @pytest.mark.parametrize("dtype", ["int16", "float32"])
 def test_seas_lakes_and_clipped_ground_are_left_alone(tmp_path: Path, dtype: str) -> None:
     shape = (400, 420)

@@ -445,6 +445,7 @@ def test_fingerprint_follows_files_and_options(tmp_path: Path) -> None:
     write(1)
     first = Mosaic.open(path).fingerprint()
     assert Mosaic.open([path]).fingerprint() == first
+    assert Mosaic.open(path, band=1, nodata=None).fingerprint() == first  # what is usual need not be said
     others = {Mosaic.open(path, resolution=20).fingerprint(), Mosaic.open(path, resampling="cubic").fingerprint()}
     others.add(Mosaic.open(path, nodata=3.0).fingerprint())
     assert len(others | {first}) == 4

@@ -231,7 +231,7 @@ def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: 
     rounding = 1e-8 / view.pixel_slope / nearest  # 1e-8 m: some 20 units in the last place of a northing
     return {
         "samples": samples,
-        "largest": largest,
+        "largest": max(largest, *errors.values(), 0.0),  # a triangle may touch the surface in a sample alone
         "rounding": 1e-6 + rounding,
         "largest_at_samples": max(errors.values(), default=0.0),
         "rms": float(np.sqrt(np.mean([e * e for e in errors.values()]))) if errors else 0.0,

@@ -13,7 +13,7 @@ import exact_referee as brute
 import numpy as np
 import pytest
 from affine import Affine
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from orograph.errors import UsageError
@@ -92,6 +92,7 @@ def test_as_brute_force_says(seed, shape, transform, kind, style, missing, break
     st.sampled_from(["outside", "inside", "plan", "slab"]), st.sampled_from([1, 3, 10, 24]),
     st.sampled_from([0.0, 0.1, 0.3]), st.integers(0, 3), st.sampled_from([1.0, 0.5, 3.0]),
 )  # fmt: skip
+@example(130258, (7, 4), meshes.TRANSFORMS[0], "outside", 3, 0.3, 3, 1.0)  # a triangle that only touches the surface
 def test_vertices_anywhere_as_brute_force_says(seed, shape, transform, kind, fraction, missing, breaks, exaggeration):
     """Delaunay triangulations of random points at multiples of 2^-fraction of a cell, broken up to three times."""
     rng = np.random.default_rng(seed)

@@ -155,7 +155,8 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
     if source.driver in _GEOID_FORMATS or {"geoid", "undulation"} & set(_words(source.description)):
         return ["It is a geoid grid: heights of a geoid above the ellipsoid (for `geoid`), not of the ground."]
     said: list[str] = []
-    word = next((w for w in _words(source.name) if w in _UNIT_WORDS), None)
+    words = re.findall(r"(?<![a-z0-9])[a-z]+", source.name.lower())  # 2km is a spacing
+    word = next((word for word in words if word in _UNIT_WORDS), None)
     if word is not None and source.unit_factor == 1 and not source.unit:
         unit = _UNIT_WORDS[word]
         said.append(

@@ -11,6 +11,7 @@ who reads them: results are the same to the bit. Units: metres; samples.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -177,6 +178,7 @@ class Mosaic:
                 path=names[0],
                 remedy="Name files that hold more, or the files beside it as well.",
             )
+        usual = inspect.signature(Source.open).parameters
         return cls(
             sources,
             crs=crs,
@@ -186,7 +188,7 @@ class Mosaic:
             geoid=geoid,
             bbox=bbox,
             clip=clip,
-            options=options,
+            options={name: value for name, value in options.items() if value != usual[name].default},
         )
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:

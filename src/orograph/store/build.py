@@ -25,7 +25,6 @@ from orograph.store.chunked import checked_sizes
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
 from orograph.store.given import source_of
-from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import CHUNK, PARTS, Record, dumps
@@ -149,6 +148,8 @@ def build(
             missing, or it cannot be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
+    from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
+
     progress = reporting(progress)
     check_ways(overwrite, resume, part, finish, workers, dask)
     kinds = tuple(kind for kind in KINDS if kind in errors)

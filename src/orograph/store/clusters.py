@@ -82,6 +82,7 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
         ) as cluster,
         made(cluster) as client,
     ):  # fmt: skip
+        cluster.adapt(minimum=workers, maximum=workers)  # what dies as it starts is not started again otherwise
         yield client
 
 
@@ -96,14 +97,24 @@ def levels_of(client: Any, shape: Shape, shard: int) -> int:
 
 
 class Cluster:
-    """Runs the stages of a build on a cluster.
+    """Runs the stages of a build on a cluster, whose workers know of it while it is entered.
 
     Args:
         client: of Dask. recipe: what workers are told once.
     """
 
     def __init__(self, client: Any, recipe: Recipe) -> None:
-        self.client, self.recipe, self.ident = client, recipe, uuid.uuid4().hex
+        self.client, self.recipe, self.ident = client, recipe, f"orograph-{uuid.uuid4().hex}"
+
+    def __enter__(self) -> Cluster:
+        from orograph.store.dask_plugin import Telling
+
+        self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(Exception):  # the scheduler may be gone
+            self.client.unregister_worker_plugin(self.ident)
 
     def groups(self, shape: Shape, shard: int) -> int:
         return self.recipe.levels
@@ -114,20 +125,12 @@ class Cluster:
         Raises:
             StoreError: tasks were given up, or the scheduler is gone; or what workers wrote is not seen here.
         """
-        from orograph.store.dask_plugin import Telling
-
         if stage.number or stage.name != "heights":
             stage.writer.keep(KNOWN, dumps(stage.writer.digests.to_json()))
-        ident = f"orograph-{self.ident}-{stage.name}-{stage.number}"
-        self.client.register_plugin(Telling(ident, self.recipe), name=ident)
-        try:
-            tasks = stage.tasks()
-            with progress.task(stage.label, total=len(tasks)) as task:
-                _Round(self.client, stage, ident, task).go()
-                stage.finish()
-        finally:
-            with contextlib.suppress(Exception):  # the scheduler may be gone
-                self.client.unregister_worker_plugin(ident)
+        tasks = stage.tasks()
+        with progress.task(stage.label, total=len(tasks)) as task:
+            _Round(self.client, stage, self.ident, task).go()
+            stage.finish()
 
 
 class _Round:
@@ -168,7 +171,7 @@ class _Round:
                 self.begun[spot] += 1
                 future = self.client.submit(
                     do, self.ident, self.stage.name, self.stage.number, spot, pure=False,
-                    key=f"{self.ident}-{spot[0]}-{spot[1]}-{self.begun[spot]}",
+                    key=f"{self.ident}-{self.stage.name}-{self.stage.number}-{spot[0]}-{spot[1]}-{self.begun[spot]}",
                 )  # fmt: skip
                 self.pending[future] = spot
                 future.add_done_callback(self.done.put)

@@ -69,4 +69,6 @@ def executor_of(
     begun = storage.get(PLAN) or b""
     recipe = recipe_of(raster, storage, storage_options, plan, coding, begun, at_once.task, at_once.base)
     with workforce(workers, dask, at_once.jobs, at_once.memory, at_once.base + at_once.task) as client:
-        yield Cluster(client, recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"])))
+        recipe = recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"]))
+        with Cluster(client, recipe) as cluster:
+            yield cluster

@@ -1,0 +1,172 @@
+"""What a build of a planet would take on a cluster: a simulation out of unit costs that are measured first.
+
+    python bench/cluster_plan.py [--data ../shared/data] [--quick]
+
+A build of California is run by one process whose tasks are timed one by one: seconds of processor time, bytes written
+and the time in which the process that builds adds each up. The simulation has these tasks for as many samples as the
+planet has, by an event queue: the scheduler gives out a task in 1 ms, a worker (one thread) works on one at a time
+and moves its bytes at 100 MB/s, the process that builds adds up what came, one after another, and stages follow one
+another. Nothing in it was run on such a cluster.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import heapq
+import importlib
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from orograph import store
+from orograph.progress import Progress
+from orograph.store.executing import Stage
+from orograph.store.groups import MOST
+
+SHARD = 2048
+SCHEDULER = 1e-3
+BUCKET = 100e6
+PRICE = 0.05
+"""Dollars an hour and worker of one thread."""
+
+PLANETS = {
+    "ASTER, 22,600 tiles of 3601²": (22_600 * 3601 * 3601, 750e9),
+    "GLO-30, 26,000 tiles of 3600²": (26_000 * 3600 * 3600, 26_000 * 3600 * 3600 * 2.4),
+}
+"""Samples, and bytes that are read."""
+
+
+class Cost(NamedTuple):
+    """Of a stage, per sample of level 0.
+
+    Attributes:
+        work: seconds of a worker. add: of the process that builds. finish: of it, at the end. written: bytes.
+    """
+
+    work: float
+    add: float
+    finish: float
+    written: float
+
+
+class Timed:
+    """An executor that runs tasks one by one and notes what they take."""
+
+    def __init__(self) -> None:
+        self.costs: dict[str, Cost] = {}
+        self.samples = 0
+
+    def groups(self, shape: Any, shard: int) -> int:
+        self.samples = shape[0] * shape[1]
+        return 0
+
+    def run(self, stage: Stage[Any], progress: Progress) -> None:
+        work = add = written = 0.0
+        put = stage.writer.storage.put
+
+        def counted(key: str, parts: Sequence[bytes]) -> None:
+            nonlocal written
+            written += sum(map(len, parts))
+            put(key, parts)
+
+        stage.writer.storage.put = counted  # type: ignore[method-assign]
+        for spot in stage.tasks():
+            t0 = time.process_time()
+            stage.make(spot)
+            t1 = time.process_time()
+            found = stage.found(spot, proof=False)
+            assert found is not None
+            stage.add(spot, found)
+            work, add = work + t1 - t0, add + time.process_time() - t1
+        t0 = time.process_time()
+        stage.finish()
+        finish = time.process_time() - t0
+        stage.writer.storage.put = put  # type: ignore[method-assign]
+        before = self.costs.get(stage.name, Cost(0, 0, 0, 0))
+        found_now = (work, add, finish, written)
+        self.costs[stage.name] = Cost(*(a + b / self.samples for a, b in zip(before, found_now, strict=True)))
+
+
+def measured(files: list[str]) -> dict[str, Cost]:
+    """Unit costs by stage."""
+    timed = Timed()
+
+    @contextlib.contextmanager
+    def executor(*_: Any) -> Iterator[Timed]:
+        yield timed
+
+    building: Any = importlib.import_module("orograph.store.build")  # the package has the function under this name
+    own = building.executor_of
+    building.executor_of = executor
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            for name in ("warm", "timed"):
+                timed.costs.clear()
+                store.build(files, Path(folder) / name, shard=SHARD, jobs=1, progress=False).close()
+    finally:
+        building.executor_of = own
+    return timed.costs
+
+
+class Outcome(NamedTuple):
+    """Of a simulation: seconds, and the share of them in which each was busy."""
+
+    seconds: float
+    busy: dict[str, float]
+
+
+def simulated(costs: dict[str, Cost], samples: int, read: float, workers: int) -> Outcome:
+    """A build with so many workers."""
+    now, busy = 0.0, dict.fromkeys(("workers compute", "workers move bytes", "scheduler", "adding up"), 0.0)
+    for name, cost in costs.items():
+        each = SHARD**2 * (4**MOST if name == "heights" else 1)
+        while each > SHARD**2 and samples / each < 8 * workers:
+            each //= 4  # smaller groups, as builds choose them
+        tasks = max(1, round(samples / each))
+        inner = each > SHARD**2  # most of what is added up is added within a group, by its worker
+        compute = (cost.work + cost.add * inner) * samples / tasks
+        move = ((read if name != "errors" else 5.0 * samples) + cost.written * samples) / tasks / BUCKET
+        add = cost.add * samples / tasks / (each / SHARD**2)
+        free = [now] * workers
+        given = added = now
+        for _ in range(tasks):
+            given = max(given, free[0]) + SCHEDULER
+            done = given + compute + move
+            heapq.heapreplace(free, done)
+            added = max(added, done) + add
+        took = (compute / workers, move / workers, SCHEDULER, add)
+        for what, seconds in zip(busy, took, strict=True):
+            busy[what] += tasks * seconds
+        busy["adding up"] += cost.finish * samples
+        now = max(added, *free) + cost.finish * samples
+    return Outcome(now, {what: took / now for what, took in busy.items()})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--quick", action="store_true", help="nine tiles, 16 and 512 workers")
+    given = parser.parse_args()
+    files = sorted(map(str, (given.data / "california-3s-tiles").glob("*.tif")))
+    if not files:
+        raise SystemExit(f"No tiles in {given.data / 'california-3s-tiles'}.")
+    costs = measured(files[:9] if given.quick else files)
+    for name, cost in costs.items():
+        print(
+            f"{name}: {1e9 * cost.work:.0f} ns a sample of a worker, {1e9 * cost.add:.2f} + {1e9 * cost.finish:.2f} of "
+            f"the process that builds, {cost.written:.2f} bytes written"
+        )
+    for planet, (samples, read) in PLANETS.items():
+        print(f"\n{planet}\n\n| workers | hours | dollars | busiest | share |\n|---|---|---|---|---|")
+        for workers in (16, 512) if given.quick else (1, 4, 16, 64, 128, 256, 512):
+            seconds, busy = simulated(costs, samples, read, workers)
+            most = max(busy, key=busy.__getitem__)
+            hours = seconds / 3600
+            print(f"| {workers} | {hours:.1f} | {hours * workers * PRICE:.0f} | {most} | {busy[most]:.0%} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Builds whose workers, or all of whose processes, are killed at random moments, make the same bytes when run again."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from test_clusters import SIZES, written
+from test_in_parts import files
+
+from orograph import store
+from orograph.errors import StoreError
+from orograph.store.clusters import workforce
+
+pytestmark = pytest.mark.stress
+
+
+def test_killed_workers(tmp_path):
+    pytest.importorskip("distributed")
+    dem = written(tmp_path / "a.tif")
+    store.build(dem, tmp_path / "whole", **SIZES).close()
+    rng, kills, ended = random.Random(5), [0], threading.Event()
+
+    def killer(local):
+        while not ended.wait(rng.uniform(0.2, 3.0)):
+            pids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
+            if pids:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(rng.choice(pids), signal.SIGKILL)
+                    kills[0] += 1
+
+    with workforce(2, None, 1, 4 << 30, 0) as client:
+        thread = threading.Thread(target=killer, args=(client.cluster,))
+        thread.start()
+        try:
+            for trial in range(40):
+                target = tmp_path / f"s{trial}"
+                while True:
+                    with contextlib.suppress(StoreError):  # tasks were given up
+                        store.build(dem, target, dask=client, resume=True, **SIZES).close()
+                        break
+                assert files(target) == files(tmp_path / "whole")
+                if kills[0] >= 30:
+                    break
+        finally:
+            ended.set()
+            thread.join()
+    assert kills[0] >= 30
+
+
+def test_killed_builds(tmp_path):
+    pytest.importorskip("distributed")
+    dem = written(tmp_path / "a.tif")
+    store.build(dem, tmp_path / "whole", **SIZES).close()
+    script = tmp_path / "build_once.py"
+    script.write_text(
+        "from orograph import store\nif __name__ == '__main__':\n"
+        f"    options = {SIZES | {'workers': 2, 'resume': True, 'progress': False}!r}\n"
+        f"    store.build({dem!r}, {str(tmp_path / 's')!r}, **options).close()\n"
+    )
+    rng, kills = random.Random(6), 0
+    for _ in range(40):
+        child = subprocess.Popen([sys.executable, str(script)])
+        try:
+            status = child.wait(rng.uniform(3, 9))
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+            kills += 1
+            assert not (tmp_path / "s").exists() or store.open(tmp_path / "s").check() == []
+            continue
+        assert status == 0
+        break
+    else:
+        store.build(dem, tmp_path / "s", resume=True, **SIZES).close()
+    assert kills
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
