@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, shared
 from orograph.error.deviation import bits, distance
 from orograph.error.diamonds import halve
 from orograph.store.terrain import TILE, Heights, Shape
@@ -166,7 +166,7 @@ def _off(row: Heights, u0: int, u1: int, base: float, slope: float, worst: np.in
     return worst
 
 
-@inlined
+@shared
 def _off_cell(heights: Heights, r0: int, c0: int, r1: int, c1: int, step: int, even: bool, largest: float) -> float:
     """The larger of ``largest`` and the distances of the samples [r0, r1] × [c0, c1] from the cell's two triangles."""
     scale = 1.0 / step
