@@ -45,8 +45,8 @@ def inlined(function: Function) -> Function:
     LLVM inlines it. Numba's own inlining copies the helper's code into each caller before types are inferred, which
     takes ten times as long to compile and runs no faster. It makes no arrays, slices included.
     """
-    options: dict[str, Any] = {"forceinline": True, "no_cfunc_wrapper": True}
-    return cast(Function, numba.njit(nogil=True, error_model="numpy", _nrt=False, **options)(function))
+    options: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "no_cfunc_wrapper": True, "_nrt": False}
+    return cast(Function, numba.njit(**options)(function))
 
 
 def leaf(function: Function) -> Function:

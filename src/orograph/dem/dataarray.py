@@ -19,12 +19,12 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from orograph.dem.arrays import heights_of
+from orograph.dem.even import ACROSS, DOWN, ROTATED, even_axis, is_depth, metres_in
 from orograph.dem.raster import Dem
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
-_ALONG_ROWS = {"x", "lon", "long", "longitude", "easting", "east", "e", "projection_x_coordinate"}
 HEIGHTS = {
     "elevation", "height", "altitude", "dem", "dtm", "dsm", "z", "topo", "topography", "orog", "orography", "hgt",
     "surface_altitude", "height_above_reference_ellipsoid", "height_above_geopotential_datum",
@@ -34,8 +34,6 @@ HEIGHTS = {
 
 STRIP = 1 << 22
 """Samples of an array that are converted at once."""
-
-_DOWN = {"y", "lat", "latitude", "northing", "north", "n", "projection_y_coordinate"}
 
 
 def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
@@ -50,7 +48,7 @@ def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
         return bool(called & names) or str(attributes.get("axis", "")).upper() == axis
 
     first, second = array.dims[-2:]
-    turned = says(first, _ALONG_ROWS, "X") and says(second, _DOWN, "Y")
+    turned = says(first, ACROSS, "X") and says(second, DOWN, "Y")
     return (second, first) if turned else (first, second)
 
 
@@ -69,7 +67,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
         UsageError: more than two dimensions longer than 1.
     """
     called = name or str(array.name or _file_name(array) or "terrain")
-    lead = [d for d in array.dims if array.sizes[d] == 1 and str(d).lower() not in _ALONG_ROWS | _DOWN]
+    lead = [d for d in array.dims if array.sizes[d] == 1 and str(d).lower() not in ACROSS | DOWN]
     lead = lead[: max(0, array.ndim - 2)]
     if array.ndim - len(lead) != 2:
         raise UsageError(
@@ -81,23 +79,71 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     factor = metres_per(unit)
     if factor is None:
         raise ReadError(f"The unit of {called} is {unit!r}, which is not a length.", remedy="Set attrs['units'].")
-    heights = _heights(array, called, factor)
+    if is_depth(array.attrs):
+        warnings.warn(f"The numbers of {called} are depths, which become heights below 0.", stacklevel=2)
+        factor = -factor
+    known = _known_crs(array, crs, called)
+    unit_of_axes = 1.0 if known is not None else _axes_metres(array, called)
     y_dim, x_dim = array.dims
-    (x0, dx), (y0, dy) = _axis(array, x_dim, called), _axis(array, y_dim, called)
+    (x0, dx), (y0, dy) = (np.array(_axis(array, dim, called)) * unit_of_axes for dim in (x_dim, y_dim))
+    heights = _heights(_decoded(array), called, factor)
     if dy > 0:
         heights, y0, dy = heights[::-1], y0 + dy * (heights.shape[0] - 1), -dy
     if dx < 0:
         heights, x0, dx = heights[:, ::-1], x0 + dx * (heights.shape[1] - 1), -dx
     transform = Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)
-    known = _crs_of(array, crs)
-    if known is None and _in_degrees(array):
-        warnings.warn(
-            f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are taken for degrees of WGS 84 (give crs=… if "
-            "they are others).", stacklevel=2,
-        )  # fmt: skip
-        known = CRS.from_epsg(4326)
     grid = Grid((heights.shape[0], heights.shape[1]), transform, known)
     return Dem(np.ascontiguousarray(heights), grid, None, called)
+
+
+def _known_crs(array: xr.DataArray, crs: str | CRS | None, called: str) -> CRS | None:
+    """The CRS that is given or an array says, or that of WGS 84 where its coordinates are in degrees."""
+    known = _crs_of(array, crs)
+    if known is not None or not _in_degrees(array):
+        return known
+    y_dim, x_dim = array.dims
+    warnings.warn(
+        f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are taken for degrees of WGS 84 (give crs=… if "
+        "they are others).", stacklevel=3,
+    )  # fmt: skip
+    return CRS.from_epsg(4326)
+
+
+def _axes_metres(array: xr.DataArray, called: str) -> float:
+    """Metres in the unit of the coordinates of an array that has no CRS."""
+    for dim in array.dims:
+        attributes = array.coords[dim].attrs if dim in array.coords else {}
+        unit = str(attributes.get("units", "")).strip()
+        if {str(dim).lower(), str(attributes.get("standard_name", "")).lower()} & ROTATED:
+            raise ReadError(f"The coordinates of {called} are of a rotated pole, and it has no CRS.",
+                            remedy="Give the CRS: crs=…")  # fmt: skip
+        metres = metres_in(unit)
+        if metres is None and not unit.lower().startswith("degree"):
+            raise ReadError(f"The coordinates of {called} along {dim!r} are in {unit!r}, and it has no CRS.",
+                            remedy="Give the CRS: crs=…")  # fmt: skip
+        if metres not in (None, 1.0):
+            return float(metres)
+    return 1.0
+
+
+def _decoded(array: xr.DataArray) -> xr.DataArray:
+    """An array as its attributes (CF) say where xarray has not decoded them: scaled, and NaN where it is missing or
+    beyond its valid range, which is one of numbers as they are packed."""
+    said = array.attrs
+    packed = {**array.encoding, **said}
+    scale, offset = packed.get("scale_factor", 1), packed.get("add_offset", 0)
+    if "scale_factor" in said or "add_offset" in said:
+        scale, offset = 1, 0
+    low, high = said.get("valid_range", (said.get("valid_min"), said.get("valid_max")))
+    if low is not None:
+        array = array.where(array >= low * scale + offset)
+    if high is not None:
+        array = array.where(array <= high * scale + offset)
+    packing = said.get("scale_factor", 1) != 1 or said.get("add_offset", 0) != 0 or "missing_value" in said
+    if packing and array.dtype.kind in "iuf":
+        flat = xr.Dataset({"heights": array.variable})
+        array = array.copy(data=xr.decode_cf(flat, decode_times=False, decode_coords=False)["heights"].variable.data)
+    return array
 
 
 def _heights(array: xr.DataArray, called: str, factor: float) -> NDArray[np.float32]:
@@ -148,7 +194,7 @@ def heights_in(dataset: xr.Dataset) -> xr.DataArray:
 def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | None]:
     """The values of an image or a raster, (rows, cols) or (rows, cols, bands), and where they lie by its coordinates;
     None, None where it has none along its rows and columns."""
-    axes = [d for d in array.dims if str(d).lower() in _ALONG_ROWS | _DOWN or _says_axis(array, d)]
+    axes = [d for d in array.dims if str(d).lower() in ACROSS | DOWN or _says_axis(array, d)]
     if len(axes) != 2:
         axes = list(array.dims[-2:]) if array.sizes[array.dims[-1]] > 4 or array.ndim == 2 else list(array.dims[:2])
     flat = array.transpose(*axes, ...)
@@ -184,16 +230,13 @@ def _axis(array: xr.DataArray, dim: Any, called: str) -> tuple[float, float]:
     """First coordinate and step along a dimension."""
     if dim not in array.coords:
         raise ReadError(f"{called} has no coordinates along {dim!r}.", remedy="Assign them, in the units of its CRS.")
-    values = np.asarray(array.coords[dim].values, np.float64)
-    if values.size == 1:
-        return float(values[0]), 1.0
-    step = float(values[-1] - values[0]) / (values.size - 1)
-    # float32 coordinates are even to their own precision only
-    if step == 0 or np.abs(np.diff(values) - step).max() > 1e-2 * abs(step):
+    try:
+        return even_axis(np.asarray(array.coords[dim].values))
+    except (ValueError, TypeError) as error:
         raise ReadError(
-            f"The coordinates of {called} along {dim!r} are not evenly spaced.", remedy="Resample it first."
-        )
-    return float(values[0]), step
+            f"The coordinates of {called} along {dim!r} are not evenly spaced: {error}.",
+            remedy="Resample it first (interp).",
+        ) from None
 
 
 def _in_degrees(array: xr.DataArray) -> bool:
@@ -206,6 +249,8 @@ def _in_degrees(array: xr.DataArray) -> bool:
         degrees = str(attributes.get("units", "")).lower().startswith("degree")
         return bool(np.abs(values).max() <= most and (called & names or degrees))
 
+    if {str(dim).lower() for dim in array.dims} & ROTATED:
+        return False
     return says(x_dim, {"lon", "long", "longitude"}, 360.5) and says(y_dim, {"lat", "latitude"}, 90.5)
 
 

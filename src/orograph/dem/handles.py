@@ -27,6 +27,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from orograph.dem.even import ACROSS, DOWN
 from orograph.errors import ReadError
 
 IDLE = 48
@@ -333,6 +334,7 @@ def open_dataset(location: str) -> Any:
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     from orograph.dem.whole import DAMAGED, fault_before
+    from orograph.dem.whole.cf import KEEP_RANGE, is_limited
     from orograph.dem.whole.files import OPENING
 
     fault = fault_before(location)
@@ -342,12 +344,15 @@ def open_dataset(location: str) -> Any:
         with OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(location)
+            if is_limited(dataset):
+                dataset.close()
+                dataset = rasterio.open(location, **KEEP_RANGE)
     except (RasterioError, OSError, ValueError) as error:
         raise ReadError(
             f"GDAL cannot open it: {cause_of(error)}", path=location, remedy=_remedy(location, error)
         ) from None
     if dataset.count == 0:
-        inside = list(dataset.subdatasets)
+        inside = sorted(dataset.subdatasets, key=_is_axis)
         dataset.close()
         shown = "; ".join(inside[:6]) + ("…" if len(inside) > 6 else "")
         raise ReadError(
@@ -358,6 +363,11 @@ def open_dataset(location: str) -> Any:
             remedy=f"Name one of them as the path, e.g. '{inside[0]}'." if inside else "Name an elevation raster.",
         )
     return dataset
+
+
+def _is_axis(name: str) -> bool:
+    """Whether a raster within a file is called as the coordinates along an axis are."""
+    return re.split(r"[:/]", name.strip('"'))[-1].lower() in ACROSS | DOWN
 
 
 def cause_of(error: BaseException) -> str:
@@ -372,6 +382,8 @@ def cause_of(error: BaseException) -> str:
 
 def _remedy(location: str, error: BaseException) -> str:
     text = str(error).lower()
+    if "codec" in text and ".zarr" in location.lower():
+        return "This build of GDAL lacks the codec: open it in Python (xarray.open_zarr), and give that to Orograph."
     if "codec" in text:
         return "This build of GDAL lacks the codec: write it again with another (gdal_translate -co COMPRESS=ZSTD)."
     if location.lower().endswith((".hgt", ".hgt.gz")):

@@ -26,7 +26,9 @@ from pyproj.exceptions import CRSError, ProjError
 
 from orograph.dem.axes import east_north
 from orograph.dem.bands import tags_of, unit_tag
+from orograph.dem.prj import notes, unit_of_heights
 from orograph.dem.units import METRES, metres_per
+from orograph.dem.whole.cf import is_depth_of, transform_of
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geo.vertical import ELLIPSOIDAL, KNOWN_DATUMS, known_datum
@@ -57,6 +59,8 @@ def place_of(
         raise UsageError(f"The spacing must be a positive number of metres, not {spacing:g}.")
     assumed = None if assume_crs is None else parsed_crs(assume_crs)
     transform = _transform_of(dataset)
+    if full is None and (beside := notes(dataset)) is not None:
+        warnings.append(f"What lies beside it as its CRS cannot be understood ({beside.name}).")
     if transform.is_identity:
         return Place(_local(dataset, shape, spacing, full, assumed, warnings), False, False, False), None
     if spacing is not None:
@@ -90,6 +94,8 @@ _FAR = 1e13
 def _transform_of(dataset: Any) -> Affine:
     """The geotransform of a dataset. That of a PNM without a world file is what happened to be in memory to GDAL, which
     passes over the .aux.xml beside it."""
+    if dataset.driver == "netCDF":
+        return transform_of(dataset)
     beside = [str(name) for name in dataset.files[1:]]
     if dataset.driver != "PNM" or any(not name.endswith(".aux.xml") for name in beside):
         return Affine(*dataset.transform[:6])
@@ -227,7 +233,8 @@ def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
     """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
     if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
         # "NAVD88 height (ftUS)" is NAVD88 height once it is in metres
-        return re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
+        name = re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
+        return re.sub(r" depth$", " height", name)  # which it is once its sign is changed (unit_of)
     if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
         return ELLIPSOIDAL
     if dataset.driver == "SRTMHGT":
@@ -265,8 +272,8 @@ def assumed_vertical(text: str) -> str:
 
 
 def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warnings: list[str]) -> float:
-    """Metres in one unit of the (scaled) values: asked for, else the band's unit tag, else the vertical axis of the
-    CRS.
+    """Metres of height in one unit of the (scaled) values: asked for, else the band's unit tag, else the .prj beside
+    it, else the vertical axis of the CRS. Negative where they are depths, unless a unit is asked for.
 
     Raises:
         UsageError: the unit asked for is not known.
@@ -279,17 +286,26 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
                 f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
             )
         return factor
-    tag = unit_tag(dataset, band)
-    if tag:
-        factor = metres_per(tag)
-        if factor is not None:
-            return factor
+    axis = _vertical_axis(crs)
+    by_crs = float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else None
+    sign = 1.0
+    if (axis is not None and axis.direction == "down" and dataset.driver != "BAG") or is_depth_of(dataset, band):
+        sign = -1.0  # (BAG's elevations grow upwards whatever its CRS says: Format Specification, section 4)
+        warnings.append("Its numbers are depths, which become heights below 0 (give `vertical_unit` if they are none).")
+    tag = unit_tag(dataset, band) or unit_of_heights(dataset)
+    said = metres_per(tag) if tag else None
+    if tag and said is None:
         warnings.append(f"The unit of its values is {tag!r}, which is not a length: are these heights?")
+    if said is not None and by_crs is not None and abs(said - by_crs) > 1e-6:
+        warnings.append(f"It says that heights are in {tag}, and its CRS another unit ({by_crs:.9g} m): {tag} is used.")
+    return sign * (said or by_crs or 1.0)
+
+
+def _vertical_axis(crs: CRS | None) -> Any:
     try:
-        axis = next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
+        return next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
     except ProjError:
-        axis = None
-    return float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else 1.0
+        return None
 
 
 def settled_vertical(declared: str | None, assumed: str | None, warnings: list[str]) -> str | None:

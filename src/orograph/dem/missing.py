@@ -76,6 +76,12 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
     return int(float(text))
 
 
+def is_default_fill(dataset: Any, band: int) -> bool:
+    """Whether a nodata value of 0 is only Zarr's usual fill value, of chunks that were not written."""
+    said = {**dataset.tags(), **dataset.tags(band)}
+    return bool(dataset.driver == "Zarr" and dataset.nodatavals[band - 1] == 0 and "_FillValue" not in said)
+
+
 def _nodata_text(dataset: Any, band: int) -> str | None:
     """The nodata value as the text that a GeoTIFF or a VRT holds; None of other formats."""
     name = main_file(dataset)

@@ -37,9 +37,10 @@ from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
-from orograph.dem.missing import is_nodata, mask_of, nodata_of
+from orograph.dem.missing import is_default_fill, is_nodata, mask_of, nodata_of
 from orograph.dem.pool import forget_parts, is_virtual
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
+from orograph.dem.whole.cf import Valid, valid_of
 from orograph.dem.whole.files import files_in
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
@@ -70,6 +71,7 @@ class Source:
         unit: what the file calls the unit of its numbers, "" if it does not say.
         attribution: whom its makers want to be named: the file's tag ATTRIBUTION.
         picture: whether its bands are colours or classes rather than heights.
+        valid: what else says which stored numbers are heights (netCDF); None: nothing.
         undeclared: stored numbers of magnitude 1e12 or more met so far that the file does not declare as nodata.
         warnings: what a user should know, full sentences.
     """
@@ -94,6 +96,7 @@ class Source:
     unit: str = ""
     warnings: list[str] = field(default_factory=list)
     undeclared: set[float] = field(default_factory=set)
+    valid: Valid | None = None
     picture: bool = False
     attribution: tuple[str, ...] = ()
     _flip_rows: bool = False
@@ -152,6 +155,8 @@ class Source:
                 warnings.append("It has a colour table: its numbers are classes or colours, not heights.")
             elif dataset.count > 1:
                 warnings.extend(band_warnings(dataset, band))
+            if nodata is None and is_default_fill(dataset, band):
+                warnings.append("Its fill value is 0, so heights of 0 count as missing (`nodata=none` if they do not).")
             place, crs = place_of(dataset, spacing=spacing, assume_crs=assume_crs, warnings=warnings)
             dtype = dataset.dtypes[band - 1]
             mask, alpha = mask_of(dataset, band, nodata)
@@ -177,6 +182,7 @@ class Source:
                 description=description_of(dataset, band),
                 unit=unit_tag(dataset, band),
                 warnings=warnings,
+                valid=valid_of(dataset, band) if plain and nodata != "none" else None,
                 picture=plain and (is_picture(dataset) or is_palette(dataset, band)),
                 attribution=attribution_of(dataset),
                 _flip_rows=place.flip_rows,
@@ -188,14 +194,14 @@ class Source:
 
     @property
     def masked(self) -> bool:
-        """Whether a mask or alpha band, besides any nodata value, says where samples are missing."""
-        return self._mask != "none"
+        """Whether a mask, an alpha band or a valid range, besides any nodata value, says where samples are missing."""
+        return self._mask != "none" or self.valid is not None
 
     @property
     def code(self) -> tuple[str, float]:
         """(dtype, nodata) of its numbers where they are whole metres of 8 or 16 bits and a nodata value says which of
         them are missing; else ("float32", nan), which is what is read of them."""
-        plain = self.encoding is None and (self.scale, self.offset, self.unit_factor) == (1.0, 0.0, 1.0)
+        plain = (self.scale, self.offset, self.unit_factor, self.encoding, self.valid) == (1.0, 0.0, 1.0, None, None)
         if plain and self.nodata is not None and self.dtype in ("int8", "uint8", "int16", "uint16"):
             limits = np.iinfo(self.dtype)
             if limits.min <= self.nodata <= limits.max and self.nodata == int(self.nodata):
@@ -345,6 +351,9 @@ class Source:
 
     def _heights(self, raw: NDArray[Any]) -> NDArray[np.float32]:
         missing = None if self.nodata is None else is_nodata(raw, self.nodata)
+        if self.valid is not None:
+            outside = self.valid.outside(raw)
+            missing = outside if missing is None else missing | outside
         plain = self.scale == 1 and self.offset == 0 and self.unit_factor == 1
         with np.errstate(over="ignore", invalid="ignore"):
             if plain:

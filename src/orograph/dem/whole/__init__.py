@@ -17,6 +17,8 @@ and altering files of every driver (``tests/dem/test_mutants.py``):
 - GRIB 2: packed pictures whose checksums differ (``grib``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
+- netCDF's axes that are not even, and missing data that GDAL does not know (``cf``).
+- DTED: columns out of order, headers that contradict one another (``dted``).
 - Archives: what is read on where their checksums differ (``files``).
 - Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without; a CRS (.prj) that was
   cut short.
@@ -40,7 +42,9 @@ from typing import Any
 
 from orograph.dem.whole import (
     blocks,
+    cf,
     containers,
+    dted,
     grib,
     header_text,
     hfa,
@@ -157,7 +161,8 @@ _CHECKS: dict[str, Check] = {
     "ILWIS": ilwis.fault,
     "NITF": _checks(sizes.nitf, jp2.nitf),
     "BMP": sizes.bmp,
-    "DTED": sizes.dted,
+    "DTED": dted.fault,
+    "SRTMHGT": dted.hgt,
     "GS7BG": sizes.surfer7,
     "NTv2": sizes.ntv2,
     "ENVI": _checks(header_text.check("ENVI"), sizes.envi),
@@ -240,6 +245,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     if _seen(key):
         return
     check_packed(dataset)
+    cf.refuse_uneven(dataset)
     _refuse_lost_notes(dataset)
     _refuse_cut_crs(dataset)
     _refuse_lost_mask(dataset)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from orograph.dem.whole.header_text import kind_fault, pairs
+from orograph.errors import ReadError
 
 _BLOCK = 128
 _TAIL = 1 << 16
@@ -77,8 +78,31 @@ def terrain(dataset: Any, path: str) -> str | None:
 
 
 def sigdem(dataset: Any, path: str) -> str | None:
-    """SIGDEM: a header of 132 bytes, then whole numbers of 32 bits."""
-    return exact(path, 132 + 4 * dataset.width * dataset.height)
+    """SIGDEM: a header of 132 bytes, which says twice where it lies, then whole numbers of 32 bits."""
+    with Path(path).open("rb") as file:
+        head = file.read(132)
+    factor, west, south, low, east, north, high = struct.unpack_from(">7d", head, 52)
+    step_x, step_y = struct.unpack_from(">2d", head, 116)
+    if not (0 < factor < math.inf and step_x > 0 and step_y > 0):
+        return f"Its header has heights {factor:g} times as large, {step_x:g} × {step_y:g} apart."
+    reach = np.array([east - west, north - south]) / (step_x, step_y)
+    if not np.allclose(reach, (dataset.width, dataset.height), atol=0.01):
+        return f"Its header places {dataset.width} × {dataset.height} samples where {reach[0]:g} × {reach[1]:g} fit."
+    return exact(path, 132 + 4 * dataset.width * dataset.height) or _beyond(dataset, low, high, 2 / factor)
+
+
+def _beyond(dataset: Any, low: float, high: float, rounding: float) -> str | None:
+    """Heights beyond the extremes that a header says."""
+    if not low < high:
+        return None
+    for _, window in dataset.block_windows(1):
+        heights = dataset.read(1, window=window, masked=True)
+        if heights.count() and not (low - rounding <= heights.min() and heights.max() <= high + rounding):
+            return (
+                f"It holds heights from {heights.min():g} to {heights.max():g} where its header has all between "
+                f"{low:g} and {high:g}."
+            )
+    return None
 
 
 def envi(dataset: Any, path: str) -> str | None:
@@ -220,8 +244,16 @@ def pcraster(dataset: Any, path: str) -> str | None:
     """PCRaster: a header of 256 bytes, then all samples; then perhaps a table of attributes (CSF, version 2)."""
     wanted = 256 + _samples(dataset)
     with Path(path).open("rb") as file:
-        head = file.read(64)
+        head = file.read(256)
     order = "<" if head[46:50] == b"\x01\0\0\0" else ">"
+    across, down, angle = struct.unpack_from(order + "3d", head, 108)
+    if not (0 < across == down < math.inf):
+        return f"Its cells are {across:g} × {down:g}: PCRaster's are squares, and GDAL places others wrong."
+    if angle != 0:
+        raise ReadError(
+            f"It is turned by {angle:g} radians, which GDAL passes over.", path=dataset.name,
+            remedy="Resample it to one that is not (PCRaster's resample).",
+        )  # fmt: skip
     (attributes,) = struct.unpack_from(order + "I", head, 40)
     if attributes:
         size = Path(path).stat().st_size
@@ -306,16 +338,6 @@ def _zarr3(dataset: Any) -> str | None:
                     f"Its chunk {chunk.relative_to(header.parent)} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
                 )
     return None
-
-
-def dted(dataset: Any, path: str) -> str | None:
-    """DTED: three headers, then a record for each column (MIL-PRF-89020B)."""
-    record = 12 + 2 * dataset.height
-    size = Path(path).stat().st_size
-    partial = dataset.tags().get("DTED_PartialCellIndicator", "00").strip() not in ("", "0", "00")
-    if partial and size < 3428 + dataset.width * record and (size - 3428) % record == 0:
-        return None  # of a partial cell columns may be left out
-    return exact(path, 3428 + dataset.width * record)
 
 
 def terragen(dataset: Any, path: str) -> str | None:

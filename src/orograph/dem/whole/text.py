@@ -42,13 +42,19 @@ _KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re
 
 def arc(dataset: Any, path: str) -> str | None:
     """What is wrong with an Arc/Info ASCII grid, a sentence; None: nothing."""
-    return _header_fault(path, (b"xll", b"yll")) or _grid_fault(dataset, path, _ARC, True)
+    return (
+        _header_fault(path, (b"xll", b"yll"))
+        or _contradiction(path, _ARC, "nodata_value")
+        or _grid_fault(dataset, path, _ARC, True)
+    )
 
 
 def grass(dataset: Any, path: str) -> str | None:
     """What is wrong with a GRASS ASCII grid, a sentence; None: nothing."""
     sides = (b"north", b"south", b"east", b"west")
-    return _header_fault(path, sides) or _grid_fault(dataset, path, _GRASS, True)
+    return (
+        _header_fault(path, sides) or _contradiction(path, _GRASS, "null") or _grid_fault(dataset, path, _GRASS, True)
+    )
 
 
 def surfer(dataset: Any, path: str) -> str | None:
@@ -164,6 +170,31 @@ def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
         head = file.read(_HEADER)
     lacks = next((key.decode() for key in needed if not re.search(rb"^\s*" + key, head, re.I | re.M)), None)
     return None if lacks is None else f"Its header does not say where it lies ({lacks!r}…)."
+
+
+def _contradiction(path: str, header: re.Pattern[bytes], missing: str) -> str | None:
+    """What a header says that GDAL passes over: a key twice, words for numbers, corners and centres, a factor.
+
+    Args:
+        missing: the key of the nodata value, which may be no number at all ("nan", "*").
+    """
+    with Path(path).open("rb") as file:
+        found = header.match(file.read(_HEADER))
+    said = dict[str, str]()
+    for key, value in re.findall(r"([a-z_]+):?\s*(\S+)", "" if found is None else found[0].decode("latin-1").lower()):
+        if said.setdefault(key, value) != value:
+            return f"Its header says {key!r} twice: {said[key]} and {value}."
+        if key in ("north", "south", "east", "west") and ":" in value:
+            return f"Its header says {key!r} in degrees and minutes ({value}), which GDAL takes for whole degrees."
+        if key != "type" and not _is_number(value.replace(",", ".").encode()) and (key, value) != (missing, "*"):
+            return f"Its header says {value!r} for {key!r}, which is no number."
+    if {"xllcorner", "yllcenter"} <= set(said) or {"xllcenter", "yllcorner"} <= set(said):
+        return "Its header says where a corner lies along one axis, and where a centre lies along the other."
+    if {"xllcorner", "xllcenter"} <= set(said) or {"yllcorner", "yllcenter"} <= set(said):
+        return "Its header says both where a corner and where a centre lies."
+    if float(said.get("multiplier", 1)) != 1:
+        return f"Its header multiplies heights by {said['multiplier']}, which GDAL does not."
+    return None
 
 
 CHECKS = (arc, grass, surfer, points, gxf, isg, zmap)

@@ -1,0 +1,62 @@
+"""Axes of a grid given coordinate by coordinate, as netCDF and xarray do: whether they are even, and in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.dem.units import metres_per
+
+TOLERANCE = 0.1
+"""Samples by which a coordinate may lie off its even place; what float32 rounds comes on top."""
+
+ACROSS = {
+    "x", "lon", "long", "longitude", "easting", "east", "e", "projection_x_coordinate", "rlon", "grid_longitude",
+}  # fmt: skip
+"""Names, and standard names (CF), of axes along the rows."""
+
+DOWN = {"y", "lat", "latitude", "northing", "north", "n", "projection_y_coordinate", "rlat", "grid_latitude"}
+"""Names, and standard names (CF), of axes down the columns."""
+
+ROTATED = {"rlon", "rlat", "grid_longitude", "grid_latitude"}
+"""Those of a rotated pole, whose degrees are not longitude and latitude."""
+
+
+def even_axis(values: NDArray[Any]) -> tuple[float, float]:
+    """First coordinate and step of an axis; the step of a single coordinate is 1.
+
+    Every coordinate is compared with its place on the line from the first to the last: steps that are each nearly
+    right add up.
+
+    Raises:
+        ValueError: they are not evenly spaced; says where.
+    """
+    at = np.asarray(values, np.float64).ravel()
+    if not np.isfinite(at).all():
+        index = int(np.argmin(np.isfinite(at)))
+        raise ValueError(f"number {index} is {at[index]:g}")
+    if at.size == 1:
+        return float(at[0]), 1.0
+    step = float(at[-1] - at[0]) / (at.size - 1)
+    rounding = np.finfo(values.dtype).eps * np.abs(at).max() if values.dtype.kind == "f" else 0.0
+    off = np.abs(at - (at[0] + step * np.arange(at.size)))
+    if step == 0 or off.max() > TOLERANCE * abs(step) + rounding:
+        worst = int(np.argmax(off)) if step else 1
+        raise ValueError(f"number {worst} is {at[worst]:.9g}, which an even spacing would have at "
+                         f"{at[0] + step * worst:.9g}")  # fmt: skip
+    return float(at[0]), step
+
+
+def metres_in(unit: str) -> float | None:
+    """Metres in the unit of an axis: 1 if it says none, None if it is one that is no length (degrees, radians…)."""
+    return metres_per(unit) if unit.strip() else 1.0
+
+
+def is_depth(attributes: Mapping[str, Any]) -> bool:
+    """Whether a variable's attributes (CF) call it a depth, which grows downwards."""
+    called = str(attributes.get("standard_name", "")).strip().lower()
+    depth = called == "depth" or called.startswith("depth_below_") or "_depth_below_" in called
+    return depth or str(attributes.get("positive", "")).strip().lower() == "down"
