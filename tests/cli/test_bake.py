@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from orograph import store
+from orograph.errors import OutputError
+from orograph.lighting.raster_resume import Checkpoint
 
 
 @pytest.fixture
@@ -57,6 +59,22 @@ def test_build_and_bake_in_one(run, hilly, tmp_path):
     with store.open(path) as terrain:
         low = np.nanmin(terrain.layer("visible-sky").read(0, 0, 90, 0, 70))
         assert 0.3 < low < 1 and terrain.check() == []
+
+
+def test_a_disk_that_is_full_when_light_is_put_in_is_told_with_what_goes_on(run, hilly, tmp_path, monkeypatch):
+    path = tmp_path / "full.oro"
+    given = ("build", hilly, "-o", path, "--bake", "visible-sky", "--quiet")
+
+    def full(self, *given):
+        raise OutputError("What has been done cannot be kept.", remedy="Run the same again.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Checkpoint, "save", full)
+        code, _, err = run(*given)
+    assert code == 4 and f"Go on with: orograph bake {path} --products visible-sky" in err and "same again" not in err
+    assert run("bake", path, "--products", "visible-sky", "--quiet")[0] == 0
+    with store.open(path) as terrain:
+        assert terrain.check() == [] and terrain.layers == ("visible-sky",)
 
 
 @pytest.mark.parametrize(

@@ -25,12 +25,27 @@ from affine import Affine
         (["--resolution", "nan"], "nan is not a number"),
         (["--jobs", "100000"], "1<=x<=1024"),
         (["--spacing", "nan"], "nan is not a number"),
+        (["--spacing", "inf"], "inf is too large"),
+        (["--spacing", "1e300"], "1e+300 is too large"),
     ],
 )
 def test_numbers_that_make_no_sense(run, hilly, tmp_path, monkeypatch, verb, options, said):
     monkeypatch.chdir(tmp_path)
     code, _, err = run(verb[0], hilly, *verb[1:], *options)
     assert code == 2 and said in err and "np.float64" not in err, err
+
+
+@pytest.mark.parametrize(
+    ("verb", "options"),
+    [("movie", ["-o", "a.gif", "--orbit", "--to", "1e400"]), ("movie", ["-o", "a.gif", "--orbit", "--seconds", "1e99"]),
+     ("render", ["-o", "a.png", "--relief", "1e308"]), ("render", ["-o", "a.png", "--exaggeration", "1e300"]),
+     ("render", ["-o", "a.png", "--fov", "1e-300"]), ("render", ["-o", "a.png", "--light", "x" * 5000])],
+)  # fmt: skip
+def test_numbers_and_words_that_are_too_large(run, hilly, tmp_path, monkeypatch, verb, options):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(verb, hilly, *options)
+    assert code == 2 and len(err) < 3000 and "Warning" not in err, err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

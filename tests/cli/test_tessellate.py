@@ -175,6 +175,14 @@ def test_what_is_refused(run, hilly, tmp_path, monkeypatch, arguments, code, wor
     assert not list(tmp_path.iterdir())
 
 
+def test_a_view_of_nothing_makes_no_file(run, hilly, tmp_path):
+    view = tmp_path / "view.json"
+    view.write_text(json.dumps({"eye": [0, 0, 5000], "target": [0, 1, 9000], "up": [0, 0, 1], "fov_y": 40,
+                                "width": 64, "height": 48, "near": 1, "far": 1e5}))  # fmt: skip
+    code, _, err = run("tessellate", hilly, "-o", tmp_path / "m.ply", "--view", view, "--quiet")
+    assert code == 5 and "Nothing of the terrain is in view" in err and not (tmp_path / "m.ply").exists()
+
+
 def test_an_input_is_not_overwritten(run, hilly):
     code, _, err = run("tessellate", hilly, "-o", hilly, "--quiet")
     assert code == 2 and "overwrite the input" in err and hilly.exists()

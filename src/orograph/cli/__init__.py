@@ -77,6 +77,9 @@ class Verbs(click.Group):
             formatter.write_dl([(name, VERBS[name]) for name in sorted(VERBS)])
 
 
+_LONGEST = 2000
+"""Characters of a message that are shown: what is wrong may be as long as any argument."""
+
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
@@ -141,13 +144,14 @@ def _fail(failure: Exception, debug: bool) -> NoReturn:
     except click.ClickException as error:
         if isinstance(error, click.NoSuchOption):
             _wording().lead(error)
+        setattr(error, "message", _shortened(error.message))  # noqa: B010 (Final, for those who make one)
         error.show()
         sys.exit(error.exit_code)
     except OrographError as error:
         if debug:
             traceback.print_exc()
         else:
-            click.echo(f"orograph: {_wording().spoken(str(error))}", err=True)
+            click.echo(f"orograph: {_wording().spoken(_shortened(str(error)))}", err=True)
         _leave(error.exit_code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -162,6 +166,11 @@ def _fail(failure: Exception, debug: bool) -> NoReturn:
                 err=True,
             )
         _leave(1)
+
+
+def _shortened(text: str) -> str:
+    """A message without the middle of what it repeats, where that is very long."""
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} […] {text[-_LONGEST // 2 :]}"
 
 
 def _spare_imports(args: list[str]) -> None:

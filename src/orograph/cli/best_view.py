@@ -75,7 +75,7 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
 )
 @click.option(
     "--fov",
-    type=FloatRange(0, 180, min_open=True, max_open=True),
+    type=FloatRange(1e-6, 180, max_open=True),
     multiple=True,
     default=(40.0,),
     show_default=True,

@@ -75,23 +75,27 @@ def area_options(function: F) -> F:
     )
 
 
+MOST = 1e12
+"""The largest number that an option takes: no metres, seconds or factors of terrain reach it."""
+
+
 class Float(click.types.FloatParamType):
-    """A number, and not "nan"."""
+    """A number that can be meant: not "nan", nor beyond MOST."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return _number(self, super().convert(value, param, ctx), param, ctx)
 
 
 class FloatRange(click.FloatRange):
-    """A number within limits, and not "nan", which click lets pass."""
+    """A number within limits, and not "nan" nor beyond MOST, which click lets pass."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return _number(self, super().convert(value, param, ctx), param, ctx)
 
 
 def _number(kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-    if value != value:
-        kind.fail("nan is not a number.", param, ctx)
+    if value is not None and not abs(value) <= MOST:
+        kind.fail("nan is not a number." if value != value else f"{value:g} is too large.", param, ctx)
     return value
 
 

@@ -59,7 +59,7 @@ def tour_options(function: F) -> F:
         ),
         click.option(
             "--fov",
-            type=FloatRange(0, 180, min_open=True, max_open=True),
+            type=FloatRange(1e-6, 180, max_open=True),
             metavar="DEG",
             help="Vertical field of view.  [default: 30, along a line 45]",
         ),

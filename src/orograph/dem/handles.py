@@ -333,8 +333,8 @@ def open_dataset(location: str) -> Any:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+    from orograph.dem.missing import KEEP_RANGE, is_limited
     from orograph.dem.whole import DAMAGED, fault_before
-    from orograph.dem.whole.cf import KEEP_RANGE, is_limited
     from orograph.dem.whole.files import OPENING
 
     fault = fault_before(location)

@@ -2,13 +2,17 @@
 
 The nodata value is compared with numbers as stored, in their own type, before any scaling; a value that cannot occur in
 that type (−9999 declared for bytes) is none.
+
+netCDF may also name a ``missing_value`` beside ``_FillValue``, and a valid range (CF 1.11, §2.5.1). GDAL puts 0 where a
+number is beyond it and no fill value is declared; datasets are opened so that it does not (``handles.open_dataset``).
 """
 
 from __future__ import annotations
 
+import re
 import struct
 import xml.etree.ElementTree as ET
-from typing import IO, Any, Literal
+from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +21,10 @@ from orograph.dem.whole.files import here, main_file, stream
 from orograph.errors import ReadError, UsageError
 
 _GDAL_NODATA = 42113
+_LIMITS = ("valid_range", "valid_min", "valid_max")
+
+KEEP_RANGE = {"HONOUR_VALID_RANGE": "NO"}
+"""How GDAL opens a netCDF file without putting 0 where numbers are beyond the valid range."""
 
 
 def is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
@@ -135,3 +143,50 @@ def mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal
     if dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.alpha:
         return "none", 0
     return "gdal", 0
+
+
+class Valid(NamedTuple):
+    """Which stored numbers are heights, besides what the nodata value says.
+
+    Attributes:
+        others: further numbers that mean "missing".
+        low, high: the valid range, both ends included.
+    """
+
+    others: tuple[float, ...] = ()
+    low: float = -np.inf
+    high: float = np.inf
+
+    def outside(self, raw: NDArray[Any]) -> NDArray[np.bool_]:
+        """Where stored numbers are none of heights."""
+        beyond: NDArray[np.bool_] = (raw < self.low) | (raw > self.high)
+        for number in self.others:
+            beyond |= is_nodata(raw, number)
+        return beyond
+
+
+def is_limited(dataset: Any) -> bool:
+    """Whether a dataset is netCDF with a valid range."""
+    return dataset.driver == "netCDF" and any(key.rpartition("#")[2] in _LIMITS for key in dataset.tags())
+
+
+def valid_of(dataset: Any, band: int) -> Valid | None:
+    """What a netCDF variable says of its missing data besides its nodata value; None: nothing."""
+    if dataset.driver != "netCDF":
+        return None
+    tags = dataset.tags(band)
+    span = _numbers(tags.get("valid_range", ""))
+    low = next(iter(_numbers(tags.get("valid_min", ""))), span[0] if len(span) == 2 else -np.inf)
+    high = next(iter(_numbers(tags.get("valid_max", ""))), span[1] if len(span) == 2 else np.inf)
+    declared = dataset.nodatavals[band - 1]
+    others = tuple(number for number in _numbers(tags.get("missing_value", "")) if number != declared)
+    found = Valid(others, low, high)
+    return None if found == Valid() else found
+
+
+def _numbers(text: str) -> list[float]:
+    """The numbers of an attribute: "5", "{0,300}"."""
+    try:
+        return [float(number) for number in re.split(r"[{},\s]+", text) if number]
+    except ValueError:
+        return []

@@ -37,10 +37,9 @@ from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
-from orograph.dem.missing import is_default_fill, is_nodata, mask_of, nodata_of
+from orograph.dem.missing import Valid, is_default_fill, is_nodata, mask_of, nodata_of, valid_of
 from orograph.dem.pool import forget_parts, is_virtual
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
-from orograph.dem.whole.cf import Valid, valid_of
 from orograph.dem.whole.files import files_in
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid

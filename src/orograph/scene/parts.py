@@ -42,10 +42,14 @@ CALLED = "`{0.name}`"
 """What errors call an option."""
 
 
+STEEPEST = 1e9
+"""By how much heights can be stretched."""
+
+
 def check_exaggeration(factor: float) -> None:
     """Raise UsageError unless heights can be stretched by ``factor``."""
-    if not 0 < factor < math.inf:
-        raise UsageError(f"The exaggeration is a factor greater than 0, not {factor:g}.")
+    if not 0 < factor <= STEEPEST:
+        raise UsageError(f"The exaggeration is a factor greater than 0, and at most {STEEPEST:g}, not {factor:g}.")
 
 
 @dataclass(frozen=True, slots=True)

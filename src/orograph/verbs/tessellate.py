@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orograph.errors import NothingInViewError
 from orograph.lod.method import Resources
 from orograph.lod.needs import kinds_of
 from orograph.lod.registry import Choice
@@ -15,6 +16,7 @@ from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.scene.camera import view_of
+from orograph.scene.diagnostics import LEAVE_CAMERA
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
 from orograph.store.opening import terrain as opened
@@ -83,7 +85,7 @@ def tessellate(
 
     Raises:
         UsageError: an option makes no sense, or the method makes no triangles. ReadError, StoreError: the terrain
-            cannot be read. NothingInViewError: it has no valid sample. OutputError: the file cannot be written.
+            cannot be read. NothingInViewError: none of it is in view. OutputError: the file cannot be written.
     """
     made = triangulate(
         terrain, lambda ground: view_of(view, ground, size, exaggeration=exaggeration), method=method,
@@ -127,6 +129,10 @@ def triangulate(
         selection = selects.select(Camera.over(ground.grid, seen, exaggeration), goal)
         mesh = selection.tessellation()
     selects.close()
+    if not len(mesh.triangles):
+        raise NothingInViewError(
+            "Nothing of the terrain is in view: there are no triangles.", path=ground.name, remedy=LEAVE_CAMERA
+        )
     if goal.triangles is not None and len(mesh.triangles) > goal.triangles:
         progress.warn(not_enough(goal.triangles, choice.info.name, len(mesh.triangles)))
     if output is not None:

@@ -3,17 +3,13 @@
 - Axes (§2.8, §4): GDAL compares a few coordinates with an absolute tolerance of 0.001, which is several samples of a
   fine grid in degrees. Here all are compared.
 - Units of axes where there is no CRS (§4).
-- Missing data (§2.5.1): ``missing_value`` beside ``_FillValue``, and the valid range. GDAL turns what lies beyond it
-  into 0 where no fill value is declared; datasets are opened so that it does not (``handles.open_dataset``).
 """
 
 from __future__ import annotations
 
-import re
 import warnings
 from typing import Any, NamedTuple
 
-import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
@@ -22,52 +18,7 @@ from orograph.dem.whole.files import here, main_file
 from orograph.errors import ReadError
 from orograph.geo.grid import compose
 
-KEEP_RANGE = {"HONOUR_VALID_RANGE": "NO"}
-"""How GDAL opens a netCDF file without putting 0 where numbers are beyond the valid range."""
-
 _USUAL = ("x", "y", "lon", "lat", "longitude", "latitude", "easting", "northing")
-_LIMITS = ("valid_range", "valid_min", "valid_max")
-
-
-class Valid(NamedTuple):
-    """Which stored numbers are heights, besides what the nodata value says.
-
-    Attributes:
-        others: further numbers that mean "missing".
-        low, high: the valid range, both ends included.
-    """
-
-    others: tuple[float, ...] = ()
-    low: float = -np.inf
-    high: float = np.inf
-
-    def outside(self, raw: NDArray[Any]) -> NDArray[np.bool_]:
-        """Where stored numbers are none of heights."""
-        from orograph.dem.missing import is_nodata
-
-        beyond: NDArray[np.bool_] = (raw < self.low) | (raw > self.high)
-        for number in self.others:
-            beyond |= is_nodata(raw, number)
-        return beyond
-
-
-def is_limited(dataset: Any) -> bool:
-    """Whether a dataset is netCDF with a valid range."""
-    return dataset.driver == "netCDF" and any(key.rpartition("#")[2] in _LIMITS for key in dataset.tags())
-
-
-def valid_of(dataset: Any, band: int) -> Valid | None:
-    """What a netCDF variable says of its missing data besides its nodata value; None: nothing."""
-    if dataset.driver != "netCDF":
-        return None
-    tags = dataset.tags(band)
-    span = _numbers(tags.get("valid_range", ""))
-    low = next(iter(_numbers(tags.get("valid_min", ""))), span[0] if len(span) == 2 else -np.inf)
-    high = next(iter(_numbers(tags.get("valid_max", ""))), span[1] if len(span) == 2 else np.inf)
-    declared = dataset.nodatavals[band - 1]
-    others = tuple(number for number in _numbers(tags.get("missing_value", "")) if number != declared)
-    found = Valid(others, low, high)
-    return None if found == Valid() else found
 
 
 def is_depth_of(dataset: Any, band: int) -> bool:
@@ -163,11 +114,3 @@ def _values(dataset: Any, name: str) -> NDArray[Any] | None:
     except RasterioError:
         return None
     return values
-
-
-def _numbers(text: str) -> list[float]:
-    """The numbers of an attribute: "5", "{0,300}"."""
-    try:
-        return [float(number) for number in re.split(r"[{},\s]+", text) if number]
-    except ValueError:
-        return []

@@ -72,7 +72,7 @@ def _order_fault(path: str, record: int, count: int) -> str | None:
     odd = int(np.argmax(steps <= 0)) if steps.size and any(numbers) and (steps <= 0).any() else None
     if odd is None:
         return None
-    return f"Its record {odd + 1} is column {numbers[odd + 1]}, and that before it {numbers[odd]}."
+    return f"Its columns are out of order: record {odd} is column {numbers[odd]}, the next column {numbers[odd + 1]}."
 
 
 def hgt(dataset: Any, path: str) -> str | None:

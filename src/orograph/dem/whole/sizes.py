@@ -83,8 +83,10 @@ def sigdem(dataset: Any, path: str) -> str | None:
         head = file.read(132)
     factor, west, south, low, east, north, high = struct.unpack_from(">7d", head, 52)
     step_x, step_y = struct.unpack_from(">2d", head, 116)
-    if not (0 < factor < math.inf and step_x > 0 and step_y > 0):
-        return f"Its header has heights {factor:g} times as large, {step_x:g} × {step_y:g} apart."
+    if not 0 < factor < math.inf:
+        return f"Its header has {factor:g} steps of height in a metre."
+    if not (step_x > 0 and step_y > 0):
+        return f"Its header has samples {step_x:g} × {step_y:g} apart."
     reach = np.array([east - west, north - south]) / (step_x, step_y)
     if not np.allclose(reach, (dataset.width, dataset.height), atol=0.01):
         return f"Its header places {dataset.width} × {dataset.height} samples where {reach[0]:g} × {reach[1]:g} fit."
