@@ -70,6 +70,16 @@ def new_table(expected):
 
 
 @kernel
+def longer(vertices, n, size):
+    """The first ``n`` vertices in an array of ``size``, copied one by one: slices take seconds to compile."""
+    larger = np.empty((size, 3), np.float64)
+    for i in range(n):
+        for axis in range(3):
+            larger[i, axis] = vertices[i, axis]
+    return larger
+
+
+@kernel
 def weld_triangles(keys, heights, rows, cols, flip):
     """Triangles (m, 3) of keys with a height for every corner → (vertices (n, 3) float64, triangles (t, 3) int32).
 
@@ -89,9 +99,7 @@ def weld_triangles(keys, heights, rows, cols, flip):
             continue
         if n + 3 > vertices.shape[0]:
             table, shift = doubled_table(table, shift)
-            larger = np.empty((table.shape[0] // 2, 3), np.float64)
-            larger[:n] = vertices[:n]
-            vertices = larger
+            vertices = longer(vertices, n, table.shape[0] // 2)
         for corner in range(3):
             key = a if corner == 0 else (b if corner == 1 else c)
             slot = slot_of(table, shift, key)
@@ -124,9 +132,7 @@ def weld_strip(keys, heights, rows, cols, flip):
     for i in range(keys.shape[0]):
         if n + 1 > vertices.shape[0]:
             table, shift = doubled_table(table, shift)
-            larger = np.empty((table.shape[0] // 2, 3), np.float64)
-            larger[:n] = vertices[:n]
-            vertices = larger
+            vertices = longer(vertices, n, table.shape[0] // 2)
         c = squeeze(keys[i], last_row, last_col)
         slot = slot_of(table, shift, c)
         if table[slot, 0] == EMPTY:
