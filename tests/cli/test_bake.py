@@ -71,7 +71,8 @@ def test_a_disk_that_is_full_when_light_is_put_in_is_told_with_what_goes_on(run,
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "save", full)
         code, _, err = run(*given)
-    assert code == 4 and f"Go on with: orograph bake {path} --products visible-sky" in err and "same again" not in err
+    again = f"orograph bake {path} again with the same products"
+    assert code == 4 and again in err and "same again" not in err
     assert run("bake", path, "--products", "visible-sky", "--quiet")[0] == 0
     with store.open(path) as terrain:
         assert terrain.check() == [] and terrain.layers == ("visible-sky",)

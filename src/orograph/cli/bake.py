@@ -19,6 +19,7 @@ from orograph.cli.products import (
     once,
     ray_options,
 )
+from orograph.errors import OutputError
 
 if TYPE_CHECKING:
     from orograph.lighting.context import Options
@@ -106,15 +107,16 @@ def command(
 def run(
     store: str, names: Sequence[str], progress: Progress, options: Options | None = None, **how: Any
 ) -> StoredTerrain:
-    """``lighting.bake.bake``, which says after Ctrl-C how it goes on."""
+    """``lighting.bake.bake``, which says after Ctrl-C, and on a full disk, how it goes on."""
     from orograph.lighting.bake import bake
 
+    resumes = "what has been swept is kept" if "://" not in store else "it begins anew"
+    again = f"orograph bake {store} again with the same products to finish ({resumes})."
     try:
         return bake(store, names, options, progress=progress, **how)
     except KeyboardInterrupt:
-        resumes = "what has been swept is kept" if "://" not in store else "it begins anew"
-        click.echo(
-            f"\n{store} is as it was; run orograph bake {store} again with the same products to finish ({resumes}).",
-            err=True,
-        )
+        click.echo(f"\n{store} is as it was; run {again}", err=True)
+        raise
+    except OutputError as error:
+        error.remedy = f"See that the disk has room and the folder is yours to write in, then run {again}"
         raise

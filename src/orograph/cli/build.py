@@ -20,7 +20,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.products import Names
-from orograph.errors import OutputError, UsageError
+from orograph.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -254,12 +254,7 @@ def command(
         from orograph.cli.bake import run
 
         terrain.close()
-        try:
-            terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs)
-        except OutputError as error:
-            again = f"orograph bake {store} --products {','.join(products)}"
-            error.remedy = f"The store is complete but for its light. Go on with: {again}"
-            raise
+        terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs)
     if color_errors:
         from orograph.geovis.color_store import store_colors
 

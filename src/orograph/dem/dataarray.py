@@ -19,7 +19,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from orograph.dem.arrays import heights_of
-from orograph.dem.even import ACROSS, DOWN, ROTATED, even_axis, is_depth, metres_in
+from orograph.dem.conventions import ACROSS, DOWN, ROTATED, even_axis, is_depth, metres_of_axes
 from orograph.dem.raster import Dem
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
@@ -111,44 +111,47 @@ def _known_crs(array: xr.DataArray, crs: str | CRS | None, called: str) -> CRS |
 
 def _axes_metres(array: xr.DataArray, called: str) -> float:
     """Metres in the unit of the coordinates of an array that has no CRS."""
-    for dim in array.dims:
-        attributes = array.coords[dim].attrs if dim in array.coords else {}
-        unit = str(attributes.get("units", "")).strip()
-        if {str(dim).lower(), str(attributes.get("standard_name", "")).lower()} & ROTATED:
-            raise ReadError(f"The coordinates of {called} are of a rotated pole, and it has no CRS.",
-                            remedy="Give the CRS: crs=…")  # fmt: skip
-        metres = metres_in(unit)
-        if metres is None and not unit.lower().startswith("degree"):
-            raise ReadError(f"The coordinates of {called} along {dim!r} are in {unit!r}, and it has no CRS.",
-                            remedy="Give the CRS: crs=…")  # fmt: skip
-        if metres not in (None, 1.0):
-            return float(metres)
-    return 1.0
+    attributes = {str(dim): array.coords[dim].attrs if dim in array.coords else {} for dim in array.dims}
+    names = {name.lower() for dim, said in attributes.items() for name in (dim, str(said.get("standard_name", "")))}
+    units = {dim: str(said.get("units", "")) for dim, said in attributes.items()}
+    try:
+        if names & ROTATED:
+            raise ValueError("they are of a rotated pole")
+        return metres_of_axes(units)
+    except ValueError as error:
+        raise ReadError(f"{called} has no CRS that says what its coordinates are: {error}.",
+                        remedy="Give the CRS: crs=…") from None  # fmt: skip
 
 
 def _decoded(array: xr.DataArray) -> xr.DataArray:
     """An array as its attributes (CF) say where xarray has not decoded them: scaled, and NaN where it is missing or
-    beyond its valid range, which is one of numbers as they are packed."""
+    beyond its valid range."""
+    array = _within_range(array)
     said = array.attrs
-    packed = {**array.encoding, **said}
-    scale, offset = packed.get("scale_factor", 1), packed.get("add_offset", 0)
-    if "scale_factor" in said or "add_offset" in said:
-        scale, offset = 1, 0
-    low, high = said.get("valid_range", (said.get("valid_min"), said.get("valid_max")))
-    if low is not None:
-        array = array.where(array >= low * scale + offset)
-    if high is not None:
-        array = array.where(array <= high * scale + offset)
-    packing = said.get("scale_factor", 1) != 1 or said.get("add_offset", 0) != 0 or "missing_value" in said
-    if packing and array.dtype.kind in "iuf":
-        flat = xr.Dataset({"heights": array.variable})
-        array = array.copy(data=xr.decode_cf(flat, decode_times=False, decode_coords=False)["heights"].variable.data)
-    return array
+    packed = said.get("scale_factor", 1) != 1 or said.get("add_offset", 0) != 0 or "missing_value" in said
+    if not packed or array.dtype.kind not in "iuf":
+        return array
+    flat = xr.decode_cf(xr.Dataset({"heights": array.variable}), decode_times=False, decode_coords=False)
+    return xr.DataArray(flat["heights"].variable)
+
+
+def _within_range(array: xr.DataArray) -> xr.DataArray:
+    """An array with NaN beyond its valid range, which is one of numbers as they are packed."""
+    said, was = array.attrs, array.encoding
+    low, high = said.get("valid_range", (said.get("valid_min", -np.inf), said.get("valid_max", np.inf)))
+    if (low, high) == (-np.inf, np.inf):
+        return array
+    scale = 1.0
+    if not {"scale_factor", "add_offset"} & set(said) and {"scale_factor", "add_offset"} & set(was):
+        scale, offset = was.get("scale_factor", 1.0), was.get("add_offset", 0.0)
+        low, high = sorted((low * scale + offset, high * scale + offset))
+        low, high = low - abs(scale) / 2, high + abs(scale) / 2  # (what is decoded is rounded)
+    return array.where((array >= low) & (array <= high))
 
 
 def _heights(array: xr.DataArray, called: str, factor: float) -> NDArray[np.float32]:
     """The heights of an array (rows, cols), metres; a lazy one is computed in strips, chunk by chunk of its rows."""
-    fill = array.attrs.get("_FillValue", array.encoding.get("_FillValue"))
+    fill = array.attrs.get("_FillValue")
     nodata = None if fill is None or not np.isfinite(fill) else float(fill)
     whole = np.empty(array.shape, np.float32)
     rows = array.chunks[0] if array.chunks else (max(1, STRIP // max(1, array.shape[1])),) * array.shape[0]
@@ -206,9 +209,11 @@ def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | No
     called = str(array.name or "the layer")
     (x0, dx), (y0, dy) = _axis(array, x, called), _axis(array, y, called)
     crs = _crs_of(array, None)
-    if crs is None and _in_degrees(flat.isel({d: 0 for d in flat.dims if d not in (x, y)})):
+    plane = flat.isel({d: 0 for d in flat.dims if d not in (x, y)})
+    if crs is None and _in_degrees(plane):
         crs = CRS.from_epsg(4326)
-    return values, Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2), crs
+    unit = 1.0 if crs is not None else _axes_metres(plane, called)
+    return values, Affine.scale(unit) @ Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2), crs
 
 
 def _says_axis(array: xr.DataArray, dim: Any) -> bool:

@@ -27,7 +27,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from orograph.dem.even import ACROSS, DOWN
+from orograph.dem.conventions import ACROSS, DOWN
 from orograph.errors import ReadError
 
 IDLE = 48

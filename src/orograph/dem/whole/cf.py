@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.dem.even import ACROSS, DOWN, even_axis, is_depth, metres_in
+from orograph.dem.conventions import ACROSS, DOWN, even_axis, is_depth, metres_of_axes
 from orograph.dem.whole.files import here, main_file
 from orograph.errors import ReadError
 from orograph.geo.grid import compose
@@ -48,6 +48,8 @@ def transform_of(dataset: Any) -> Affine:
         ReadError: their unit is neither a length nor degrees.
     """
     transform = Affine(*dataset.transform[:6])
+    if dataset.crs is not None and not transform.is_identity:
+        return transform
     axes = _axes(dataset)
     if transform.is_identity:
         across = next((axis for axis in axes if not axis.down and axis.values.size == dataset.width), None)
@@ -60,17 +62,14 @@ def transform_of(dataset: Any) -> Affine:
 
 
 def _metres(dataset: Any, axes: list[_Axis]) -> float:
-    """Metres in the unit of the axes; 1 if they are in degrees."""
-    for axis in axes:
-        metres = metres_in(axis.unit)
-        if metres is None and not axis.unit.lower().startswith("degree"):
-            raise ReadError(
-                f"Its coordinates {axis.name!r} are in {axis.unit!r}, and it names no CRS.", path=dataset.name,
-                remedy="Write it with a CRS, or with coordinates in metres or degrees.",
-            )  # fmt: skip
-        if metres not in (None, 1.0):
-            return float(metres)
-    return 1.0
+    """Metres in the unit of axes that have no CRS."""
+    try:
+        return metres_of_axes({axis.name: axis.unit for axis in axes})
+    except ValueError as error:
+        raise ReadError(
+            f"It names no CRS that says what its coordinates are: {error}.", path=dataset.name,
+            remedy="Write it with a CRS, or with coordinates in metres or degrees.",
+        ) from None  # fmt: skip
 
 
 class _Axis(NamedTuple):

@@ -1,4 +1,5 @@
-"""Axes of a grid given coordinate by coordinate, as netCDF and xarray do: whether they are even, and in which unit."""
+"""What netCDF's conventions (CF 1.11) say of a grid, in files and in arrays of xarray: axes given coordinate by
+coordinate, whether they are even, and in which unit; depths."""
 
 from __future__ import annotations
 
@@ -50,9 +51,22 @@ def even_axis(values: NDArray[Any]) -> tuple[float, float]:
     return float(at[0]), step
 
 
-def metres_in(unit: str) -> float | None:
-    """Metres in the unit of an axis: 1 if it says none, None if it is one that is no length (degrees, radians…)."""
-    return metres_per(unit) if unit.strip() else 1.0
+def metres_of_axes(units: Mapping[str, str]) -> float:
+    """Metres in the unit of axes that have no CRS; 1 where they say none, or degrees.
+
+    Args:
+        units: the unit of each axis by its name, "" if it says none.
+
+    Raises:
+        ValueError: a unit that is neither a length nor degrees; says which.
+    """
+    for name, unit in units.items():
+        metres = metres_per(unit) if unit.strip() else 1.0
+        if metres is None and not unit.strip().lower().startswith("degree"):
+            raise ValueError(f"{name!r} is in {unit.strip()!r}")
+        if metres not in (None, 1.0):
+            return float(metres)
+    return 1.0
 
 
 def is_depth(attributes: Mapping[str, Any]) -> bool:

@@ -1,0 +1,68 @@
+"""PCIDSK: whether the file, and the files that hold its channels, are as long as the header says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orograph.dem.whole.sizes import exact
+
+
+def fault(dataset: Any, path: str) -> str | None:
+    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has; channels may lie beside it."""
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        blocks = file.read(32)[16:32].decode("latin-1").strip()
+        file.seek(0)
+        kind = file.read(512)[360:364]
+    if not blocks.isdigit():
+        return "Its header does not say how long it is."
+    if kind == b"FILE":
+        said = _channels_fault(dataset, path)
+        if said is not None:
+            return said
+    wanted = int(blocks) * 512
+    if size % 512 and (size > wanted or _whole_blocks(dataset, path)):
+        return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
+    if size >= wanted or _tiled(path):
+        return None
+    return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+
+
+def _whole_blocks(dataset: Any, path: str) -> bool:
+    """Whether the samples of a PCIDSK file lie in tiles that are not compressed and of whole blocks of 512 bytes."""
+    rows, cols = dataset.block_shapes[0]
+    whole = all(rows * cols * np.dtype(kind).itemsize % 512 == 0 for kind in dataset.dtypes)
+    with Path(path).open("rb") as file:
+        head = file.read(1 << 20)
+    return whole and b"Block Tile Directory" in head and b"NONE" in head
+
+
+def _channels_fault(dataset: Any, path: str) -> str | None:
+    """What is wrong with the files that hold a PCIDSK file's channels (image headers: name, first byte, steps)."""
+    with Path(path).open("rb") as file:
+        head = file.read(512)
+        at = (int(head[336:352]) - 1) * 512
+        for band in range(dataset.count):
+            file.seek(at + 1024 * band)
+            said = file.read(1024)
+            name = said[64:128].decode("latin-1").strip()
+            channel = Path(path).with_name(Path(name).name)
+            if not name or name.startswith("/SIS=") or not channel.is_file():
+                continue
+            first, pixel, line = int(said[168:184]), int(said[184:192]), int(said[192:200])
+            item = np.dtype(dataset.dtypes[band]).itemsize
+            if pixel < item or line < pixel * dataset.width or said[201:202] not in b"NS":
+                return f"Its header contradicts itself about channel {band + 1}."
+            short = exact(channel, first + (dataset.height - 1) * line + (dataset.width - 1) * pixel + item)
+            if short is not None:
+                return short
+    return None
+
+
+def _tiled(path: str) -> bool:
+    """Whether the samples of a PCIDSK file lie in a block system, whose segment is extended ahead of what it holds."""
+    with Path(path).open("rb") as file:
+        return b"Block Tile Directory" in file.read(1 << 20)
