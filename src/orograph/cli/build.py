@@ -20,6 +20,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.products import Names
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class MaxError(click.ParamType[str | float]):
             self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)
 
 
-@click.command("build", short_help="Build a terrain store from DEM files.")
+@click.command("build", cls=Verb, short_help="Build a terrain store from DEM files.")
 @click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
 @area_options
