@@ -112,11 +112,11 @@ class MaxError(click.ParamType[str | float]):
 )
 @click.option(
     "--codec",
-    type=click.Choice(["portable", "compact"]),
+    type=click.Choice(["portable", "compact", "smallest"]),
     default="portable",
     show_default=True,
-    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, "
-    "0.2 to 0.7 of the size, is read by Orograph (and zarr-python beside it).",
+    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 of "
+    "the size, and smallest, smaller still and slower, are read by Orograph (and zarr-python beside it).",
 )
 @click.option(
     "--max-error",
