@@ -67,6 +67,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "mesh": {"method": "soar", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
+    "both": {"method": "hybrid,shares=turns,block=32", "normals": "faces"},
 }
 
 

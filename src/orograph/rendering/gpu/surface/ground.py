@@ -16,12 +16,13 @@ from typing import Any, Protocol
 from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
-from orograph.lod.selection import RayWindows, Selection, TriangleMesh
+from orograph.lod.selection import PatchesAndRays, RayWindows, Selection, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
+from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
 from orograph.rendering.gpu.targets import Targets
@@ -49,7 +50,7 @@ class Drawn:
     """
 
     streamed: Chosen
-    selection: Patches | Selection
+    selection: Patches | Selection | Mixed
 
     @property
     def patches(self) -> Patches:
@@ -64,12 +65,23 @@ class Drawn:
     @property
     def other(self) -> Any:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
+        if isinstance(self.selection, Mixed):
+            return self.selection.rays
         mesh = self.mesh
         return self.rays if mesh is None else mesh
 
     @property
+    def drawn(self) -> int:
+        """How many of the patches are drawn."""
+        if isinstance(self.selection, Mixed):
+            return len(self.selection.instances)
+        return len(self.patches.instances) if isinstance(self.selection, Patches) else 0
+
+    @property
     def rays(self) -> CastWindows | None:
-        """The windows that rays are cast at; None: triangles are drawn."""
+        """The windows that rays are cast at; None: they are not."""
+        if isinstance(self.selection, Mixed):
+            return None if self.selection.rays is None else self.selection.cast.windows
         return self.selection if isinstance(self.selection, CastWindows) else None
 
 
@@ -95,13 +107,19 @@ class Ground:
             device, camera, heights.texture, stored_slopes, patch_vertices(legs), patch_indices(legs),
             INSTANCE.itemsize, absent,
         )  # fmt: skip
+        rays = RayPass(device, camera)
+        mixed = MixedPass(device, self._patches, rays)
         field = heights.texture.create_view(dimension="2d-array"), heights.page_buffer, levels
         self.surfaces: Mapping[type, Surface] = {
             Patches: self._patches,
             TriangleMesh: MeshPass(device, camera, field, absent),
-            CastWindows: RayPass(device, camera),
+            CastWindows: rays,
+            Mixed: mixed,
         }
-        self._selected = Selected(terrain, {RayWindows: Windows(device, terrain, most, jobs).ready})
+        windows = Windows(device, terrain, most, jobs)
+        self._mixer = Mixer(device, terrain, camera, legs, mixed)
+        own: dict[type, Any] = {RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready}
+        self._selected = Selected(terrain, own)
         self._drawn: Drawn | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
@@ -120,11 +138,22 @@ class Ground:
         )
         if streamed(scene):
             self._selected.none()
-        else:
+        elif wait or not self._mixes or self._mixer.look():
             have = self._selected.at_once if wait else self._selected.aside
             have(scene, freeze or surface.mesh_view or view, _of_rays(scene, tolerance))
-        self._drawn = Drawn(chosen, self._selected.selection or chosen.patches)
+        found: Any = self._selected.selection or chosen.patches
+        if isinstance(found, MixableWindows):
+            found = self._mixer.mixed(
+                chosen.patches, found, view, surface.exaggeration, _of_rays(scene, tolerance), wait=wait
+            )
+        else:
+            self._mixer.forget()
+        self._drawn = Drawn(chosen, found)
         return self._drawn
+
+    @property
+    def _mixes(self) -> bool:
+        return isinstance(self._selected.selection, MixableWindows)
 
     def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
         """Clear the targets and draw the ground."""
