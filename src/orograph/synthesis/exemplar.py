@@ -94,23 +94,31 @@ class Exemplar:
         return 1 << (self.top - level)
 
 
+def check_size(shape: tuple[int, ...], name: str) -> None:
+    """Refuse an example that has too few samples, or too many.
+
+    Raises:
+        UsageError: see ``Exemplar.of``.
+    """
+    if len(shape) != 2 or min(shape) < SMALLEST:
+        raise UsageError(
+            f"An example needs at least {SMALLEST} × {SMALLEST} samples; this one has {' × '.join(map(str, shape))}.",
+            path=name, remedy="Take a larger piece of terrain.",
+        )  # fmt: skip
+    if math.prod(shape) > MOST:
+        raise UsageError(
+            f"An example has at most {MOST:,} samples; this one has {math.prod(shape):,}.",
+            path=name, remedy="Cut a piece out of it, e.g. with `gdal_translate -srcwin 0 0 2000 2000`.",
+        )  # fmt: skip
+
+
 def check(heights: NDArray[np.floating], name: str) -> None:
     """Refuse what terrain cannot be made after.
 
     Raises:
         UsageError: see ``Exemplar.of``.
     """
-    if heights.ndim != 2 or min(heights.shape) < SMALLEST:
-        raise UsageError(
-            f"An example needs at least {SMALLEST} × {SMALLEST} samples; "
-            f"this one has {' × '.join(str(n) for n in heights.shape)}.",
-            path=name, remedy="Take a larger piece of terrain.",
-        )  # fmt: skip
-    if heights.size > MOST:
-        raise UsageError(
-            f"An example has at most {MOST:,} samples; this one has {heights.size:,}.",
-            path=name, remedy="Cut a piece out of it, e.g. with `gdal_translate -srcwin 0 0 2000 2000`.",
-        )  # fmt: skip
+    check_size(heights.shape, name)
     missing = int(heights.size - np.isfinite(heights).sum())
     if missing:
         raise UsageError(

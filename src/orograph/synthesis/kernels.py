@@ -30,9 +30,16 @@ again if its neighbourhood lies across a mirror."""
 
 
 @inlined
+def wrapped(x, size):
+    """A coordinate in the plane's first period, from at most a period beside it."""
+    period = 2 * size
+    return x + period if x < 0 else (x - period if x >= period else x)
+
+
+@inlined
 def folded(x, size):
-    """Where in the exemplar a coordinate of its plane lies: mirrored at its borders."""
-    x %= 2 * size
+    """Where in the exemplar a coordinate lies, which is at most a period beside the first: mirrored at its borders."""
+    x = wrapped(x, size)
     return x if x < size else 2 * size - 1 - x
 
 
@@ -85,7 +92,7 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
     rows, cols = features.shape
     steered = guide.shape[2]
     reach = min(2 * step, min(rows, cols) // 4)
-    around = np.empty(25, np.int64)
+    around, beside = np.empty(25, np.int64), np.empty(5, np.int64)
     tried = np.empty((18, 2), np.int64)
     for i in range(height):
         for j in range(width):
@@ -106,10 +113,9 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
                     if k == 1:
                         fx, fy = folded(x, cols), folded(y, rows)
                         sx, sy = similar[fy, fx, 0], similar[fy, fx, 1]
-                        x = sx if x % (2 * cols) < cols else 2 * cols - 1 - sx
-                        y = sy if y % (2 * rows) < rows else 2 * rows - 1 - sy
-                    x = (x - step * dc) % (2 * cols)
-                    y = (y - step * dr) % (2 * rows)
+                        x = sx if x < cols else 2 * cols - 1 - sx
+                        y = sy if y < rows else 2 * rows - 1 - sy
+                    x, y = wrapped(x - step * dc, cols), wrapped(y - step * dr, rows)
                     known = False
                     for t in range(count):
                         known |= tried[t, 0] == x and tried[t, 1] == y
@@ -126,12 +132,14 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
                         if (g == 0 and x >= cols) or (g == 1 and y >= rows):
                             there = -there
                         d += 8 * (guide[i, j, g] - there) * (guide[i, j, g] - there)
+                    for dj in range(5):
+                        beside[dj] = folded(x + step * (dj - 2), cols)
                     for di in range(5):
                         if d * weight >= best:
                             break
                         fy = folded(y + step * (di - 2), rows)
                         for dj in range(5):
-                            e = around[5 * di + dj] - features[fy, folded(x + step * (dj - 2), cols)]
+                            e = around[5 * di + dj] - features[fy, beside[dj]]
                             d += e * e
                     if d * weight < best:
                         best = d * weight

@@ -56,7 +56,7 @@ def coordinates(
     shake = np.stack([(h & 0x1FFF) - 4096, (h >> 16 & 0x1FFF) - 4096], -1)
     here = (here + (step * (reach[level] if level else 256) * shake + (1 << 19) >> 20)) % (2 * size)
     if level == 0:
-        return here
+        return np.asarray(here)
     for row, col in PARITIES:
         here = here.copy()
         turn = slice((row + wide[0]) % 2, None, 2), slice((col + wide[2]) % 2, None, 2)
@@ -66,7 +66,7 @@ def coordinates(
 
 def moved(array: Integers, dr: int, dc: int) -> Integers:
     """What lies (dr, dc) from each place; what comes round the border is wrong, and cropped at the end."""
-    return np.roll(array, (-dr, -dc), (0, 1))
+    return np.asarray(np.roll(array, (-dr, -dc), (0, 1)))
 
 
 def best(exemplar: Any, level: int, kappa: int, here: Integers, turn: tuple[slice, slice]) -> Integers:
