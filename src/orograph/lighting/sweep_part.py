@@ -95,8 +95,8 @@ class Part:
             hulls: azimuth → those that parts in front of this one handed on; [] for the first row.
             add: is given blocks of the part's own samples, counted from its first row and column, from any thread.
         """
-        first, last = self.around
-        lines = [_within(a, first, last) for a in self.way]
+        first = self.around[0]
+        lines = [self._within(a) for a in self.way]
         passes = passes_of(lines, self.shape, self.terms, jobs, memory, span=self.steps)
         if self.terms.radius is None:
             for each in passes:
@@ -111,6 +111,14 @@ class Part:
         for each in passes if self.terms.radius is None else ():
             for a in each.lines:
                 yield a.index, self._left(each, a)
+
+    def _within(self, a: Lines) -> Lines:
+        """The lines of an azimuth that pass the part, over the lanes around it alone."""
+        part, (begin, end) = copy.copy(a), self.around
+        part.lanes = end - begin
+        ends = int(a.shift[self.steps[0]]), int(a.shift[self.steps[1] - 1])
+        part.only = self.lanes[0] - 2 - max(ends) - begin, self.lanes[1] + 2 - min(ends) - begin
+        return part
 
     def _own(self, block: Block, r0: int, r1: int, add: Callable[[Block], None]) -> None:
         """Hand on what of the rows [r0, r1) of a block belongs to the part."""
@@ -149,13 +157,6 @@ class Part:
             heights.append(height)
         some = np.concatenate([np.empty(0, np.int32), *positions]), np.concatenate([np.empty(0), *heights])
         return Hulls(first, counts, *some)
-
-
-def _within(a: Lines, first: int, last: int) -> Lines:
-    """The same lines, over a raster of the lanes [first, last) alone."""
-    part = copy.copy(a)
-    part.lanes = last - first
-    return part
 
 
 def _seed(swept: Pass, offset: int, hulls: Callable[[int], list[Hulls]]) -> None:

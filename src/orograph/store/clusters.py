@@ -38,6 +38,9 @@ AHEAD = 2
 EACH = 8
 """Groups of heights for each thread of the workers, at least, if there are so many."""
 
+PAUSE = 0.5
+"""Seconds before workers are told again."""
+
 SILENCE = 60.0
 """Seconds without a scheduler after which the build ends."""
 
@@ -142,7 +145,16 @@ class Cluster:
     def __enter__(self) -> Cluster:
         from orograph.store.dask_plugin import Telling
 
-        self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
+        for left in reversed(range(TRIES)):
+            try:
+                self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
+                break
+            except OSError as error:  # a worker has died while it was told; others may not have been
+                if not left:
+                    raise StoreError(
+                        f"The workers of the cluster cannot be reached: {error}.", remedy="See that they run."
+                    ) from error
+                time.sleep(PAUSE)
         return self
 
     def __exit__(self, *_: object) -> None:

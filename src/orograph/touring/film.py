@@ -43,7 +43,7 @@ class Film:
         progress: hears of what is prepared.
 
     Attributes:
-        numbers: of the frames that are wanted, from 0 at the tour's beginning.
+        numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene.
 
     Raises:
         UsageError: the part has no frame. NothingInViewError: the tour never shows the terrain.
@@ -54,7 +54,7 @@ class Film:
         first: float | None = None, last: float | None = None, progress: Progress = SILENT,
     ) -> None:  # fmt: skip
         self.tour = replace(tour.resized(scene.view.width, scene.view.height), fps=tour.fps if fps is None else fps)
-        self.base, self.draw = scene, session() if draw is None else draw
+        self.base, self.given, self.draw = scene, scene, session() if draw is None else draw
         count = len(self.tour)
         begin = 0 if first is None else round(first * self.tour.fps)
         end = count if last is None else round(last * self.tour.fps)
