@@ -8,6 +8,7 @@ import random
 import shutil
 import signal
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -42,13 +43,13 @@ def files(folder):
 
 
 @contextlib.contextmanager
-def killed(seed, longest):
+def killed(seed):
     """A cluster of two workers, of which one is killed after every random time; and how many were."""
     pytest.importorskip("distributed")
-    rng, kills, ended = random.Random(seed), [0], threading.Event()
+    rng, kills, ended, began = random.Random(seed), [0], threading.Event(), time.monotonic()
 
-    def killer(local):
-        while not ended.wait(rng.uniform(0.2, longest)):
+    def killer(local, longest):
+        while not ended.wait(rng.uniform(0.1, 1.0) * longest):
             pids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
             if pids:
                 with contextlib.suppress(ProcessLookupError):
@@ -56,7 +57,8 @@ def killed(seed, longest):
                     kills[0] += 1
 
     with workforce(2, None, 1, 4 << 30, 0) as client:
-        thread = threading.Thread(target=killer, args=(client.cluster,))
+        start = time.monotonic() - began  # on a busy machine workers take long to come back
+        thread = threading.Thread(target=killer, args=(client.cluster, 1.5 * start))
         thread.start()
         try:
             yield client, kills
@@ -79,7 +81,7 @@ def test_a_bake(terrain, tmp_path):
     shutil.copytree(terrain, tmp_path / "whole.oro")
     orograph.bake(tmp_path / "whole.oro", names, options, jobs=1, progress=False).close()
     expected = files(tmp_path / "whole.oro")
-    with killed(7, 2.5) as (client, kills):
+    with killed(7) as (client, kills):
         for trial in range(40):
             target = tmp_path / f"{trial}.oro"
             shutil.copytree(terrain, target)
@@ -95,7 +97,7 @@ def test_a_film(terrain, tmp_path):
     how = {"size": (320, 200), "orbit": True, "seconds": 4.0, "fps": 10, "progress": False}
     orograph.movie(terrain, tmp_path / "whole" / "%03d.png", **how)
     expected = files(tmp_path / "whole")
-    with killed(8, 2.5) as (client, kills):
+    with killed(8) as (client, kills):
         for trial in range(40):
             out = tmp_path / f"{trial}"
             until_done(lambda at=out: orograph.movie(terrain, at / "%03d.png", dask=client, **how))

@@ -18,7 +18,7 @@ import numpy as np
 from orograph.errors import OutputError, StoreError
 from orograph.progress import Progress
 from orograph.rendering.backends import session
-from orograph.rendering.memory import BYTES_PER_PIXEL
+from orograph.rendering.memory import WORKER, worker_memory
 from orograph.scene.scene import Scene
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
@@ -27,9 +27,6 @@ from orograph.store.workshop import Shop
 from orograph.touring.encode import Pictures, Pixels, Video
 from orograph.touring.film import Film
 from orograph.touring.tour import Tour
-
-BASE = 400 << 20
-"""Bytes of a process that draws, besides its picture and what it holds of the terrain."""
 
 Warned = tuple[str, ...]
 
@@ -51,7 +48,7 @@ class FilmRecipe(NamedTuple):
     dpi: float | None
     fingerprint: str
     memory: int
-    base: int = BASE
+    base: int = WORKER
 
     def open(self) -> Shop:
         first, last = (number / self.tour.fps for number in self.numbers)
@@ -71,7 +68,7 @@ def recipe_of(film: Film, path: str, backend: str, dpi: float | None, max_memory
         path: of the pictures. max_memory: bytes for each worker.
     """
     view = film.base.view
-    needed = BYTES_PER_PIXEL * view.width * view.height + max(max_memory - BASE, 256 << 20)
+    needed = worker_memory(view.width * view.height, film.base.terrain, max_memory)
     numbers = film.numbers.start, film.numbers.stop
     where = str(Path(path).absolute())
     return FilmRecipe(film.tour, film.given, numbers, backend, where, dpi, film.fingerprint(), needed)
