@@ -13,6 +13,7 @@ from orograph.cli.options import (
     FILE,
     Float,
     area_options,
+    cluster_options,
     jobs_option,
     memory_option,
     progress_of,
@@ -142,8 +143,7 @@ class MaxError(click.ParamType[str | float]):
 @click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
-@click.option("--workers", type=click.IntRange(1), help="Build in so many processes, which share --max-memory (Dask).")
-@click.option("--dask", metavar="ADDRESS", help="Build on the workers of this Dask scheduler (tcp://HOST:8786).")
+@cluster_options("Build", ", which share --max-memory")
 @click.option(
     "--repair",
     is_flag=True,
@@ -255,7 +255,7 @@ def command(
         from orograph.cli.bake import run
 
         terrain.close()
-        terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs)
+        terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs, workers=workers, dask=dask)
     if color_errors:
         from orograph.geovis.color_store import store_colors
 
