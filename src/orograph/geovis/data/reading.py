@@ -310,8 +310,11 @@ def times_in(given: Dataset) -> list[str]:
 
 
 def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
-    """Of a DataArray, or of an array that spans the terrain."""
+    """Of a DataArray, of an array that spans the terrain, or of a field that is there already."""
     import sys
+
+    if isinstance(given.source, Field):
+        return given.source
 
     xarray = sys.modules.get("xarray")
     if xarray is not None and isinstance(given.source, xarray.Dataset):
