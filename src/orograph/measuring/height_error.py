@@ -204,7 +204,7 @@ class ErrorField:
             raise ReadError(
                 f"It has no value at {lacking.sum():,} samples of the terrain whose height is known.",
                 path=str(self.error.sigma) if isinstance(self.error.sigma, str) else None,
-                remedy="Name one that covers the terrain, or cut the terrain to it (--bbox, --clip).",
+                remedy="Name one that covers the terrain, or cut the terrain to it (`bbox`, `clip`).",
             )  # fmt: skip
 
 

@@ -154,7 +154,8 @@ class Theme:
     data: tuple[Dataset, ...] = option(
         (),
         "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
-        "variable, band, time, member, layer, geometry (which of several), style "
+        "variable, band, time, member, value (of several: median, min, max, spread, p90), exceeds (how probably), "
+        "layer, geometry (which of several), style "
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
         "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
         "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
