@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from orograph.fetching import fetch
     from orograph.geo import Grid
     from orograph.geovis.data.dataset import Dataset, Uncertainty
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.layers import Layer, basemap
     from orograph.lighting import make as light
     from orograph.lighting.bake import bake
@@ -56,6 +57,7 @@ __all__ = [
     "Contours",
     "Dataset",
     "Dem",
+    "Focus",
     "Grid",
     "Layer",
     "Picture",
@@ -97,6 +99,7 @@ _HOMES = {
     "Contours": "orograph.scene.contours",
     "Dataset": "orograph.geovis.data.dataset",
     "Dem": "orograph.dem",
+    "Focus": "orograph.geovis.data.focus",
     "Grid": "orograph.geo",
     "Layer": "orograph.geovis.layers",
     "Picture": "orograph.rendering.picture",

@@ -20,11 +20,13 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Moment, Placed, Sun
+    from orograph.scene.flying import Flight
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
@@ -103,6 +105,29 @@ def read_priority(text: str) -> Priority:
 
     try:
         return Priority.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
+def read_focus(text: str) -> Focus:
+    from orograph.geovis.data.focus import LENS, NEAR, Focus
+
+    try:
+        found = Focus.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    if found.source not in (LENS, NEAR):
+        from orograph.dem.handles import locate
+
+        assert locate(found.source)
+    return found
+
+
+def read_flight(text: str) -> Flight:
+    from orograph.scene.flying import Flight
+
+    try:
+        return Flight.parse(text)
     except UsageError as error:
         raise ValueError(str(error)) from None
 
@@ -199,6 +224,20 @@ def priority(value: Priority | str | None, terrain: Terrain) -> Priority | None:
     from orograph.geovis.data.priority import Priority
 
     return Priority.parse(value) if isinstance(value, str) else value
+
+
+def focus(value: Focus | str | None, terrain: Terrain) -> Focus | None:
+    """Takes such a text, or an `orograph.Focus`."""
+    from orograph.geovis.data.focus import Focus
+
+    return Focus.parse(value) if isinstance(value, str) else value
+
+
+def flight(value: Flight | str | None, terrain: Terrain) -> Flight | None:
+    """Takes such a text, or a `Flight`."""
+    from orograph.scene.flying import Flight
+
+    return Flight.parse(value) if isinstance(value, str) else value
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:

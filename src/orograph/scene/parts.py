@@ -21,12 +21,14 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Sun
+    from orograph.scene.flying import Flight
     from orograph.viewpoint import View
 
 Light = Literal["relief", "ao", "aperture", "raytraced", "none"]
@@ -167,6 +169,19 @@ class Theme:
         "What comes first: T+ shaded relief, T- a line drawing; D+ a continuous scale, D- classes; U+ glyphs of "
         "uncertainty, U- transparency or noise. Or overview, approach, overflight, replanning.",
         read=given.read_priority, given=given.priority, metavar="T±D±U±", shown="T+D+U- with data",
+    )  # fmt: skip
+    focus: Focus | None = option(
+        None,
+        "Another priority in a part of the picture: lens (a disc: at=0.5:0.5, radius=0.25, parts of the picture), near "
+        "(distance=METRES from the eye), a file of polygons, or of lines with width=METRES. Keys: priority, blend "
+        "(metres; of a lens, parts of the height): route.geojson,width=4000,priority=T+D+U+.",
+        read=given.read_focus, given=given.focus, metavar="lens|near|FILE[,KEY=VALUE…]",
+    )  # fmt: skip
+    flight: Flight | None = option(
+        None,
+        "Change the priority by degrees with the camera's height above ground: approach below LOW metres, above HIGH "
+        "overflight, or in films slower than SLOW metres a second (not faster than FAST) replanning.",
+        read=given.read_flight, given=given.flight, metavar="auto|LOW:HIGH[:SLOW:FAST]",
     )  # fmt: skip
     things: Things | None = None
 
