@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from orograph.rendering.picture import Picture
     from orograph.scene import camera
     from orograph.scene.contours import Contours
+    from orograph.scene.ghosts import Ghost
     from orograph.scene.silhouettes import Silhouettes
     from orograph.store import Terrain, build, open, terrain
     from orograph.tessellation import Tessellation
@@ -58,6 +59,7 @@ __all__ = [
     "Dataset",
     "Dem",
     "Focus",
+    "Ghost",
     "Grid",
     "Layer",
     "Picture",
@@ -100,6 +102,7 @@ _HOMES = {
     "Dataset": "orograph.geovis.data.dataset",
     "Dem": "orograph.dem",
     "Focus": "orograph.geovis.data.focus",
+    "Ghost": "orograph.scene.ghosts",
     "Grid": "orograph.geo",
     "Layer": "orograph.geovis.layers",
     "Picture": "orograph.rendering.picture",

@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.errors import NothingInViewError
 from orograph.geovis.color import linear_to_srgb, srgb_to_linear
 from orograph.geovis.layers import drawn as visible
+from orograph.rendering.describing import describe
 from orograph.rendering.furniture.furnish import furnish
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 from orograph.rendering.picture import Picture
+from orograph.scene.ghosts import Seen
 from orograph.scene.scene import Scene
 
 Draw = Callable[[Scene], Picture]
@@ -39,14 +42,21 @@ def blended(scene: Scene, draw: Draw, others: Callable[[int], Draw]) -> Picture:
         weight = variant.weight(*_seen(picture))
         if not (weight > LEAST).any():
             continue
-        other = others(number)(variant.scene.but(furniture=False, title=None) if whole else variant.scene)
+        try:
+            other = others(number)(variant.scene.but(furniture=False, title=None) if whole else variant.scene)
+        except NothingInViewError:
+            if not isinstance(variant.weight, Seen):
+                raise
+            continue  # a ghost need not reach into every view
+        if isinstance(variant.weight, Seen):
+            weight = variant.weight.of_depths(picture.depth, other.depth, other.places())
         part = weight[..., None].astype(np.float32)
         linear = _linear(picture.pixels) if linear is None else linear
         linear = linear * (1 - part) + _linear(other.pixels) * part
     pixels = picture.pixels if linear is None else np.rint(linear_to_srgb(linear) * 255).astype(np.uint8)
     if whole and scene.annotations.furniture:
         pixels = _furnished(scene, picture, pixels)
-    return replace(picture, pixels=pixels)
+    return replace(picture, pixels=pixels, facts={**picture.facts, "description": describe(scene)})
 
 
 def _linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Moment, Placed, Sun
     from orograph.scene.flying import Flight
+    from orograph.scene.ghosts import Ghost
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
@@ -130,6 +131,18 @@ def read_flight(text: str) -> Flight:
         return Flight.parse(text)
     except UsageError as error:
         raise ValueError(str(error)) from None
+
+
+def read_ghost(text: str) -> Ghost:
+    from orograph.dem.handles import locate
+    from orograph.scene.ghosts import Ghost
+
+    try:
+        found = Ghost.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    assert locate(found.source)
+    return found
 
 
 def read_water(text: str) -> str | float:
@@ -238,6 +251,15 @@ def flight(value: Flight | str | None, terrain: Terrain) -> Flight | None:
     from orograph.scene.flying import Flight
 
     return Flight.parse(value) if isinstance(value, str) else value
+
+
+def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
+    """Takes one or several: what `orograph.terrain` takes, arrays of the terrain's samples, or an `orograph.Ghost` of
+    each, which says what keys say."""
+    from orograph.scene.ghosts import Ghost
+
+    several = value if isinstance(value, list | tuple) else (value,)
+    return tuple(one if isinstance(one, Ghost) else Ghost(one) for one in several)
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:

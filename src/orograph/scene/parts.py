@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Sun
     from orograph.scene.flying import Flight
+    from orograph.scene.ghosts import Ghost
     from orograph.viewpoint import View
 
 Light = Literal["relief", "ao", "aperture", "raytraced", "none"]
@@ -182,6 +183,12 @@ class Theme:
         "Change the priority by degrees with the camera's height above ground: approach below LOW metres, above HIGH "
         "overflight, or in films slower than SLOW metres a second (not faster than FAST) replanning.",
         read=given.read_flight, given=given.flight, metavar="auto|LOW:HIGH[:SLOW:FAST]",
+    )  # fmt: skip
+    ghosts: tuple[Ghost, ...] = option(
+        (),
+        "Another surface over or under the ground, seen through: a DEM in any CRS, a water table. Keys: color, opacity "
+        "(before the ground), hidden (behind it), name, band, vertical_unit: table.tif,color=#2f7fd1,hidden=0.4.",
+        read=given.read_ghost, given=given.ghosts, flag="ghost", metavar="DEM[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     things: Things | None = None
 

@@ -18,14 +18,19 @@ from orograph.viewpoint import View
 
 if TYPE_CHECKING:
     from orograph.geovis.data.focus import Weight
+    from orograph.scene.ghosts import Ghost
 
 DEFAULT_TOLERANCE = 0.5
 """Pixels: what larger terrains may be displaced by on the screen."""
 
 
 BY_PRIORITY = ("light", "contours", "silhouettes", "colormap", "water", "layers", "data", "priority", "focus",
-               "flight")  # fmt: skip
+               "flight", "ghosts")  # fmt: skip
 """Options in which variants of a scene differ."""
+
+
+OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "title")
+"""Options that ghosted surfaces share with their scene."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +40,15 @@ class Variant:
     scene: Scene
     weight: Weight
     name: str = "focus"
+    rgb: tuple[int, int, int] | None = None
+    """Of a ghost, its colour."""
+
+    def but(self, terrain: Terrain | None, view: View | None, options: Mapping[str, Any]) -> Variant:
+        """The same in another scene; a ghost has its own terrain, and takes the light and the exaggeration."""
+        if self.rgb is None:
+            return replace(self, scene=self.scene.but(terrain=terrain, view=view, **options))
+        own = {name: options[name] for name in OF_GHOSTS if name in options}
+        return replace(self, scene=self.scene.but(view=view, **own))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +95,28 @@ class Scene:
         if things is not None:
             made = replace(made, theme=replace(made.theme, things=things))
         focus = made.theme.focus
+        bare = {**options, "ghosts": ()}
         if made.theme.flight is not None:
-            return cls._flying(made, options)
-        if focus is None:
-            return made
-        there = cls.of(terrain, view, **{**options, "focus": None, "priority": focus.priority})
-        return replace(made, variants=(Variant(there, focus.over(terrain.grid)),))
+            made = cls._flying(made, bare)
+        elif focus is not None:
+            there = cls.of(terrain, view, **{**bare, "focus": None, "priority": focus.priority})
+            made = replace(made, variants=(Variant(there, focus.over(terrain.grid)),))
+        ghosts = tuple(cls._ghost(made, one) for one in made.theme.ghosts)
+        return replace(made, variants=(*made.variants, *ghosts)) if ghosts else made
+
+    @classmethod
+    def _ghost(cls, scene: Self, ghost: Ghost) -> Variant:
+        """Another surface that is seen through."""
+        from orograph.scene.ghosts import Seen
+
+        surface = ghost.over(scene.terrain)
+        alone = cls.of(
+            surface, scene.view, sun=scene.lighting.sun, relief=scene.lighting.relief, water="none",
+            colormap=ghost.table, exaggeration=scene.surface.exaggeration, samples=scene.surface.samples,
+            max_memory=scene.budget.max_memory, jobs=scene.budget.jobs,
+        )  # fmt: skip
+        named = ghost.name or surface.name.replace("_", " ")
+        return Variant(alone, Seen(scene.terrain.grid, ghost.opacity, ghost.hidden), named, ghost.rgb)
 
     @classmethod
     def _flying(cls, scene: Self, options: Mapping[str, Any]) -> Self:
@@ -119,9 +149,7 @@ class Scene:
             parts["view"] = view
         if self.variants:
             common = {name: value for name, value in options.items() if name not in BY_PRIORITY}
-            parts["variants"] = tuple(
-                replace(one, scene=one.scene.but(terrain=terrain, view=view, **common)) for one in self.variants
-            )
+            parts["variants"] = tuple(one.but(terrain, view, common) for one in self.variants)
         return replace(self, **parts)
 
     @property
@@ -138,7 +166,9 @@ class Scene:
         eye = np.asarray(self.view.eye, np.float64)
         shown = [one for one in self.variants if one.weight.shows(eye)]
         more = (beyond(own, key, one.name) for one in shown for key in one.scene.keys)
-        return (*own, *(key for key in more if key is not None))
+        ghosts = tuple((one.name, one.rgb) for one in self.variants if one.rgb is not None)
+        seen = (Legend(classes=ghosts),) if ghosts else ()
+        return (*own, *(key for key in more if key is not None), *seen)
 
     @property
     def pixel_tolerance(self) -> float:
