@@ -37,7 +37,7 @@ class Points:
     Attributes:
         x, y: (n,) in the terrain's CRS, of those on the terrain. values: (n,). sigma: (n,) standard deviations;
             None: unknown.
-        name: what they are.
+        name: what they are. classes: where they have no attribute, the name of all of them.
     """
 
     x: Array
@@ -45,6 +45,7 @@ class Points:
     values: Array
     sigma: Array | None
     name: str
+    classes: tuple[str, ...] | None = None
 
 
 def is_table(source: Any) -> bool:
@@ -76,6 +77,9 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     if crs is None and east.lower() in DEGREES:
         crs = "EPSG:4326"
     numbers = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
+    bare = not numbers and given.variable is None and given.uncertainty is None
+    if bare:
+        numbers = {"place": np.zeros(len(columns[east]))}
     value = _attribute(given.variable, numbers, name)
     doubt = given.uncertainty
     sigma = None if doubt is None else _attribute(doubt.source, numbers, name)
@@ -96,7 +100,8 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
             remedy="Name data of the same area.",
         )  # fmt: skip
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
-    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "))
+    alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
+    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike)
 
 
 def _attribute(asked: Any, numbers: Mapping[str, Array], name: str) -> str:
