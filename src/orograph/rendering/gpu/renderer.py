@@ -10,6 +10,7 @@ frames are drawn with samples elsewhere in the pixels and averaged: a picture at
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -248,10 +249,10 @@ class Renderer(Reading):
         ground = self._ground.choose(scene, freeze, tolerance, wait=wait)
         tiles, mesh = ground.streamed, ground.mesh
         layers = self.imagery.prepare(scene.data.layers, view, scene.surface.exaggeration, wait=wait)
-        self._missing = tiles.missing + self.imagery.missing
+        self._missing = tiles.missing + self.imagery.missing + self._ground.growing.lacking
         loaded = tiles.loaded + self.imagery.loaded
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
-        state = loaded, layers, len(ground.patches.instances), ground.other, self._letters.state
+        state = loaded, layers, len(ground.patches.instances), ground.state, self._letters.state
         return _Choice(
             ground, tolerance, layers, bool(lettered), loaded, tiles.bytes + 4 * SIDE**2 * self.imagery.loaded, state
         )
@@ -312,6 +313,9 @@ class Renderer(Reading):
             there, triangles, bound = 0, len(mesh.triangles), scene.surface.tolerance or 1.0
         elif rays is not None:
             there, triangles, bound = 0, 0, rays.bound
+        elif chosen.ground.tree is not None:
+            counts, bound = self._ground.growing.counts, chosen.ground.tree.bound or math.inf
+            there, triangles = 0, triangles if counts is None else counts.triangles
         return FrameStats(
             there, triangles, bound,
             chosen.ground.streamed.seconds * 1e3, (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,

@@ -2,8 +2,9 @@
 
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
-that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``). All that comes after (light, lines, voids)
-reads the targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
+that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing is
+selected, its tree is updated and drawn (``growing``, ``tree``). All that comes after (light, lines, voids) reads the
+targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ from typing import Any, Protocol
 from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
+from orograph.lod.registry import Choice
 from orograph.lod.selection import RayWindows, Selection, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
+from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
@@ -64,8 +68,20 @@ class Drawn:
     @property
     def other(self) -> Any:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
+        if isinstance(self.selection, TreeFrame):
+            return self.selection.tree
         mesh = self.mesh
         return self.rays if mesh is None else mesh
+
+    @property
+    def state(self) -> Any:
+        """The same, but of a tree another object whenever it was updated."""
+        return self.selection if isinstance(self.selection, TreeFrame) else self.other
+
+    @property
+    def tree(self) -> TreeFrame | None:
+        """The tree that is drawn; None: something else is."""
+        return self.selection if isinstance(self.selection, TreeFrame) else None
 
     @property
     def rays(self) -> CastWindows | None:
@@ -79,7 +95,7 @@ class Ground:
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
         tiles: of the terrain. stored_slopes, levels: of ``shade.resources.Resources``.
-        most: bytes of the windows that rays are cast at. jobs: threads.
+        most: bytes of the windows that rays are cast at, and of a tree's pages. jobs: threads.
 
     Attributes:
         surfaces: what draws a selection, by its type.
@@ -100,7 +116,9 @@ class Ground:
             Patches: self._patches,
             TriangleMesh: MeshPass(device, camera, field, absent),
             CastWindows: RayPass(device, camera),
+            TreeFrame: TreePass(device, camera, field, absent, terrain.n),
         }
+        self._growing = Growing(device, terrain, most, jobs)
         self._selected = Selected(terrain, {RayWindows: Windows(device, terrain, most, jobs).ready})
         self._drawn: Drawn | None = None
 
@@ -118,12 +136,18 @@ class Ground:
         chosen = self.tiles.choose(
             freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True
         )
-        if streamed(scene):
+        alive, camera = None if streamed(scene) else _living(scene), freeze or surface.mesh_view or view
+        if alive is not None:
             self._selected.none()
+            (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive)
+        elif streamed(scene):
+            self._selected.none()
+            self._growing.none()
         else:
+            self._growing.none()
             have = self._selected.at_once if wait else self._selected.aside
-            have(scene, freeze or surface.mesh_view or view, _of_rays(scene, tolerance))
-        self._drawn = Drawn(chosen, self._selected.selection or chosen.patches)
+            have(scene, camera, _of_rays(scene, tolerance))
+        self._drawn = Drawn(chosen, self._growing.selection or self._selected.selection or chosen.patches)
         return self._drawn
 
     def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
@@ -149,23 +173,29 @@ class Ground:
         return None if self._drawn is None else self._drawn.rays
 
     @property
+    def growing(self) -> Growing:
+        """The tree of a method that lives on the GPU."""
+        return self._growing
+
+    @property
     def busy(self) -> bool:
         """Whether another selection is on its way."""
-        return self._selected.busy
+        return self._selected.busy or self._growing.busy
 
     @property
     def failure(self) -> str:
         """What of the ground could not be had, and why; "" if there is nothing."""
-        return self.tiles.failure or self._selected.failure
+        return self.tiles.failure or self._selected.failure or self._growing.failure
 
     def current(self, scene: Scene) -> bool:
         """Whether what is drawn is what the scene asked for; patches always are."""
-        return streamed(scene) or self._selected.current
+        return streamed(scene) or (self._growing if _living(scene) else self._selected).current
 
     def close(self) -> None:
         """Stop reading and selecting."""
         self.tiles.close()
         self._selected.close()
+        self._growing.close()
 
 
 def _of_rays(scene: Scene, tolerance: float) -> float:
@@ -177,6 +207,14 @@ def _of_rays(scene: Scene, tolerance: float) -> float:
 
 FINE = 0.7
 """Pixels between the samples of a plan whose contour lines are drawn."""
+
+
+def _living(scene: Scene) -> Choice | None:
+    """The method of a scene if it lives on the GPU."""
+    try:
+        return living(scene)
+    except UsageError:  # ``Selected`` says why
+        return None
 
 
 def streamed(scene: Scene) -> bool:
