@@ -31,7 +31,7 @@ import itertools
 import math
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +159,8 @@ def fly(renderer: Renderer, device: Device, views: list[View], scene: Scene, wai
         done = time.perf_counter()
         clock.end()
         seconds = clock.seconds()
+        if renderer.tree is not None:  # no frame knows how many it has
+            stats = replace(stats, triangles=renderer.tree.tree.counts().triangles)
         frames.append(
             Frame((python - begun) * 1e3, (done - begun) * 1e3, None if seconds is None else seconds * 1e3, stats)
         )

@@ -61,7 +61,7 @@ def test_the_pool_ends_at_the_mesh_of_the_heap(share):
             if pool.update(split, merge) == (0, 0):
                 break
             checked(pool, n)
-            assert updates <= 4 * n
+            assert updates <= 4 * n + 8
         expected, _ = cbt.refine(n, bad.__contains__)
         found = {tuple(pool.shape[s]) for s in pool.leaves}
         assert found == {(int(t.x), int(t.y), t.L, t.omega) for t in expected}

@@ -62,15 +62,15 @@ class Vertices:
         top = terrain.read(self.top, 0, rows, 0, cols)
         self.corners = np.array([[top[0, 0], top[0, -1]], [top[-1, 0], top[-1, -1]]], np.float32)
 
-    def page(self, level: int, i: int, j: int) -> NDArray[np.float32]:
-        """Height, error, radius and color error (256, 256, 4) of page (i, j) of a level.
+    def page(self, level: int, i: int, j: int, side: int = SIDE) -> NDArray[np.float32]:
+        """Height, error, radius and color error (side, side, 4) of page (i, j) of a level, from 256 times (i, j) on.
 
         Raises:
             StoreError, DamagedChunkError: as ``terrain.read``.
         """
         rows, cols = self.shapes[level]
         row0, col0 = i * SIDE, j * SIDE
-        row1, col1 = min(row0 + SIDE, rows), min(col0 + SIDE, cols)
+        row1, col1 = min(row0 + side, rows), min(col0 + side, cols)
         have = self.terrain.shape(level)
         # The top level is a padded square: beyond the raster its last samples are repeated.
         r0, c0 = min(row0, have[0] - 1), min(col0, have[1] - 1)
@@ -88,7 +88,7 @@ class Vertices:
             heights[y, x] = self._fill[
                 np.minimum(y_tile, self._fill.shape[0] - 1), np.minimum(x_tile, self._fill.shape[1] - 1)
             ]
-        data = np.zeros((SIDE, SIDE, 4), np.float32)
+        data = np.zeros((side, side, 4), np.float32)
         data[..., 2] = -1.0  # empty, where the level has nothing
         here = data[: row1 - row0, : col1 - col0]
         here[..., 0] = heights

@@ -110,25 +110,38 @@ fn outside(p: vec3<f32>, radius: f32) -> bool {
   return false;
 }
 
+// The slot of a page, −1 if it is absent.
+fn slot_of(level: u32, page: vec2<i32>) -> i32 {
+  let table = tuning.levels[level];
+  return i32(pages[table.x + u32(page.y) * table.z + u32(page.x)]) - 1;
+}
+
 // What becomes of the triangles over a diamond (lod/criterion.py: judge); one whose page is absent passes for accurate.
 fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   let level = min(octave, tuning.top);
   let at = l >> vec2<u32>(level);
-  let page = at / PAGE;
   let table = tuning.levels[level];
-  if (page.y >= i32(table.y) || page.x >= i32(table.z)) {
+  let count = vec2<i32>(vec2<u32>(table.z, table.y));
+  if (any(at > count * PAGE)) {
     return Verdict(DROP, MISSING_HEIGHT);   // beyond the raster
   }
-  let number = table.x + u32(page.y) * table.z + u32(page.x);
-  let there = pages[number];
-  if (there == 0u) {
+  // Pages share their border: any of those that meet there will do.
+  let own = min(at / PAGE, count - 1);
+  let other = max(select(own, own - 1, at == own * PAGE), vec2<i32>(0));
+  var page = own;
+  var slot = slot_of(level, page);
+  for (var k = 1u; k < 4u && slot < 0; k++) {
+    page = select(own, other, vec2<bool>((k & 1u) != 0u, (k & 2u) != 0u));
+    slot = slot_of(level, page);
+  }
+  if (slot < 0) {
+    let number = table.x + u32(own.y) * table.z + u32(own.x);
     atomicOr(&asked[number / 32u], 1u << (number % 32u));
     return Verdict(LEAF, MISSING_HEIGHT);
   }
-  let slot = i32(there) - 1;
   let place = slot % (PAGES_PER_SIDE * PAGES_PER_SIDE);
-  let origin = vec2<i32>(place % PAGES_PER_SIDE, place / PAGES_PER_SIDE) * PAGE;
-  let found = textureLoad(diamonds, origin + (at & vec2<i32>(PAGE - 1)), slot / (PAGES_PER_SIDE * PAGES_PER_SIDE), 0);
+  let origin = vec2<i32>(place % PAGES_PER_SIDE, place / PAGES_PER_SIDE) * (PAGE + 1);
+  let found = textureLoad(diamonds, origin + at - page * PAGE, slot / (PAGES_PER_SIDE * PAGES_PER_SIDE), 0);
   let height = select(found.x, MISSING_HEIGHT, found.w != 0.0);
   if (found.z < 0.0) {
     return Verdict(DROP, height);
@@ -147,9 +160,6 @@ fn octave_of(level: u32) -> u32 {
 
 @compute @workgroup_size(64)
 fn judge(@builtin(global_invocation_id) id: vec3<u32>) {
-  if (id.x == 0u) {
-    atomicStore(&state[tuning.slots], 0u);
-  }
   if (id.x >= sums[1]) {
     return;
   }
@@ -173,6 +183,9 @@ fn judge(@builtin(global_invocation_id) id: vec3<u32>) {
 
 @compute @workgroup_size(64)
 fn mark(@builtin(global_invocation_id) id: vec3<u32>) {
+  if (id.x == 0u) {
+    atomicStore(&state[tuning.slots], 0u);
+  }
   if (id.x >= sums[1]) {
     return;
   }

@@ -1,13 +1,16 @@
 """Pages of diamonds on the GPU: what a tree that lives there asks of a vertex, in an atlas filled by threads.
 
-A page is that of ``lod.field``: 256 × 256 vertices of a level, each a height, an error, the radius of its sphere, and
-whether its sample is missing (float32). Which pages a view wants is told by the errors of tiles that the terrain knows
-anyway: a page is wanted where the samples of its level take an error away that may be seen. A picture that waits asks
-the tree itself, too (``take_asked``). The coarsest pages never leave. Metres, pixels.
+A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
+height, an error, the radius of its sphere, and whether its sample is missing (float32). Wanted are the pages of all tiles
+that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do not, and those of coarser
+levels there; and in view all that missing ground shares with ground, whose edge a tree follows to the sample. A picture
+that waits asks the tree itself, too (``take_asked``). The coarsest pages never leave. Pixels.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from typing import Any, Literal
 
 import numpy as np
@@ -15,22 +18,21 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.lod.field import Vertices
+from orograph.lod.triangle_patches import Patches
 from orograph.parallel import map_ordered
 from orograph.raycast.select import tile_boxes
-from orograph.rendering.gpu.stream.residency import READERS, REMOTE_READERS
+from orograph.rendering.gpu.stream.residency import ASK, READERS, REMOTE_READERS, UPLOAD, UPLOADING
 from orograph.rendering.gpu.stream.streamer import Streamer
 from orograph.rendering.gpu.stream.tiles import Atlas, Key, Tables
 from orograph.rendering.gpu.stream.wanted import Tree
+from orograph.store.terrain import TILE
 from orograph.viewpoint import View
 
 INFINITE = np.float32(3e38)
 """Metres: the error of a mixed diamond. Shaders may not rely on infinity."""
 
-UPLOAD, ASK = 8, 64
-"""Pages that a frame brings to the GPU, and asks for, at most."""
-
-PLAN = 1e30
-"""Pixels: what a plan allows, in which only edges of missing ground are seen."""
+EDGE = 1e9
+"""Pixels that the edge of missing ground counts for."""
 
 
 class DiamondPages:
@@ -48,13 +50,14 @@ class DiamondPages:
     def __init__(self, device: Device, vertices: Vertices, budget: int, jobs: int | None = None) -> None:
         terrain = self.terrain = vertices.terrain
         self.vertices, self.jobs = vertices, jobs
-        offsets = np.concatenate([[0], np.cumsum([rows * cols for rows, cols in vertices.counts])])
-        tables = Tables(offsets[:-1].tolist(), vertices.counts, int(offsets[-1]))
-        self.atlas = Atlas(device, terrain, "diamonds", budget, tables)
+        shapes = [(max(1, -(-(r - 1) // TILE)), max(1, -(-(c - 1) // TILE))) for r, c in vertices.shapes]
+        offsets = np.concatenate([[0], np.cumsum([rows * cols for rows, cols in shapes])])
+        self.tables = Tables(offsets[:-1].tolist(), shapes, int(offsets[-1]))
+        self.atlas = Atlas(device, terrain, "diamonds", budget, self.tables)
         self.levels = np.zeros((32, 4), np.uint32)
-        for k, (rows, cols) in enumerate(vertices.counts):
+        for k, (rows, cols) in enumerate(shapes):
             self.levels[k, :3] = offsets[k], rows, cols
-        self._tree, self._keys, self._index = _tree(vertices, tables)
+        self._edges = _edges(vertices, self.tables)
         self._streamer: Streamer[Literal["diamonds"], Key] = Streamer(
             lambda kind, key: self._page(key), jobs or (REMOTE_READERS if terrain.remote else READERS)
         )
@@ -62,39 +65,42 @@ class DiamondPages:
         self._lacking: list[Key] = []
         self.bound, self.moved = 0.0, 0
         top = vertices.top
-        rows, cols = vertices.counts[top]
+        rows, cols = shapes[top]
         self._load([(top, i, j) for i in range(rows) for j in range(cols)], pin=True)
 
-    def choose(self, view: View, tolerance: float, exaggeration: float) -> bool:
-        """Have the pages of a view read, and bring those that were to the GPU; whether there were any."""
+    def choose(self, view: View, patches: Patches, exaggeration: float) -> bool:
+        """Have the pages of a view read, and bring those that were to the GPU; whether there were any.
+
+        Args:
+            patches: of the view, as fine as the tree is to be.
+        """
         self._frame += 1
-        count = 0
-        for _, key, data in self._streamer.take(UPLOAD):
+        count, end = 0, time.perf_counter() + UPLOADING
+        while count < UPLOAD and (not count or time.perf_counter() < end):
+            taken = self._streamer.take(1)
+            if not taken:
+                break
+            _, key, data = taken[0]
             self.moved += data.nbytes
-            count += self.atlas.insert(key, data, self._frame - 1)
+            self.atlas.insert(key, data, self._frame - 1)
+            count += 1
         self.atlas.flush()
-        which, pixels = self._wanted(view, tolerance, exaggeration)
-        lack = self.atlas.lacking(self._index[which], self._frame)
-        self.bound = float(pixels[lack].max(initial=0.0))
-        which, pixels = which[lack], pixels[lack]
-        order = np.argsort(-pixels, kind="stable")[:ASK]
-        keys = [(int(k), int(i), int(j)) for k, i, j in self._keys[which[order]]]
-        self._lacking = keys
-        self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[order].tolist(), keys, strict=True)])
+        keys, pixels = self._lacking_of(view, patches, exaggeration)
+        self._lacking = keys[:ASK]
+        self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
         return count > 0
 
-    def load(self, view: View, tolerance: float, exaggeration: float) -> None:
+    def load(self, view: View, patches: Patches, exaggeration: float) -> None:
         """Bring the pages of a view to the GPU, as many as there is room for, and wait for it.
 
         Raises:
             StoreError, DamagedChunkError: a page cannot be read.
         """
         self._frame += 2  # (a picture may take the place of the one before)
-        which, pixels = self._wanted(view, tolerance, exaggeration)
-        lack = self.atlas.lacking(self._index[which], self._frame)
-        order = np.argsort(-pixels[lack], kind="stable")[: self.atlas.room]
-        self._load([(int(k), int(i), int(j)) for k, i, j in self._keys[which[lack][order]]])
-        self.bound, self._lacking = 0.0, []
+        keys, _ = self._lacking_of(view, patches, exaggeration)
+        self._load(keys[: self.atlas.room])
+        self._lacking_of(view, patches, exaggeration)
+        self._lacking = []
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
         """Bring the pages that a tree looked for in vain; how many there was room for.
@@ -103,12 +109,7 @@ class DiamondPages:
             bits: one for each place in the page table.
         """
         places = np.flatnonzero(np.unpackbits(bits.view(np.uint8), bitorder="little"))
-        places = places[self.atlas.pages[places] == 0]
-        offsets = np.array(self.atlas.tables.offsets)
-        level = np.searchsorted(offsets, places, side="right") - 1
-        cols = np.array([cols for _, cols in self.vertices.counts])[level]
-        row, col = np.divmod(places - offsets[level], cols)
-        return self._load(list(zip(level.tolist(), row.tolist(), col.tolist(), strict=True)))
+        return self._load(self._keys(places[self.atlas.pages[places] == 0]))
 
     @property
     def waiting(self) -> int:
@@ -132,21 +133,40 @@ class DiamondPages:
         """Stop reading."""
         self._streamer.close()
 
-    def _wanted(
-        self, view: View, tolerance: float, exaggeration: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:  # fmt: skip
-        """Places of the pages wanted, and pixels of the error that each takes away, at most."""
-        allowed = PLAN
-        if view.projection != "plan":
-            _, _, width, height = view.frame
-            slopes = view.pixel_slope * width / 2, view.pixel_slope * height / 2
-            # Away from its axis a flat screen stretches by up to 1/cos².
-            allowed = tolerance / (exaggeration * (1.0 + slopes[0] ** 2 + slopes[1] ** 2))
-        which, priority = self._tree.of(view, exaggeration, pixels=allowed)
-        every = np.full(len(self._index), np.inf)
-        every[which] = priority / 2  # (see ``Tree.of``)
-        above = self._tree.parents[which]
-        return which, np.where(above < 0, np.inf, every[above]) * (tolerance / allowed)
+    def _lacking_of(self, view: View, patches: Patches, exaggeration: float) -> tuple[list[Key], list[float]]:
+        """The pages that a view wants and that are not there, by the error that each takes away, largest first."""
+        pixels = self._wanted(view, patches, exaggeration)
+        which = np.flatnonzero(pixels)
+        lack = which[self.atlas.lacking(which, self._frame)]
+        order = np.argsort(-pixels[lack], kind="stable")
+        found = pixels[lack][order]
+        self.bound = float(found[0]) if len(found) else 0.0
+        return self._keys(lack[order]), found.tolist()
+
+    def _wanted(self, view: View, patches: Patches, exaggeration: float) -> NDArray[np.float64]:
+        """What each page of the table takes away, pixels; 0 where it is not wanted."""
+        pixels, tables = np.zeros(self.tables.total), self.tables
+        if view.projection != "plan":  # in which heights displace nothing
+            level, row, col = patches.tiling.where(patches.tiles)
+            offsets, cols = np.array(tables.offsets), np.array([cols for _, cols in tables.shapes])
+            np.maximum.at(pixels, offsets[level] + row * cols[level] + col, np.maximum(patches.pixels, 1e-9))
+        if self._edges is not None:
+            tree, places = self._edges
+            which, _ = tree.of(view, exaggeration)
+            pixels[places[which]] = EDGE
+        for k, (rows, cols) in enumerate(tables.shapes[:-1]):
+            begin, above = tables.offsets[k], tables.offsets[k + 1]
+            here = np.flatnonzero(pixels[begin : begin + rows * cols])
+            up = above + (here // cols >> 1) * tables.shapes[k + 1][1] + (here % cols >> 1)
+            np.maximum.at(pixels, up, pixels[begin + here])
+        return pixels
+
+    def _keys(self, places: NDArray[np.int64]) -> list[Key]:
+        """Levels, rows and columns of places in the page table."""
+        offsets = np.array(self.tables.offsets)
+        level = np.searchsorted(offsets, places, side="right") - 1
+        row, col = np.divmod(places - offsets[level], np.array([cols for _, cols in self.tables.shapes])[level])
+        return list(zip(level.tolist(), row.tolist(), col.tolist(), strict=True))
 
     def _load(self, keys: list[Key], *, pin: bool = False) -> int:
         count = 0
@@ -157,28 +177,29 @@ class DiamondPages:
         return count
 
     def _page(self, key: Key) -> NDArray[np.float32]:
-        data = self.vertices.page(*key)
+        data = self.vertices.page(*key, TILE + 1)
         np.minimum(data[..., 1], INFINITE, out=data[..., 1])
         data[..., 3] = data[..., 3] < 0
         return data
 
 
-def _tree(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64], NDArray[np.int64]]:
-    """The pages of all levels, coarsest first, with the errors of the tiles there; their keys; their table places."""
-    parts: list[tuple[Any, ...]] = []
+def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:
+    """The pages of all levels, coarsest first, too coarse wherever ground and missing ground share one; their places in
+    the table. None where nothing is missing."""
+    terrain, parts = vertices.terrain, list[tuple[Any, ...]]()
+    if not any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
+        return None
     above = begin = 0
     for level in range(vertices.top, -1, -1):
-        rows, cols = vertices.counts[level]
+        rows, cols = tables.shapes[level]
         i, j = (a.ravel() for a in np.mgrid[:rows, :cols])
-        box, table = tile_boxes(vertices.terrain, level), vertices.terrain.tiles(level)
-        at = np.minimum(i, box.low.shape[0] - 1), np.minimum(j, box.low.shape[1] - 1)
-        sizes = np.where(table.valid == 1, np.inf, table.error.astype(np.float64))[at]
+        box, valid = tile_boxes(terrain, level), terrain.tiles(level).valid
+        at = np.minimum(i, valid.shape[0] - 1), np.minimum(j, valid.shape[1] - 1)
         parents = np.full(len(i), -1)
         if level < vertices.top:
-            parents = above + (i >> 1) * vertices.counts[level + 1][1] + (j >> 1)
+            parents = above + (i >> 1) * tables.shapes[level + 1][1] + (j >> 1)
         boxes = np.stack([a[at] for a in (box.west, box.east, box.north, box.south, box.low, box.high)], 1)
-        keys = np.stack([np.full(len(i), level), i, j], 1)
-        parts.append((boxes, parents, sizes, keys, tables.offsets[level] + i * cols + j))
+        parts.append((boxes, parents, np.where(valid == 1, math.inf, 0.0)[at], tables.offsets[level] + i * cols + j))
         above, begin = begin, begin + len(i)
-    boxes, parents, sizes, keys, index = (np.concatenate(some) for some in zip(*parts, strict=True))
-    return Tree(vertices.terrain, boxes, parents.astype(np.int64), sizes), keys.astype(np.int64), index.astype(np.int64)
+    boxes, parents, sizes, places = (np.concatenate(some) for some in zip(*parts, strict=True))
+    return Tree(terrain, boxes, parents.astype(np.int64), sizes), places.astype(np.int64)

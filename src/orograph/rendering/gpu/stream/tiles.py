@@ -37,7 +37,7 @@ MISSING = 1_000_000
 """Metres added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the
 ground beside them, so that the triangles there, which are not drawn, are no larger than others."""
 
-SIDES = {"heights": TILE + 1, "slopes": TILE + 2, "diamonds": TILE}
+SIDES = {"heights": TILE + 1, "slopes": TILE + 2, "diamonds": TILE + 1}
 _FORMATS: dict[str, tuple[str, int]] = {"heights": ("r32float", 4), "slopes": ("rg16float", 4), "diamonds": ("rgba32float", 16)}
 
 

@@ -139,7 +139,7 @@ class Ground:
         alive, camera = None if streamed(scene) else _living(scene), freeze or surface.mesh_view or view
         if alive is not None:
             self._selected.none()
-            (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive)
+            (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive, chosen.patches)
         elif streamed(scene):
             self._selected.none()
             self._growing.none()
@@ -166,6 +166,11 @@ class Ground:
     def mesh(self) -> Tessellation | None:
         """The triangles of another method's selection that the last frame drew; None: patches, or rays."""
         return None if self._drawn is None else self._drawn.mesh
+
+    @property
+    def tree(self) -> TreeFrame | None:
+        """The tree that the last frame drew; None: it drew something else."""
+        return None if self._drawn is None else self._drawn.tree
 
     @property
     def rays(self) -> CastWindows | None:

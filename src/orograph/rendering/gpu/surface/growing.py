@@ -8,6 +8,7 @@ are none and nothing changes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from orograph.lod.field import Vertices
 from orograph.lod.method import Resources
 from orograph.lod.needs import supply
 from orograph.lod.registry import Choice
+from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.diamonds import DiamondPages
 from orograph.rendering.gpu.surface.tree import Counts, Tree, TreeFrame
 from orograph.scene.methods import MEMORY, TOLERANCE, mesh_choice
@@ -62,13 +64,14 @@ class Growing:
     Attributes:
         selection: the tree as it is; None until it is planted. current: whether it has come to rest for the last view.
         failure: why there is none, or what of it could not be read, or "".
-        counts: what was last read of it; None: nothing was.
+        counts: what was last read of it; None: nothing was. came: bytes of pages that came for the last view.
     """
 
     def __init__(self, device: Device, terrain: Terrain, most: int, jobs: int | None = None) -> None:
         self.device, self.terrain, self.most, self.jobs = device, terrain, most, jobs
         self.selection: TreeFrame | None = None
         self.counts: Counts | None = None
+        self.came = 0
         self._error = ""
         self._planting = BackgroundTask()
         self._planted: Planted | None = None
@@ -102,16 +105,14 @@ class Growing:
         return 0 if self._planted is None else self._planted.pages.lacking
 
     @property
-    def moved(self) -> int:
-        """Bytes of pages brought to the GPU so far."""
-        return 0 if self._planted is None else self._planted.pages.moved
-
-    @property
     def failure(self) -> str:
         return self._error or ("" if self._planted is None else self._planted.pages.failure)
 
-    def at_once(self, scene: Scene, view: View, choice: Choice) -> None:
+    def at_once(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
         """Have the tree of a view, with all its pages, as far as there is room.
+
+        Args:
+            patches: of the view, as fine as the tree is to be.
 
         Raises:
             UsageError: the method cannot do it. StoreError: the store was built without errors of diamonds, or a page
@@ -121,20 +122,26 @@ class Growing:
         if self._planted is None:
             self._planted = self._plant(choice)
         there, (tolerance, exaggeration) = self._planted, _goal(scene)
-        there.pages.load(view, tolerance, exaggeration)
+        moved = there.pages.moved
+        there.pages.load(view, patches, exaggeration)
         there.tree.take_asked()
-        before = -1
-        for _ in range(64 * self.settling):
+        before, bound = -1, max(tolerance, there.pages.bound)
+        while True:  # (as long as triangles change or pages come, of which there is an end)
             there.tree.update(view, tolerance, exaggeration, AT_ONCE)
             self.counts = there.tree.counts()
-            if self.counts.changes == before and not there.pages.take_asked(there.tree.take_asked()):
-                break
+            if self.counts.changes == before:
+                asked = there.tree.take_asked()
+                if not there.pages.take_asked(asked):
+                    break
             before = self.counts.changes
+        if asked.any():  # there was no room for them
+            bound = max(bound, math.inf)
+        self.came = there.pages.moved - moved
         self._asked, self._left = (view, tolerance, exaggeration), 0
-        self._told(choice, tolerance)
+        self._told(choice, bound)
 
-    def aside(self, scene: Scene, view: View, choice: Choice) -> None:
-        """Take a frame's part of the way to the tree of a view."""
+    def aside(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
+        """Take a frame's part of the way to the tree of a view; ``patches`` as for ``at_once``."""
         self._for(choice)
         made = self._planting.take()
         if isinstance(made, str):
@@ -147,8 +154,10 @@ class Growing:
             return
         there, asked = self._planted, (view, *_goal(scene))
         _, tolerance, exaggeration = asked
-        if there.pages.choose(view, tolerance, exaggeration) or asked != self._asked:
+        moved = there.pages.moved
+        if there.pages.choose(view, patches, exaggeration) or asked != self._asked:
             self._asked, self._left = asked, self.settling
+        self.came = there.pages.moved - moved
         if self._left > 0:
             count = min(choice.options.updates, self._left)
             there.tree.update(view, tolerance, exaggeration, count)
@@ -159,7 +168,7 @@ class Growing:
 
     def none(self) -> None:
         """No tree is wanted; it stays where it is."""
-        self.selection, self._wanted = None, False
+        self.selection, self._wanted, self.came = None, False, 0
 
     def close(self) -> None:
         """Stop reading."""
@@ -181,11 +190,13 @@ class Growing:
         full = counts is not None and counts.triangles + counts.wanted > tree.slots
         stats: dict[str, Any] = {
             "method": choice.info.name, "tolerance": self._asked[1], "updates": tree.updates, "slots": tree.slots,
-            "bytes": tree.bytes, "page_bytes": self._planted.pages.atlas.bytes, "full": full,
+            "bytes": tree.bytes, "page_bytes": self._planted.pages.atlas.bytes,
         }  # fmt: skip
-        promised = choice.conservative and not full
+        reached = math.inf if full else bound
+        promised = choice.conservative and math.isfinite(reached)
         self.selection = TreeFrame(
-            method=choice.info.name, bound=bound if promised else None, stats=stats, tree=tree
+            method=choice.info.name, bound=reached if promised else None, stats=stats, tree=tree, reached=reached,
+            full=full,
         )  # fmt: skip
 
     def _try(self, choice: Choice) -> Planted | str:

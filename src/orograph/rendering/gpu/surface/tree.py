@@ -82,10 +82,13 @@ class TreeFrame(Selection):
     """A tree after some update, which is what it is: the next one changes it.
 
     Attributes:
-        tree: on the GPU.
+        tree: on the GPU. reached: pixels within which its errors are, by the pages there are. full: whether it wanted
+            more triangles than there is room for.
     """
 
     tree: Tree
+    reached: float
+    full: bool
 
     def tessellation(self) -> Tessellation:
         """What is drawn of it, read back."""
@@ -120,7 +123,7 @@ class Tree:
         made = device.buffer
         self.nodes = [made(nodes, "STORAGE|COPY_SRC", "triangles"), made(nodes.nbytes, "STORAGE|COPY_SRC", "triangles")]
         self.state = made(4 * self.slots + 8, "STORAGE|COPY_SRC", "marks of triangles")
-        self.list = made(4 * self.slots, "STORAGE", "slots of triangles")
+        self.list = made(4 * self.slots, "STORAGE|COPY_SRC", "slots of triangles")
         self.bits = made(bits, "STORAGE|COPY_SRC", "bits")
         self.sums = made(8 * words, "STORAGE|COPY_SRC", "sums")
         self.arguments = made(32, "STORAGE|INDIRECT", "counts")
