@@ -9,7 +9,7 @@ from typing import Any, Self
 from orograph.errors import ReadError
 from orograph.geovis.keys import Legend
 from orograph.geovis.layers import attributed, drawn
-from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, Theme, by_part
+from orograph.scene.parts import PARTS, Annotations, Budget, Data, Lighting, Surface, Theme, by_part, made_of
 from orograph.scene.theming import themed
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.viewpoint import View
@@ -98,9 +98,6 @@ class Scene:
 def _sorted(options: Mapping[str, Any], terrain: Terrain) -> dict[str, dict[str, Any]]:
     """Options by the part that they belong to, each made what it is over a terrain."""
     return {
-        part: {
-            name: value if (made := OPTIONS[name].given) is None else made(value, terrain)
-            for name, value in own.items()
-        }
+        part: {name: made_of(name, value, terrain) for name, value in own.items()}
         for part, own in by_part(options).items()
     }

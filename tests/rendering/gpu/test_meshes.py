@@ -59,6 +59,7 @@ def views() -> dict[str, View]:
         "threshold-spheres",
         "triangle-patches,legs=8",
         "restricted-quadtree",
+        "smart,cells=16",
         "seamless-patches",
         "cdlod",
         "chunked-lod,cells=16",

@@ -112,7 +112,10 @@ def _columns(source: Any) -> tuple[dict[str, Array], Any, str]:
     """Columns of numbers of a table by name, their CRS (None: not known), and what the source is called."""
     if not isinstance(source, str):
         keys = list(source) if isinstance(source, Mapping) else list(source.columns)
-        return {str(k): np.array([_number(v) for v in np.asarray(source[k])]) for k in keys}, None, "points"
+        columns = {str(k): np.array([_number(v) for v in np.atleast_1d(np.asarray(source[k]))]) for k in keys}
+        if len({len(column) for column in columns.values()}) > 1:
+            raise UsageError("The columns of a table of points are equally long.")
+        return columns, None, "points"
     try:
         with Path(locate(source)).open(newline="", encoding="utf-8-sig") as file:
             sample = file.read(4096)
