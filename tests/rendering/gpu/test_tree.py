@@ -35,8 +35,8 @@ from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import Camera, View
 
 sys.path.append(str(Path(__file__).parents[2] / "lod"))
-import plain  # noqa: E402
-from test_cbt import checked  # noqa: E402
+import plain
+from test_cbt import checked
 
 
 def tree_of(device: Device, t: MemoryTerrain, budget: int = 64 << 20, **options: Any) -> Tree:
@@ -64,7 +64,8 @@ def vertices_of(pool: Pool) -> set[int]:
 
 
 @pytest.mark.parametrize(
-    ("shape", "gaps"), [((17, 17), 0.0), ((33, 18), 0.15), ((20, 31), 0.15), ((9, 30), 0.0), ((2, 2), 0.0), ((3, 5), 0.0)]
+    ("shape", "gaps"),
+    [((17, 17), 0.0), ((33, 18), 0.15), ((20, 31), 0.15), ((9, 30), 0.0), ((2, 2), 0.0), ((3, 5), 0.0)],
 )
 def test_what_it_ends_at_lies_between_the_references(device: Device, shape: tuple[int, int], gaps: float) -> None:
     """Float32 counts a little worse than it is: at least the reference's triangles, at most those of 0.2 % less."""
@@ -86,12 +87,10 @@ def test_what_it_ends_at_lies_between_the_references(device: Device, shape: tupl
             return {y << 32 | x for triangle in found for x, y in corners(triangle)}
 
         assert kept(tolerance) <= vertices_of(pool)
-        expected = plain.drawn(ground, stateless.refine(t.n, lambda i, s=spheres: s.priority(i) > tolerance), spheres)
+        expected = plain.sphere_mesh(ground, view, tolerance, exaggeration=2.0)
         found = plain.triangles_of(tree.tessellation({}))
         same += found == expected
-        finer = plain.drawn(
-            ground, stateless.refine(t.n, lambda i, s=spheres: s.priority(i) > 0.998 * tolerance), spheres
-        )  # fmt: skip
+        finer = plain.sphere_mesh(ground, view, 0.998 * tolerance, exaggeration=2.0)
         assert len(found) <= max(len(finer), len(expected)) * 1.01 + 2
     assert same >= 2
 

@@ -6,7 +6,6 @@ from orograph._numba import kernel
 from orograph.lod.criterion import EVERYWHERE, first_bits, judge, look_up
 from orograph.lod.pages import BEYOND
 
-
 LACKING = 3
 """Where a page is absent, beside what ``lod.criterion`` says."""
 

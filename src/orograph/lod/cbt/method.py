@@ -1,8 +1,8 @@
 """The method ``cbt``: a mesh that goes on from view to view by updates in which all triangles decide at once.
 
 On the CPU, ``select`` updates the pool (``pool``) until nothing changes; what it ends at is, with the sphere metrics,
-which are monotonic, the coarsest conforming mesh that keeps the tolerance, whatever was before: that of ``stateless`` with
-the same metric. On the GPU the tree lives there, one update a frame, and no one selects
+which are monotonic, the coarsest conforming mesh that keeps the tolerance, whatever was before: that of ``stateless``
+with the same metric. On the GPU the tree lives there, updated frame by frame, and no one selects
 (``rendering.gpu.surface.tree``): this is what its shaders are tested against.
 """
 

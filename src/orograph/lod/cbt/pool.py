@@ -1,20 +1,21 @@
-"""The pool of a concurrent binary tree: its triangles by slot, and the update that brings it nearer to what it should be.
+"""The pool of a concurrent binary tree: its triangles by slot, and the update that brings it nearer to its goal.
 
 Dupuy 2020 keeps a bisection as the bits of its leaves in a heap, whose size grows with the finest triangle there may be
 (``lod.reference.cbt``). Here, as in Benyoub & Dupuy 2024, *Concurrent Binary Trees for Large-Scale Game Components*, a
 triangle is a slot of a pool that knows its neighbours, and the heap's bits say which slots are in use: its i-th set bit
-is thread i's triangle, its i-th clear bit the slot for the i-th new one. The size is that of the mesh, not of the terrain.
+is thread i's triangle, its i-th clear bit the slot for the i-th new one. The size is that of the mesh, not of the
+terrain.
 
-An update, in which every triangle looks only at what was there before it and writes only to itself (``shaders/cbt.wgsl``
-does the same, a dispatch a line):
+An update, in which every triangle looks only at what was there before it and writes only to itself
+(``shaders/cbt.wgsl`` does the same, a dispatch a line):
 
 1. *judge*: is its diamond to be split? Is its parent's not?
 2. *mark*: one that is to be split walks across hypotenuses to the first pair of triangles that share theirs, and marks
    both, for they can be split. All on the way are *kept*: they are not merged.
 3. *plan*: a marked pair is given slots, if there are; the two or four triangles around a vertex are merged if all
    are leaves of one level, their diamond is not to be split, and none is kept.
-4. *apply*: halves of a triangle take its slot and the new one; of merged ones the left one's slot is the parent's. Who lies
-   across an edge follows from what is done to that neighbour.
+4. *apply*: halves of a triangle take its slot and the new one; of merged ones the left one's slot is the parent's. Who
+   lies across an edge follows from what is done to that neighbour.
 
 A mesh that conforms conforms afterwards: the two triangles of a diamond are split at once, all of its halves are merged
 at once, and neither asks anything of the neighbours that the other could change.

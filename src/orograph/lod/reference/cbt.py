@@ -6,10 +6,10 @@ are set and cleared one by one, in any order and by any number of threads. Their
 counts, tells how many leaves there are, and leads to the i-th one from the top in D steps, so that thread i has leaf i.
 
 Nodes are heap numbers: 1 the root, 2k and 2k + 1 the children of k. Node 1 stands for the square, 2 and 3 for its two
-right triangles (``orograph.hierarchy.triangles.node``), and D is 2n + 1. An update is as in the paper: one pass in which
-every leaf that is not accurate is split together with whatever must be for the mesh to conform, a reduction, one pass
-in which every diamond that is accurate is merged if its triangles are leaves, and a reduction again. Passes read the
-sums, which do not change meanwhile, and write bits: it makes no difference which leaf comes first.
+right triangles (``orograph.hierarchy.triangles.node``), and D is 2n + 1. An update is as in the paper: one pass in
+which every leaf that is not accurate is split together with whatever must be for the mesh to conform, a reduction, one
+pass in which every diamond that is accurate is merged if its triangles are leaves, and a reduction again. Passes read
+the sums, which do not change meanwhile, and write bits: it makes no difference which leaf comes first.
 
 With its sums a tree takes about 2^(D − 1) bytes: for 16,385² samples (D = 29) 256 MiB, for 65,537² (D = 33) 4 GiB. So
 ``orograph.lod.cbt`` keeps triangles in a pool, whose places in use are the bits (Benyoub & Dupuy 2024).
@@ -138,8 +138,8 @@ def planted(n: int) -> Cbt:
 def refine(n: int, inaccurate: Callable[[Vertex], bool], tree: Cbt | None = None) -> tuple[list[Triangle], int]:
     """The mesh that updates end at, and how many it took; ``tree``: of an earlier mesh, which is gone on from.
 
-    From two triangles it is the coarsest conforming mesh in which nothing is inaccurate; from another mesh it is, too, if
-    the criterion is monotonic, else a diamond may stay split because of what is inaccurate below it.
+    From two triangles it is the coarsest conforming mesh in which nothing is inaccurate; from another mesh it is, too,
+    if the criterion is monotonic, else a diamond may stay split because of what is inaccurate below it.
     """
     tree = planted(n) if tree is None else tree
     for count in range(1, 8 * n + 8):

@@ -1,10 +1,11 @@
 """Pages of diamonds on the GPU: what a tree that lives there asks of a vertex, in an atlas filled by threads.
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
-height, an error, the radius of its sphere, and whether its sample is missing (float32). Wanted are the pages of all tiles
-that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do not, and those of coarser
-levels there; and in view all that missing ground shares with ground, whose edge a tree follows to the sample. A picture
-that waits asks the tree itself, too (``take_asked``). The coarsest pages never leave. Pixels.
+height, an error, the radius of its sphere, and whether its sample is missing (float32). Wanted are the pages of all
+tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do not, and those
+of coarser levels there; and where ground and missing ground share a tile, whose edge a tree follows to the sample,
+those whose samples are larger than the tolerance. A picture that waits asks the tree itself, too (``take_asked``): then
+it follows such edges to the end. The coarsest pages never leave. Pixels.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ from orograph.viewpoint import View
 INFINITE = np.float32(3e38)
 """Metres: the error of a mixed diamond. Shaders may not rely on infinity."""
 
-EDGE = 1e9
-"""Pixels that the edge of missing ground counts for."""
+UNKNOWN = 1e6
+"""Pixels from which on an error may be of any size."""
 
 
 class DiamondPages:
@@ -68,7 +69,7 @@ class DiamondPages:
         rows, cols = shapes[top]
         self._load([(top, i, j) for i in range(rows) for j in range(cols)], pin=True)
 
-    def choose(self, view: View, patches: Patches, exaggeration: float) -> bool:
+    def choose(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> bool:
         """Have the pages of a view read, and bring those that were to the GPU; whether there were any.
 
         Args:
@@ -85,21 +86,21 @@ class DiamondPages:
             self.atlas.insert(key, data, self._frame - 1)
             count += 1
         self.atlas.flush()
-        keys, pixels = self._lacking_of(view, patches, exaggeration)
+        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration)
         self._lacking = keys[:ASK]
         self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
         return count > 0
 
-    def load(self, view: View, patches: Patches, exaggeration: float) -> None:
+    def load(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> None:
         """Bring the pages of a view to the GPU, as many as there is room for, and wait for it.
 
         Raises:
             StoreError, DamagedChunkError: a page cannot be read.
         """
         self._frame += 2  # (a picture may take the place of the one before)
-        keys, _ = self._lacking_of(view, patches, exaggeration)
+        keys, _ = self._lacking_of(view, patches, tolerance, exaggeration)
         self._load(keys[: self.atlas.room])
-        self._lacking_of(view, patches, exaggeration)
+        self._lacking_of(view, patches, tolerance, exaggeration)
         self._lacking = []
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
@@ -133,17 +134,21 @@ class DiamondPages:
         """Stop reading."""
         self._streamer.close()
 
-    def _lacking_of(self, view: View, patches: Patches, exaggeration: float) -> tuple[list[Key], list[float]]:
+    def _lacking_of(
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float
+    ) -> tuple[list[Key], list[float]]:  # fmt: skip
         """The pages that a view wants and that are not there, by the error that each takes away, largest first."""
-        pixels = self._wanted(view, patches, exaggeration)
+        pixels = self._wanted(view, patches, tolerance, exaggeration)
         which = np.flatnonzero(pixels)
         lack = which[self.atlas.lacking(which, self._frame)]
         order = np.argsort(-pixels[lack], kind="stable")
         found = pixels[lack][order]
-        self.bound = float(found[0]) if len(found) else 0.0
+        self.bound = 0.0 if not len(found) else float(found[0]) if found[0] < UNKNOWN else math.inf
         return self._keys(lack[order]), found.tolist()
 
-    def _wanted(self, view: View, patches: Patches, exaggeration: float) -> NDArray[np.float64]:
+    def _wanted(
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float
+    ) -> NDArray[np.float64]:  # fmt: skip
         """What each page of the table takes away, pixels; 0 where it is not wanted."""
         pixels, tables = np.zeros(self.tables.total), self.tables
         if view.projection != "plan":  # in which heights displace nothing
@@ -152,8 +157,8 @@ class DiamondPages:
             np.maximum.at(pixels, offsets[level] + row * cols[level] + col, np.maximum(patches.pixels, 1e-9))
         if self._edges is not None:
             tree, places = self._edges
-            which, _ = tree.of(view, exaggeration)
-            pixels[places[which]] = EDGE
+            which, samples = tree.of(view, exaggeration, pixels=tolerance)
+            np.maximum.at(pixels, places[which], samples)
         for k, (rows, cols) in enumerate(tables.shapes[:-1]):
             begin, above = tables.offsets[k], tables.offsets[k + 1]
             here = np.flatnonzero(pixels[begin : begin + rows * cols])
@@ -184,8 +189,8 @@ class DiamondPages:
 
 
 def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:
-    """The pages of all levels, coarsest first, too coarse wherever ground and missing ground share one; their places in
-    the table. None where nothing is missing."""
+    """The pages of all levels, coarsest first, too coarse where ground and missing ground share one and its samples are
+    too far apart; their places in the table. None where nothing is missing."""
     terrain, parts = vertices.terrain, list[tuple[Any, ...]]()
     if not any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
         return None
@@ -199,7 +204,8 @@ def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]]
         if level < vertices.top:
             parents = above + (i >> 1) * tables.shapes[level + 1][1] + (j >> 1)
         boxes = np.stack([a[at] for a in (box.west, box.east, box.north, box.south, box.low, box.high)], 1)
-        parts.append((boxes, parents, np.where(valid == 1, math.inf, 0.0)[at], tables.offsets[level] + i * cols + j))
+        apart = max(terrain.grid.spacing) * 2.0**level
+        parts.append((boxes, parents, np.where(valid == 1, apart, 0.0)[at], tables.offsets[level] + i * cols + j))
         above, begin = begin, begin + len(i)
     boxes, parents, sizes, places = (np.concatenate(some) for some in zip(*parts, strict=True))
     return Tree(terrain, boxes, parents.astype(np.int64), sizes), places.astype(np.int64)

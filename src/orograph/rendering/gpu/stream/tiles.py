@@ -38,7 +38,11 @@ MISSING = 1_000_000
 ground beside them, so that the triangles there, which are not drawn, are no larger than others."""
 
 SIDES = {"heights": TILE + 1, "slopes": TILE + 2, "diamonds": TILE + 1}
-_FORMATS: dict[str, tuple[str, int]] = {"heights": ("r32float", 4), "slopes": ("rg16float", 4), "diamonds": ("rgba32float", 16)}
+_FORMATS: dict[str, tuple[str, int]] = {
+    "heights": ("r32float", 4),
+    "slopes": ("rg16float", 4),
+    "diamonds": ("rgba32float", 16),
+}
 
 
 @kernel

@@ -2,8 +2,8 @@
 
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
-that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing is
-selected, its tree is updated and drawn (``growing``, ``tree``). All that comes after (light, lines, voids) reads the
+that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
+is selected, its tree is updated and drawn (``growing``, ``tree``). All that comes after (light, lines, voids) reads the
 targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
@@ -95,7 +95,7 @@ class Ground:
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
         tiles: of the terrain. stored_slopes, levels: of ``shade.resources.Resources``.
-        most: bytes of the windows that rays are cast at, and of a tree's pages. jobs: threads.
+        most: bytes of the windows that rays are cast at; twice as many hold a tree's pages. jobs: threads.
 
     Attributes:
         surfaces: what draws a selection, by its type.
@@ -118,7 +118,7 @@ class Ground:
             CastWindows: RayPass(device, camera),
             TreeFrame: TreePass(device, camera, field, absent, terrain.n),
         }
-        self._growing = Growing(device, terrain, most, jobs)
+        self._growing = Growing(device, terrain, 2 * most, jobs)
         self._selected = Selected(terrain, {RayWindows: Windows(device, terrain, most, jobs).ready})
         self._drawn: Drawn | None = None
 

@@ -2,8 +2,8 @@
 
 A tree is planted in a thread, for what it needs of a store may have to be made; until then patches stand in. After that
 every frame brings pages that came and has the tree updated, until nothing has changed for so many updates that it must
-have come to rest. A picture that waits has the tree itself tell which pages it looked for in vain, and goes on until there
-are none and nothing changes.
+have come to rest. A picture that waits has the tree itself tell which pages it looked for in vain, and goes on until
+there are none and nothing changes.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Growing:
             self._planted = self._plant(choice)
         there, (tolerance, exaggeration) = self._planted, _goal(scene)
         moved = there.pages.moved
-        there.pages.load(view, patches, exaggeration)
+        there.pages.load(view, patches, tolerance, exaggeration)
         there.tree.take_asked()
         before, bound = -1, max(tolerance, there.pages.bound)
         while True:  # (as long as triangles change or pages come, of which there is an end)
@@ -155,7 +155,7 @@ class Growing:
         there, asked = self._planted, (view, *_goal(scene))
         _, tolerance, exaggeration = asked
         moved = there.pages.moved
-        if there.pages.choose(view, patches, exaggeration) or asked != self._asked:
+        if there.pages.choose(view, patches, tolerance, exaggeration) or asked != self._asked:
             self._asked, self._left = asked, self.settling
         self.came = there.pages.moved - moved
         if self._left > 0:

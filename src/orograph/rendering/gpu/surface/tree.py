@@ -1,9 +1,10 @@
-"""A concurrent binary tree that lives on the GPU (``lod.cbt``): it is updated by dispatches and drawn by one indirect draw.
+"""A concurrent binary tree that lives on the GPU (``lod.cbt``): updated by dispatches, drawn by one indirect draw.
 
-The pool of triangles, the bits of its slots in use, and their sums are buffers that nothing on the CPU looks at. A frame
-judges all triangles for its camera, then updates the tree some times: *mark*, *plan*, *apply*, two dispatches of the sum
-reduction, and *judge* again (``shaders/cbt.wgsl``), 1 + 6 · updates dispatches, of which all but those of the sums get
-their size from the GPU, as does the draw. What is drawn is read back where somebody asks for it (``Tree.pool``).
+The pool of triangles, the bits of its slots in use, and their sums are buffers that nothing on the CPU looks at. A
+frame judges all triangles for its camera, then updates the tree some times: *mark*, *plan*, *apply*, two dispatches of
+the sum reduction, and *judge* again (``shaders/cbt.wgsl``), 1 + 6 · updates dispatches, of which all but those of the
+sums get their size from the GPU, as does the draw. What is drawn is read back where somebody asks for it
+(``Tree.pool``).
 
 Memory: 96 bytes a slot for the triangles before and after an update, 8 for lists and marks, and 3/8 for bits and sums.
 Whatever is computed from positions, in float32, counts a little worse than it is, so that the promise holds.
@@ -68,8 +69,8 @@ class Counts:
     """What a tree says of itself when it is asked.
 
     Attributes:
-        triangles: in the pool. wanted: slots that the last update asked for. changes: triangles that were split or merged
-            so far.
+        triangles: in the pool. wanted: slots that the last update asked for. changes: triangles that were split or
+            merged so far.
     """
 
     triangles: int
@@ -127,7 +128,9 @@ class Tree:
         self.bits = made(bits, "STORAGE|COPY_SRC", "bits")
         self.sums = made(8 * words, "STORAGE|COPY_SRC", "sums")
         self.arguments = made(32, "STORAGE|INDIRECT", "counts")
-        self.asked = made(np.zeros(-(-pages.atlas.tables.total // 32), np.uint32), "STORAGE|COPY_SRC", "pages asked for")
+        self.asked = made(
+            np.zeros(-(-pages.atlas.tables.total // 32), np.uint32), "STORAGE|COPY_SRC", "pages asked for"
+        )
         self.bytes = 2 * nodes.nbytes + 8 * self.slots + 12 * words
         self._camera = made(CAMERA.itemsize, "UNIFORM", "camera of a tree")
         self._tuning = made(TUNING.itemsize, "UNIFORM", "tuning of a tree")
