@@ -159,10 +159,10 @@ class DiamondPages:
             tree, places = self._edges
             which, samples = tree.of(view, exaggeration, pixels=tolerance)
             np.maximum.at(pixels, places[which], samples)
-        for k, (rows, cols) in enumerate(tables.shapes[:-1]):
+        for k, (down, across) in enumerate(tables.shapes[:-1]):
             begin, above = tables.offsets[k], tables.offsets[k + 1]
-            here = np.flatnonzero(pixels[begin : begin + rows * cols])
-            up = above + (here // cols >> 1) * tables.shapes[k + 1][1] + (here % cols >> 1)
+            here = np.flatnonzero(pixels[begin : begin + down * across])
+            up = above + (here // across >> 1) * tables.shapes[k + 1][1] + (here % across >> 1)
             np.maximum.at(pixels, up, pixels[begin + here])
         return pixels
 
