@@ -20,6 +20,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.products import Names
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class MaxError(click.ParamType[str | float]):
             self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)
 
 
-@click.command("build", short_help="Build a terrain store from DEM files.")
+@click.command("build", cls=Verb, short_help="Build a terrain store from DEM files.")
 @click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
 @area_options
@@ -111,11 +112,11 @@ class MaxError(click.ParamType[str | float]):
 )
 @click.option(
     "--codec",
-    type=click.Choice(["portable", "compact"]),
+    type=click.Choice(["portable", "compact", "smallest"]),
     default="portable",
     show_default=True,
-    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, "
-    "0.2 to 0.7 of the size, is read by Orograph (and zarr-python beside it).",
+    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 of "
+    "the size, and smallest, smaller still and slower, are read by Orograph (and zarr-python beside it).",
 )
 @click.option(
     "--max-error",

@@ -25,11 +25,14 @@ from orograph.cli.measuring import (
 )
 from orograph.cli.options import FILE, Float, progress_of
 from orograph.cli.scenes import scene_option
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 
 class Measures(click.Group):
     """The measures, in the order of their use, and what to say where one is not found."""
+
+    command_class = Verb
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)

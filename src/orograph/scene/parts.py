@@ -126,7 +126,7 @@ class Lighting:
             nearest, farthest = _ends(self.depths)
             if not 0 <= nearest <= farthest:
                 raise UsageError(
-                    f"The `depths` are those of the nearest and the farthest ground, metres, not {self.depths!r}."
+                    f"The depths are those of the nearest and the farthest ground, metres, not {self.depths!r}."
                 )
 
 

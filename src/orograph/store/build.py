@@ -129,8 +129,8 @@ def build(
             from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
-        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, or "compact"
-            (docs/codec.md), smaller.
+        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
+            (docs/codec.md), smaller, or "smallest", which is decoded slower.
         max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
             twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
             feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.

@@ -68,6 +68,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "tree": {"method": "cbt", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
+    "both": {"method": "hybrid,shares=turns,block=32", "normals": "faces"},
 }
 
 

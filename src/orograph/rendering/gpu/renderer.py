@@ -309,14 +309,15 @@ class Renderer(Reading):
     def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
         """What a frame took: seconds of Python until it was handed over, and after that."""
         patches, mesh, rays = chosen.ground.patches, chosen.ground.mesh, chosen.ground.rays
-        there, triangles, bound = len(patches.instances), patches.stats["triangles"], patches.stats["pixels"]
+        there, bound = chosen.ground.drawn, patches.stats["pixels"]
+        triangles = there * self.method.legs**2
         if mesh is not None:
-            there, triangles, bound = 0, len(mesh.triangles), scene.surface.tolerance or 1.0
+            triangles, bound = len(mesh.triangles), scene.surface.tolerance or 1.0
         elif rays is not None:
-            there, triangles, bound = 0, 0, rays.bound
+            bound = max(rays.bound, bound) if there else rays.bound
         elif chosen.ground.tree is not None:
             counts, bound = self._ground.growing.counts, chosen.ground.tree.reached
-            there, triangles = 0, triangles if counts is None else counts.triangles
+            triangles = patches.stats["triangles"] if counts is None else counts.triangles
         return FrameStats(
             there, triangles, bound,
             chosen.ground.streamed.seconds * 1e3, (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,

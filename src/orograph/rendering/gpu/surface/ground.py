@@ -18,13 +18,14 @@ from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.lod.registry import Choice
-from orograph.lod.selection import RayWindows, Selection, TriangleMesh
+from orograph.lod.selection import PatchesAndRays, RayWindows, Selection, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
+from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
 from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
@@ -53,7 +54,7 @@ class Drawn:
     """
 
     streamed: Chosen
-    selection: Patches | Selection
+    selection: Patches | Selection | Mixed
 
     @property
     def patches(self) -> Patches:
@@ -70,6 +71,8 @@ class Drawn:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
         if isinstance(self.selection, TreeFrame):
             return self.selection.tree
+        if isinstance(self.selection, Mixed):
+            return self.selection.rays
         mesh = self.mesh
         return self.rays if mesh is None else mesh
 
@@ -84,8 +87,17 @@ class Drawn:
         return self.selection if isinstance(self.selection, TreeFrame) else None
 
     @property
+    def drawn(self) -> int:
+        """How many of the patches are drawn."""
+        if isinstance(self.selection, Mixed):
+            return len(self.selection.instances)
+        return len(self.patches.instances) if isinstance(self.selection, Patches) else 0
+
+    @property
     def rays(self) -> CastWindows | None:
-        """The windows that rays are cast at; None: triangles are drawn."""
+        """The windows that rays are cast at; None: they are not."""
+        if isinstance(self.selection, Mixed):
+            return None if self.selection.rays is None else self.selection.cast.windows
         return self.selection if isinstance(self.selection, CastWindows) else None
 
 
@@ -111,15 +123,21 @@ class Ground:
             device, camera, heights.texture, stored_slopes, patch_vertices(legs), patch_indices(legs),
             INSTANCE.itemsize, absent,
         )  # fmt: skip
+        rays = RayPass(device, camera)
+        mixed = MixedPass(device, self._patches, rays)
         field = heights.texture.create_view(dimension="2d-array"), heights.page_buffer, levels
         self.surfaces: Mapping[type, Surface] = {
             Patches: self._patches,
             TriangleMesh: MeshPass(device, camera, field, absent),
-            CastWindows: RayPass(device, camera),
+            CastWindows: rays,
+            Mixed: mixed,
             TreeFrame: TreePass(device, camera, field, absent, terrain.n),
         }
+        windows = Windows(device, terrain, most, jobs)
+        self._mixer = Mixer(device, terrain, camera, legs, mixed)
+        own: dict[type, Any] = {RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready}
+        self._selected = Selected(terrain, own)
         self._growing = Growing(device, terrain, 2 * most, jobs)
-        self._selected = Selected(terrain, {RayWindows: Windows(device, terrain, most, jobs).ready})
         self._drawn: Drawn | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
@@ -137,18 +155,28 @@ class Ground:
             freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True
         )
         alive, camera = None if streamed(scene) else _living(scene), freeze or surface.mesh_view or view
-        if alive is not None:
-            self._selected.none()
-            (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive, chosen.patches)
-        elif streamed(scene):
-            self._selected.none()
+        if alive is None:
             self._growing.none()
         else:
-            self._growing.none()
+            (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive, chosen.patches)
+        if alive is not None or streamed(scene):
+            self._selected.none()
+        elif wait or not self._mixes or self._mixer.look():
             have = self._selected.at_once if wait else self._selected.aside
             have(scene, camera, _of_rays(scene, tolerance))
-        self._drawn = Drawn(chosen, self._growing.selection or self._selected.selection or chosen.patches)
+        found: Any = self._growing.selection or self._selected.selection or chosen.patches
+        if isinstance(found, MixableWindows):
+            found = self._mixer.mixed(
+                chosen.patches, found, view, surface.exaggeration, _of_rays(scene, tolerance), wait=wait
+            )
+        else:
+            self._mixer.forget()
+        self._drawn = Drawn(chosen, found)
         return self._drawn
+
+    @property
+    def _mixes(self) -> bool:
+        return isinstance(self._selected.selection, MixableWindows)
 
     def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
         """Clear the targets and draw the ground."""
