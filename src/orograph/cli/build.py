@@ -16,6 +16,7 @@ from orograph.cli.options import (
     cluster_options,
     jobs_option,
     memory_option,
+    points_options,
     progress_of,
     source_options,
     vertical_options,
@@ -67,7 +68,7 @@ class MaxError(click.ParamType[str | float]):
             self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)
 
 
-@click.command("build", cls=Verb, short_help="Build a terrain store from DEM files.")
+@click.command("build", cls=Verb, short_help="Build a terrain store from DEM files, or from points.")
 @click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
 @area_options
@@ -127,6 +128,7 @@ class MaxError(click.ParamType[str | float]):
     help="How far heights may be from the files', in metres; auto: in the data's own steps; lossless: as float32.",
 )
 @source_options
+@points_options
 @vertical_options
 @memory_option
 @jobs_option
@@ -184,6 +186,10 @@ def command(
     from the grid, the height of a place comes from the samples. The store is a Zarr v3
     hierarchy that other tools read as well.
 
+    A file of points (CSV with x, y, z or longitude, latitude, height; LAS, LAZ; GeoPackage, GeoJSON and what else OGR
+    reads) is gridded by linear interpolation over its Delaunay triangulation, and the points are kept: --resolution is
+    how far samples are apart (by default as far as the points are on average), --max-edge leaves long triangles out.
+
     A build that is interrupted (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the
     same bytes. Nothing that is incomplete opens as a store.
 
@@ -200,6 +206,7 @@ def command(
       orograph build tiles/*.tif -o area.oro --part 3/64
       orograph build tiles/*.tif -o area.oro --finish
       orograph build tiles/*.tif -o area.oro --workers 4 --jobs 1 --max-memory 4GiB
+      orograph build points.laz -o area.oro --resolution 1 --max-edge 50
       orograph build -o area.oro --repair
     """
     if repair:

@@ -274,6 +274,7 @@ def _fill(
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
+    from orograph.store.points import put_points
     from orograph.store.pyramid import Finest, Pyramid
     from orograph.store.resampling import look_back
 
@@ -307,6 +308,8 @@ def _fill(
         digests=writer.digests,
         coding=coding,
     )
+    if (surface := getattr(raster, "surface", None)) is not None:
+        record = put_points(record, surface, writer)
     for make in MAKERS.values():
         record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins"), plan.get("chunked")))
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
