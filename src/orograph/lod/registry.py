@@ -32,10 +32,12 @@ METHODS: dict[str, str | type[Method]] = {
     "stateless": "orograph.lod.stateless:Stateless",
     "soar": "orograph.lod.soar:Soar",
     "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
+    "smart": "orograph.lod.smart:Smart",
     "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
     "cdlod": "orograph.lod.cdlod:Cdlod",
     "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
+    "cbt": "orograph.lod.cbt:Cbt",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }
 """Name to MODULE:CLASS, or to the class."""

@@ -21,7 +21,7 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shape_kernels import crossed, fill, stroke
 from orograph.geovis.data.shape_painting import shown_shapes
 from orograph.geovis.data.shapes import cut_line, cut_ring, read_shapes
-from orograph.geovis.data.wkb import parse
+from orograph.geo.wkb import parse
 
 UTM = "EPSG:32630"
 PLACE = Affine(100, 0, 500_000, 0, -100, 5_600_000)
