@@ -283,8 +283,8 @@ fn cast_at(w: i32, way: Way, begin: f32, t1: f32, before: i32) -> Found {
   return Found(NEVER, side, w, cell);
 }
 
-// The first hit of a ray on [near, far].
-fn first_hit(way: Way, near: f32, far: f32) -> Found {
+// The first hit of a ray on [near, far]; free: it has come to near above all ground.
+fn first_hit(way: Way, near: f32, far: f32, free: bool) -> Found {
   var found = Found(NEVER, 0, 0, vec2<i32>(0));
   // The slab of all heights, opened by what float32 may be off there.
   let low = above(stack.low);
@@ -299,6 +299,8 @@ fn first_hit(way: Way, near: f32, far: f32) -> Found {
   }
   if (slab.x > near) {   // from above all heights, or from below them
     found.side = select(-1, 1, way.v.z < 0.0);
+  } else if (free) {
+    found.side = 1;
   }
   var inside = slab;
   var inner = 0;
