@@ -1,4 +1,4 @@
-"""``orograph measure … slope``, ``contours`` and ``flood``, and viewsheds of uncertain heights: what is probable."""
+"""``orograph measure slope``, ``contours`` and ``flood``, and viewsheds of uncertain heights: what is probable."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import click
 
 from orograph.cli.camera import CAMERA, camera_options, check_camera
 from orograph.cli.files import check_ending
-from orograph.cli.measuring import POINTS, Point, on_terrain, opened, points_option, tell, without
+from orograph.cli.measuring import POINTS, Point, of_terrain, on_terrain, opened, points_option, tell, without
 from orograph.cli.options import FILE, F, Float, progress_of, with_options
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -117,7 +118,10 @@ def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]
     return [*rows, ("draws", f"{found.draws:,}" if found.draws else "–", ""), ("sampling error", sampled, "")]
 
 
-@click.command("slope", context_settings=POINTS, short_help="Slopes of uncertain heights: mean, spread, exceedance.")
+@click.command(
+    "slope", cls=Verb, context_settings=POINTS, short_help="Slopes of uncertain heights: mean, spread, exceedance."
+)
+@of_terrain
 @error_options
 @click.option("--exceeds", type=Float(), multiple=True, metavar="DEG",
               help="Also how probable it is that the slope is more; may be given several times.")  # fmt: skip
@@ -141,7 +145,10 @@ def slope(
     _told(ctx, terrain, found, output, picture, camera, as_json)
 
 
-@click.command("contours", context_settings=POINTS, short_help="How probable a contour line is, cell by cell.")
+@click.command(
+    "contours", cls=Verb, context_settings=POINTS, short_help="How probable a contour line is, cell by cell."
+)
+@of_terrain
 @error_options
 @click.option("--level", "levels", type=Float(), multiple=True, metavar="M",
               help="Height of a line; may be given several times.")  # fmt: skip
@@ -169,7 +176,10 @@ def contours(
     _told(ctx, terrain, found, output, picture, camera, as_json)
 
 
-@click.command("flood", context_settings=POINTS, short_help="What lies below a water level, joined to a source.")
+@click.command(
+    "flood", cls=Verb, context_settings=POINTS, short_help="What lies below a water level, joined to a source."
+)
+@of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="[SOURCE]...")
 @click.option("--level", type=Float(), required=True, metavar="M", help="Of the water, in the terrain's heights.")
 @error_options
@@ -200,7 +210,7 @@ def viewshed(
     ctx: click.Context, terrain: Terrain, place: Any, error: HeightError, draws: int, seed: int, output: str | None,
     picture: str | None, camera: dict[str, Any], as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """How probable it is that ground is seen (``orograph measure … viewshed --sigma``)."""
+    """How probable it is that ground is seen (``orograph measure viewshed … --sigma``)."""
     from orograph import measuring
 
     found = measuring.probable_viewshed(terrain, place, error, draws=draws, seed=seed, **options, **_means(ctx))

@@ -31,8 +31,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.folders import scratch
 from orograph.geo.grid import Grid
-from orograph.lighting.raster import Band, rectangles, scratch, write
+from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places
 from orograph.measuring.sight import LEAST, REFRACTION, bend_of, check_heights

@@ -64,7 +64,10 @@ def read_span(text: str) -> tuple[float, float]:
     Raises:
         ValueError: the text is not that.
     """
-    low, high = numbers(text.replace(":", ","), "LOW:HIGH".replace(":", ","))
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise ValueError(f"{text!r} is not LOW:HIGH, two numbers with a colon between.") from None
     return low, high
 
 
@@ -236,21 +239,21 @@ def priority(value: Priority | str | None, terrain: Terrain) -> Priority | None:
     """Takes such a text."""
     from orograph.geovis.data.priority import Priority
 
-    return Priority.parse(value) if isinstance(value, str) else value
+    return _parsed(Priority, value)
 
 
 def focus(value: Focus | str | None, terrain: Terrain) -> Focus | None:
     """Takes such a text, or an `orograph.Focus`."""
     from orograph.geovis.data.focus import Focus
 
-    return Focus.parse(value) if isinstance(value, str) else value
+    return _parsed(Focus, value)
 
 
 def flight(value: Flight | str | None, terrain: Terrain) -> Flight | None:
     """Takes such a text, or a `Flight`."""
     from orograph.scene.flying import Flight
 
-    return Flight.parse(value) if isinstance(value, str) else value
+    return _parsed(Flight, value)
 
 
 def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
@@ -262,16 +265,29 @@ def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
     return tuple(one if isinstance(one, Ghost) else Ghost(one) for one in several)
 
 
+def _parsed(kind: Any, value: Any) -> Any:
+    """A value of a kind, or the text of one."""
+    if value is None or isinstance(value, kind):
+        return value
+    if not isinstance(value, str):
+        raise TypeError(f"it is a text, or a {kind.__name__}")
+    return kind.parse(value)
+
+
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
     """None: there is none."""
-    return None if value == "none" else value
+    return value if value is None or value == "auto" else float(value)
 
 
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:
-    """Takes metres from line to line, or a `Contours`: without an interval it finds one itself."""
+    """Takes "auto", metres from line to line, or a `Contours`, which without an interval finds one itself."""
     return value if value is None or isinstance(value, Contours) else Contours(float(value))
 
 
 def silhouettes(value: Silhouettes | bool | None, terrain: Terrain) -> Silhouettes | None:
     """Takes True, or a `Silhouettes`."""
-    return Silhouettes() if value is True else value or None
+    if value is None or isinstance(value, Silhouettes):
+        return value
+    if not isinstance(value, bool):
+        raise TypeError("it is True, False or a Silhouettes")
+    return Silhouettes() if value else None

@@ -11,7 +11,18 @@ import numpy as np
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.keys import Legend
 from orograph.geovis.layers import attributed, drawn
-from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, Theme, by_part
+from orograph.scene.parts import (
+    HOMES,
+    PARTS,
+    Annotations,
+    Budget,
+    Data,
+    Lighting,
+    Surface,
+    Theme,
+    by_part,
+    made_of,
+)
 from orograph.scene.theming import themed
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.viewpoint import View
@@ -152,6 +163,18 @@ class Scene:
             parts["variants"] = tuple(one.but(terrain, view, common) for one in self.variants)
         return replace(self, **parts)
 
+    def told(self) -> dict[str, Any]:
+        """What a picture of it looks like, in short: its options, view and terrain, for JSON with ``default=str``."""
+        left_out = ("sun", "jobs", "max_memory", "mesh_view")
+        said = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}
+        said["layers"] = [layer for layer in said["layers"] if layer.key is None]  # (data are told by themselves)
+        sun, mesh_view, grid = self.lighting.sun, self.surface.mesh_view, self.terrain.grid
+        return {
+            "scene": said, "sun": [sun.azimuth, sun.altitude, sun.diameter], "view": self.view.to_dict(),
+            "terrain": [self.terrain.name, grid.shape, list(grid.transform)[:6], self.terrain.height_range],
+            "mesh_view": None if mesh_view is None else mesh_view.to_dict(),
+        }  # fmt: skip
+
     @property
     def attribution(self) -> tuple[str, ...]:
         """Whom the makers of its heights and layers want to be named."""
@@ -200,9 +223,6 @@ def beyond(own: tuple[Legend, ...], key: Legend, name: str) -> Legend | None:
 def _sorted(options: Mapping[str, Any], terrain: Terrain) -> dict[str, dict[str, Any]]:
     """Options by the part that they belong to, each made what it is over a terrain."""
     return {
-        part: {
-            name: value if (made := OPTIONS[name].given) is None else made(value, terrain)
-            for name, value in own.items()
-        }
+        part: {name: made_of(name, value, terrain) for name, value in own.items()}
         for part, own in by_part(options).items()
     }

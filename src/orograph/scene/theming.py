@@ -13,6 +13,7 @@ import numpy as np
 
 from orograph.errors import UsageError
 from orograph.scene.contours import Contours
+from orograph.scene.parts import made_of
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
@@ -54,18 +55,17 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
     from orograph.geovis.data.bivariate import pairs
-    from orograph.geovis.data.dataset import datasets_of
     from orograph.geovis.data.painting import painted
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import layers_of
 
     made = dict(options)
-    data = datasets_of(options.get("data"))
-    given = options.get("priority")
+    data = made_of("data", options.get("data"), terrain)
+    given = made_of("priority", options.get("priority"), terrain)
     if not data and given is None:
         return Themed(made)
-    priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
+    priority = given or Priority(data=True)
     found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
     standing = [one for one in found if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]

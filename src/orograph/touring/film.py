@@ -24,7 +24,6 @@ from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
 from orograph.scene.contours import Contours
 from orograph.scene.flying import Flown
-from orograph.scene.parts import HOMES
 from orograph.scene.scene import Scene, Variant
 from orograph.touring.course import Course, Grading
 from orograph.touring.tour import Tour
@@ -49,7 +48,7 @@ class Film:
         progress: hears of what is prepared.
 
     Attributes:
-        numbers: of the frames that are wanted, from 0 at the tour's beginning.
+        numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene.
 
     Raises:
         UsageError: the part has no frame. NothingInViewError: the tour never shows the terrain.
@@ -60,7 +59,7 @@ class Film:
         first: float | None = None, last: float | None = None, progress: Progress = SILENT,
     ) -> None:  # fmt: skip
         self.tour = replace(tour.resized(scene.view.width, scene.view.height), fps=tour.fps if fps is None else fps)
-        self.base, self.draw = scene, session() if draw is None else draw
+        self.base, self.given, self.draw = scene, scene, session() if draw is None else draw
         count = len(self.tour)
         begin = 0 if first is None else round(first * self.tour.fps)
         end = count if last is None else round(last * self.tour.fps)
@@ -111,17 +110,7 @@ class Film:
 
     def fingerprint(self) -> str:
         """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
-        left_out = ("sun", "jobs", "max_memory", "mesh_view")
-        scene = {name: getattr(getattr(self.base, part), name) for name, part in HOMES.items() if name not in left_out}
-        scene["layers"] = [layer for layer in scene["layers"] if layer.key is None]  # (data are told by themselves)
-        sun, mesh_view = self.base.lighting.sun, self.base.surface.mesh_view
-        grid = self.base.terrain.grid
-        told = {
-            "tour": self.tour.to_dict(), "scene": scene, "sun": [sun.azimuth, sun.altitude, sun.diameter],
-            "view": self.base.view.to_dict(), "terrain": [self.base.terrain.name, grid.shape, list(grid.transform)[:6],
-                                                          self.base.terrain.height_range],
-            "mesh_view": None if mesh_view is None else mesh_view.to_dict(),
-        }  # fmt: skip
+        told = {"tour": self.tour.to_dict(), **self.base.told()}
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
     def _lines(self, contours: Contours) -> Contours:

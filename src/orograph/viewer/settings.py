@@ -262,9 +262,10 @@ class Settings:
         return []
 
     @property
-    def streams(self) -> bool:
-        """Whether patches are drawn that the renderer streams, instead of a mesh."""
-        return mesh_choice(self.method, "gpu") is None
+    def leveled(self) -> bool:
+        """Whether what is drawn has levels: patches that the renderer streams, or windows of rays."""
+        choice = mesh_choice(self.method, "gpu")
+        return choice is None or choice.info.kind == "rays"
 
     @property
     def stack(self) -> tuple[Layer, ...]:
@@ -276,7 +277,7 @@ class Settings:
         from orograph.rendering.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels and self.streams, occlusion=self.occlusion, normals=self.normals,
+            self.wireframe, self.levels and self.leveled, occlusion=self.occlusion, normals=self.normals,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

@@ -349,7 +349,10 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
         given = replace(given, source=given.source[given.variable])
     if xarray is not None and isinstance(given.source, xarray.DataArray):
         return _of_dataarray(given, grid)
-    raw = np.ma.filled(np.ma.asarray(given.source).astype(np.float32), np.nan)
+    array = np.ma.asarray(given.source)
+    if array.dtype.kind not in "biuf":
+        raise UsageError(f"Data are real numbers, not {array.dtype}.")
+    raw = np.ma.filled(array.astype(np.float32), np.nan)
     if raw.ndim == 2:
         raw = raw[None]
     if raw.ndim != 3:
