@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
 from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
@@ -265,7 +265,17 @@ def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
     return tuple(one if isinstance(one, Ghost) else Ghost(one) for one in several)
 
 
-def _parsed(kind: Any, value: Any) -> Any:
+class Parsed(Protocol):
+    """What is made of a text."""
+
+    @classmethod
+    def parse(cls, text: str) -> Self: ...
+
+
+P = TypeVar("P", bound=Parsed)
+
+
+def _parsed(kind: type[P], value: Any) -> P | None:
     """A value of a kind, or the text of one."""
     if value is None or isinstance(value, kind):
         return value
