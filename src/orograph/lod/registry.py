@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # the command line lists names before anything is loaded
 METHODS: dict[str, str | type[Method]] = {
     "raycast": "orograph.lod.raycast:RayCast",
     "triangle-patches": "orograph.lod.triangle_patches:TrianglePatches",
+    "hybrid": "orograph.lod.hybrid:Hybrid",
     "top-down": "orograph.lod.top_down:TopDown",
     "roam": "orograph.lod.roam:Roam",
     "threshold-spheres": "orograph.lod.threshold_spheres:ThresholdSpheres",
@@ -36,6 +37,7 @@ METHODS: dict[str, str | type[Method]] = {
     "cdlod": "orograph.lod.cdlod:Cdlod",
     "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
+    "cbt": "orograph.lod.cbt:Cbt",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }
 """Name to MODULE:CLASS, or to the class."""

@@ -129,8 +129,8 @@ def build(
             which are stored, too.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
-        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, or "compact"
-            (docs/codec.md), smaller.
+        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
+            (docs/codec.md), smaller, or "smallest", which is decoded slower.
         max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
             twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
             feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
@@ -274,6 +274,7 @@ def _fill(
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
+    from orograph.store.points import put_points
     from orograph.store.pyramid import Finest, Pyramid
     from orograph.store.resampling import look_back
 
@@ -307,6 +308,8 @@ def _fill(
         digests=writer.digests,
         coding=coding,
     )
+    if (surface := getattr(raster, "surface", None)) is not None:
+        record = put_points(record, surface, writer)
     for make in MAKERS.values():
         record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins"), plan.get("chunked")))
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):

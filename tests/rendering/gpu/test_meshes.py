@@ -65,6 +65,7 @@ def views() -> dict[str, View]:
         "chunked-lod,cells=16",
         "bdam",
         "clipmap,n=63",
+        "cbt",
     ],
 )
 def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:
