@@ -3,23 +3,34 @@
 A tile in view is drawn at a level whose stored error, projected, keeps the tolerance, and windows nest
 (``raycast.select``); rays are marched through maximum mipmaps (``raycast.traverse``; Tevs, Ihrke & Seidel 2008, §3).
 From straight above no height moves anything, but it has a colour: a plan's samples are as large as the tolerance.
-Pixels, samples.
+Between samples a cell is both its triangles, or on the GPU, where that keeps the tolerance, what is bilinear or
+constant (Dick, Krüger & Westermann 2009). Pixels, samples.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Ready
-from orograph.lod.selection import RayWindows
+from orograph.lod.options import check, option
+from orograph.lod.selection import LEVELS_SHARE, RaySurface, RayWindows
 from orograph.raycast.select import rectangles
 from orograph.viewpoint import Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RayCastOptions:
-    """It has none."""
+    """Options of ``raycast``."""
+
+    surface: str = option(
+        "exact", "What rays meet between samples where that keeps the tolerance, else both triangles; on the GPU.",
+        choices=("exact", "bilinear", "constant"),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 class RayCast(Method):
@@ -38,11 +49,17 @@ class RayCast(Method):
         assert tolerance is not None
         began = time.perf_counter()
         by = "spacing" if camera.view.projection == "plan" else "error"
-        windows = rectangles(self.terrain, camera.view, camera.exaggeration, tolerance, by=by)
+        surface: RaySurface = self.options.surface
+        pixels = tolerance if surface == "exact" or by == "spacing" else LEVELS_SHARE * tolerance
+        windows = rectangles(self.terrain, camera.view, camera.exaggeration, pixels, by=by)
         took = time.perf_counter() - began
-        stats = {
+        stats: dict[str, Any] = {
             "method": self.info.name, "tolerance": float(tolerance), "conservative": True,
             "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), "windows": len(windows),
             "samples": windows.samples,
         }  # fmt: skip
-        return RayWindows(method=self.info.name, bound=float(tolerance), stats=stats, windows=windows)
+        if surface != "exact":
+            stats["surface"] = surface
+        return RayWindows(
+            method=self.info.name, bound=float(tolerance), stats=stats, windows=windows, surface=surface
+        )  # fmt: skip

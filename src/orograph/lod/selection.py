@@ -183,15 +183,23 @@ class ClipRings(Selection):
         return made
 
 
+RaySurface = Literal["exact", "bilinear", "constant"]
+"""What lies between samples: both triangles of a cell; what is bilinear; the middle height of a cell, or of many."""
+
+LEVELS_SHARE = 0.5
+"""Of the bound, what the levels of windows may take where the surface is not the exact one; it has the rest."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RayWindows(Selection):
     """Nested windows of levels at which rays are cast; it makes no triangles.
 
     Attributes:
-        windows: outermost first.
+        windows: outermost first. surface: what rays meet between their samples, where that keeps the bound.
     """
 
     windows: ClipStack
+    surface: RaySurface = "exact"
 
     def tessellation(self) -> Tessellation:
         raise UsageError(

@@ -39,10 +39,10 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
     choice = chosen(method, backend)
     own = choice.info.name == AUTO[backend]
     if choice.info.kind == "rays" and backend == "cpu":
-        if own:
+        if own and choice.options == choice.info.options():
             return None
         raise UsageError(
-            f"{choice.info.name} cannot be drawn so: the rays of {AUTO['cpu']} alone are drawn by the CPU.",
+            f"{choice} cannot be drawn so: the CPU draws the rays of {AUTO['cpu']} alone, at the exact surface.",
             remedy='Draw it by the GPU (`backend="gpu"`), or choose another.',
         )
     if own and backend == "gpu" and triangles is None:

@@ -6,8 +6,8 @@ Before each of these the method is taken far away and looks the other way, so th
 has to come back from little. A *flight* is taken frame by frame, and the clock runs for each: what a method saves from
 frame to frame, it saves here. Tiles are counted from the method's making.
 
-A mesh is judged by its triangles (``judge_mesh``). A selection that makes none, for rays, is drawn by the CPU and
-judged by the depth of its picture (``judge_depth``); of one that has patches, too, both are judged.
+A mesh is judged by its triangles (``judge_mesh``). A selection that makes none, for rays, is drawn (by the CPU, if it
+can) and judged by the depth of its picture (``judge_depth``); of one that has patches, too, both are judged.
 
 Units: milliseconds; pixels; fractions of a mesh.
 """
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError
 from orograph.lod.method import Goal
-from orograph.lod.selection import PatchesAndRays, RayWindows, Selection
+from orograph.lod.selection import PatchesAndRays, RaySurface, RayWindows, Selection
 from orograph.progress import Task
 from orograph.rendering.backends import backend_of
 from orograph.scene.scene import Scene
@@ -208,7 +208,7 @@ class _Tally:
         """Have the referee look at a selection: at its triangles, or at the depth of its picture."""
         about: dict[str, Any] = {"exaggeration": self.exaggeration, "jobs": self.jobs}
         if isinstance(selection, RayWindows):
-            depth = ray_depth(self.terrain, view, selection.bound or 0.0, **about)
+            depth = ray_depth(self.terrain, view, selection.bound or 0.0, selection.surface, **about)
             self.depths.append(judge_depth(depth, self.terrain, view, **about))
             if isinstance(selection, PatchesAndRays):
                 mesh = selection.select_patches().tessellation()
@@ -254,14 +254,20 @@ def _most(values: Sequence[float]) -> float | None:
 
 
 def ray_depth(
-    terrain: Terrain, view: View, tolerance: float, *, exaggeration: float = 1.0, jobs: int | None = None
-) -> NDArray[np.float32]:
-    """The depth (height, width) of the picture that rays make of a terrain, metres; NaN where they meet nothing."""
+    terrain: Terrain, view: View, tolerance: float, surface: RaySurface = "exact", *, exaggeration: float = 1.0,
+    jobs: int | None = None,
+) -> NDArray[np.float32]:  # fmt: skip
+    """The depth (height, width) of the picture that rays make of a terrain, metres; NaN where they meet nothing.
+
+    The CPU draws it, or the GPU where the surface is not the exact one.
+    """
+    exact = surface == "exact"
     scene = Scene.of(
-        terrain, view, tolerance=tolerance, exaggeration=exaggeration, jobs=jobs, samples=1, light="none", water=None
-    )
+        terrain, view, tolerance=tolerance, exaggeration=exaggeration, jobs=jobs, samples=1, light="none", water=None,
+        method="auto" if exact else f"raycast,surface={surface}",
+    )  # fmt: skip
     try:
-        return backend_of("cpu")(scene).depth
+        return backend_of("cpu" if exact else "gpu")(scene).depth
     except NothingInViewError:
         return np.full((view.height, view.width), np.nan, np.float32)
 

@@ -30,7 +30,7 @@ from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.readback import depth_of
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY
-from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
+from orograph.rendering.gpu.surface.rays import BEAM, CastWindows, RayPass, Windows
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
@@ -255,6 +255,24 @@ GROUNDS: dict[str, Callable[[], Terrain]] = {
 @pytest.mark.parametrize("name", GROUNDS)
 def test_hits_are_the_cpus_whatever_the_grid(device: Device, name: str) -> None:
     hold(device, GROUNDS[name](), 16, seed=4)
+
+
+@pytest.mark.parametrize("name", ["holes", "nested windows", "turned"])
+def test_rays_begin_above_all_ground(device: Device, name: str) -> None:
+    """The coarse pass: no ray begins behind what it meets, and most begin well on their way to it."""
+    terrain = GROUNDS[name]()
+    both, part = Both(device, terrain), []
+    for kind, view, tolerance, exaggeration in views(terrain, 16, seed=9):
+        depth = both.on_gpu(view, both.selected(view, tolerance, exaggeration), exaggeration)
+        starts = device.read_buffer(both.rays._beams.starts(SIZE), np.float32).reshape(SIZE[1] // BEAM, SIZE[0] // BEAM)
+        blocks = np.where(np.isnan(depth), np.inf, depth).reshape(SIZE[1] // BEAM, BEAM, SIZE[0] // BEAM, BEAM)
+        nearest = blocks.min((1, 3))
+        assert (starts <= nearest * (1 + 1e-5)).all(), (kind, view)
+        if kind == "slanted":
+            part.append(np.median(starts[np.isfinite(nearest)] / nearest[np.isfinite(nearest)]))
+        if kind == "plan":
+            assert (starts == starts[0, 0]).all()
+    assert min(part) > 0.3, part
 
 
 def test_level_ground_is_hit_wherever_it_is(device: Device) -> None:

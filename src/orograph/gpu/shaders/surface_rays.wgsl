@@ -2,6 +2,10 @@
 // include: window_rays.wgsl
 // include: drawn.wgsl
 
+const BEAM: u32 = {{BEAM}}u;
+
+@group(1) @binding(2) var<storage, read> starts: array<f32>;   // ray_beams.wgsl
+
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
@@ -21,8 +25,10 @@ fn block(@builtin(vertex_index) k: u32, @location(0) at: vec2<u32>) -> @builtin(
 struct Pixel { @builtin(frag_depth) depth: f32, @location(0) marks: u32 };
 struct Sloped { @builtin(frag_depth) depth: f32, @location(0) marks: u32, @location(1) slope: vec2<f32> };
 
-fn hit_of(way: Way) -> Found {
-  return first_hit(way, camera.near, select(NEVER, camera.far, camera.plan == 1u));
+fn hit_of(pixel: vec2<f32>, way: Way) -> Found {
+  let beam = vec2<u32>(pixel) / BEAM;
+  let start = starts[beam.y * ((u32(camera.size.x) + BEAM - 1u) / BEAM) + beam.x];
+  return first_hit(way, start, select(NEVER, camera.far, camera.plan == 1u), start > camera.near);
 }
 
 // As to_clip has it; 0 where there is no hit.
@@ -43,14 +49,14 @@ fn marked(hit: Found) -> u32 {
 
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> Pixel {
-  let hit = hit_of(way_of(at.xy));
+  let hit = hit_of(at.xy, way_of(at.xy));
   return Pixel(stored_depth(hit.t), marked(hit));
 }
 
 @fragment
 fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
   let way = way_of(at.xy);
-  let hit = hit_of(way);
+  let hit = hit_of(at.xy, way);
   if (hit.t >= NEVER) {
     return Sloped(0.0, 0u, vec2<f32>(0.0));
   }

@@ -14,12 +14,12 @@ struct Window {
   offset: i32, stride: i32,            // of its heights
   level: u32,                          // its samples lie 2^level of the raster's apart
   node: i32, top: i32,                 // where its levels of nodes begin, and the coarsest
-  pad: i32,
+  allowed: f32,                        // pixels by which another surface than the exact one may be off
 };
 
 struct Stack {
   low: f32, high: f32,                 // metres between which all heights lie
-  count: i32, pad: i32,
+  count: i32, whole: i32,              // whole: no sample is missing
   windows: array<Window, 16>,          // outermost first
   nodes: array<vec4<i32>, 256>,        // offset of maxima, nodes per row, offset of minima (-1: none)
 };
@@ -35,8 +35,9 @@ const STILL: f32 = 1e-15;    // samples per metre below which a ray does not mov
 const NEVER: f32 = 1e30;
 const BEGIN: i32 = 4;        // level of nodes on which rays begin
 
-// o + t·v: columns and rows from the eye's cell, metres above the eye.
-struct Way { o: vec3<f32>, v: vec3<f32>, inverse: vec2<f32>, still: vec2<bool>, right: vec2<i32> };
+// o + t·v: columns and rows from the eye's cell, metres above the eye. reach: how many pixels a metre of height moves a
+// point at unit depth, at most (v the vertical and P the point, |v × P| ≤ |P|).
+struct Way { o: vec3<f32>, v: vec3<f32>, inverse: vec2<f32>, still: vec2<bool>, right: vec2<i32>, reach: f32 };
 
 // t of a hit (NEVER: none), the window and the cell hit, and the side of the surface at the end: 1 above, -1 below, 0 unknown.
 struct Found { t: f32, side: i32, window: i32, cell: vec2<i32> };
@@ -53,8 +54,9 @@ fn way_of(pixel: vec2<f32>) -> Way {
   let v = vec2<f32>(dot(camera.inverse.xy, ray.direction.xy), dot(camera.inverse.zw, ray.direction.xy));
   let still = abs(v) < vec2<f32>(STILL);
   let moving = select(v, vec2<f32>(1.0), still);
+  let reach = length(ray.direction) * stretch / camera.pixel;
   return Way(vec3<f32>(o, ray.origin.z / stretch), vec3<f32>(select(v, vec2<f32>(0.0), still), ray.direction.z / stretch),
-    1.0 / moving, still, vec2<i32>(moving > vec2<f32>(0.0)));
+    1.0 / moving, still, vec2<i32>(moving > vec2<f32>(0.0)), reach);
 }
 
 // The part of [span.x, span.y] on which a ray is over a window; empty where x > y.
@@ -113,10 +115,78 @@ fn cell_hit(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, before: i32) -> Cut {
   return Cut(-1.0, side);
 }
 
+// Whether heights that are off by e metres at depth t or behind it are off by no more pixels than that. From straight above
+// they never are, but they have colours.
+fn within(e: f32, t: f32, way: Way, allowed: f32) -> bool {
+  return camera.plan == 0u && way.reach * e <= allowed * (t - e * camera.forward.w);
+}
+
+// when: CONSTANT
+// A passage through a cell or a node, from za down or up to zb above the eye, where the ground is level.
+fn level_hit(ground: f32, za: f32, zb: f32, before: i32) -> Cut {
+  let f0 = za - ground;
+  let f1 = zb - ground;
+  let side = select(before, select(-1, 1, f0 > 0.0 || (f0 == 0.0 && f1 > 0.0)), before == 0);
+  if (min(f0 * f32(side), f1 * f32(side)) > 0.0) {
+    return Cut(-1.0, side);
+  }
+  let crosses = f0 * f32(side) > 0.0;
+  return Cut(select(0.0, f0 / select(1.0, f0 - f1, crosses), crosses), side);
+}
+// end: CONSTANT
+
+// when: BILINEAR
+// A passage p → q through a cell whose heights are bilinear: above them by f0 + k·s − bend·s².
+fn bilinear_hit(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, before: i32) -> Cut {
+  let twist = z.x - z.y - z.z + z.w;
+  let f0 = p.z - (z.x + p.x * (z.y - z.x) + p.y * (z.z - z.x) + p.x * p.y * twist);
+  let f1 = q.z - (z.x + q.x * (z.y - z.x) + q.y * (z.z - z.x) + q.x * q.y * twist);
+  let bend = twist * (q.x - p.x) * (q.y - p.y);
+  let side = select(before, select(-1, 1, f0 > 0.0 || (f0 == 0.0 && f1 > 0.0)), before == 0);
+  let c = f0 * f32(side);
+  if (c <= 0.0) {
+    return Cut(0.0, side);
+  }
+  let a = -bend * f32(side);
+  let b = (f1 - f0 + bend) * f32(side);
+  let inner = b * b - 4.0 * a * c;
+  if (inner >= 0.0) {
+    let sum = -0.5 * (b + select(-1.0, 1.0, b >= 0.0) * sqrt(inner));
+    let one = select(NEVER, c / sum, sum != 0.0);
+    let other = select(NEVER, sum / a, abs(a) > 1e-12 * abs(sum));
+    let first = min(select(NEVER, one, one >= 0.0), select(NEVER, other, other >= 0.0));
+    if (first <= 1.0) {
+      return Cut(first, side);
+    }
+  }
+  if (f1 * f32(side) <= 0.0) {   // (rounding lost the root)
+    return Cut(1.0, side);
+  }
+  return Cut(-1.0, side);
+}
+// end: BILINEAR
+
 // Corners of the cell whose first sample is i, metres above the eye, mirrored where the diagonal does not begin there.
 fn corners(i: i32, stride: i32, even: bool) -> vec4<f32> {
   let z = vec4<f32>(above(pool[i]), above(pool[i + 1]), above(pool[i + stride]), above(pool[i + stride + 1]));
   return select(z.yxwz, z, even);
+}
+
+// What a passage meets: of the surface that is asked for where it is within what is allowed, else of the exact one.
+fn passed(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, side: i32, t: f32, way: Way, allowed: f32) -> Cut {
+  // when: CONSTANT
+  let low = min(min(z.x, z.y), min(z.z, z.w));
+  let high = max(max(z.x, z.y), max(z.z, z.w));
+  if (low > GONE && within(0.5 * (high - low), t, way, allowed)) {
+    return level_hit(0.5 * (low + high), p.z, q.z, side);
+  }
+  // end: CONSTANT
+  // when: BILINEAR
+  if (min(min(z.x, z.y), min(z.z, z.w)) > GONE && within(0.25 * abs(z.x - z.y - z.z + z.w), t, way, allowed)) {
+    return bilinear_hit(z, p, q, side);
+  }
+  // end: BILINEAR
+  return cell_hit(z, p, q, side);
 }
 
 // The place in a cell of a window, mirrored as its corners are.
@@ -157,14 +227,35 @@ fn cast_at(w: i32, way: Way, begin: f32, t1: f32, before: i32) -> Found {
       } else if (there.z >= 0 && side <= 0 && max(za, zb) < above(pool[max(there.z, 0) + k])) {
         side = -1;
       } else {
-        level--;
-        continue;
+        var through = false;
+        // when: CONSTANT
+        // All heights of the node are near enough to the middle one.
+        if (there.z >= 0 && stack.whole == 1) {
+          let least = pool[there.z + k];
+          if (within(0.5 * (most - least), t, way, window.allowed)) {
+            let cut = level_hit(above(0.5 * (most + least)), za, zb, side);
+            side = cut.side;
+            if (cut.s >= 0.0) {
+              let hit = t + cut.s * (end - t);
+              let at = (vec2<i32>(floor(way.o.xy + hit * way.v.xy)) - origin) >> vec2<u32>(window.level);
+              let first = node << shift;
+              return Found(hit, side, w, clamp(at, first, min(first + (1 << u32(level)), window.cells) - 1));
+            }
+            through = true;
+          }
+        }
+        // end: CONSTANT
+        if (!through) {
+          level--;
+          continue;
+        }
       }
     } else {
       let even = ((cell.x + cell.y) & 1) == 0;
       let corner = vec2<f32>(origin + (cell << vec2<u32>(window.level)));
       let z = corners(window.offset + cell.y * window.stride + cell.x, window.stride, even);
-      let cut = cell_hit(z, in_cell(way, t, corner, step, even), in_cell(way, end, corner, step, even), side);
+      let cut = passed(z, in_cell(way, t, corner, step, even), in_cell(way, end, corner, step, even), side, t, way,
+        window.allowed);
       side = cut.side;
       if (cut.s >= 0.0) {
         return Found(t + cut.s * (end - t), side, w, cell);
@@ -192,8 +283,8 @@ fn cast_at(w: i32, way: Way, begin: f32, t1: f32, before: i32) -> Found {
   return Found(NEVER, side, w, cell);
 }
 
-// The first hit of a ray on [near, far].
-fn first_hit(way: Way, near: f32, far: f32) -> Found {
+// The first hit of a ray on [near, far]; free: it has come to near above all ground.
+fn first_hit(way: Way, near: f32, far: f32, free: bool) -> Found {
   var found = Found(NEVER, 0, 0, vec2<i32>(0));
   // The slab of all heights, opened by what float32 may be off there.
   let low = above(stack.low);
@@ -208,6 +299,8 @@ fn first_hit(way: Way, near: f32, far: f32) -> Found {
   }
   if (slab.x > near) {   // from above all heights, or from below them
     found.side = select(-1, 1, way.v.z < 0.0);
+  } else if (free) {
+    found.side = 1;
   }
   var inside = slab;
   var inner = 0;

@@ -144,7 +144,7 @@ class MixedPass:
         self.patches.bring(selection.instances)
         blocks = self.rays.bring_blocks(cast.by_rays)
         if blocks:
-            self.rays.bring(cast.windows)
+            self.rays.bring(encoder, targets, cast.windows)
         pass_ = cleared(targets, self.device, slopes).begin(encoder)
         if blocks:
             self.rays.keep_free(pass_, blocks, side, slopes)

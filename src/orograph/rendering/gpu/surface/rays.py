@@ -2,8 +2,9 @@
 
 Reading windows and their pyramids takes long, so the thread that selects does it (``Windows.ready``): what is drawn
 meanwhile is what was there before, whose outermost window holds the whole terrain, coarsely. Windows that the next
-selection has, too, are read once. One pass over all pixels (``shaders/surface_rays.wgsl``) leaves depth and marks; or
-rays are cast through those of some blocks of the screen, of which a pass of its own counts the steps.
+selection has, too, are read once. A coarse pass finds where the rays of 16 × 16 pixels come near to the ground
+(``Beams``), and one over all pixels (``shaders/surface_rays.wgsl``) leaves depth and marks; or rays are cast through
+those of some blocks of the screen. A pass of its own counts the steps that they take (``RaySteps``).
 
 Heights take 4 bytes a sample, their pyramids half as many more (``rendering.gpu.pool``).
 """
@@ -21,12 +22,12 @@ from orograph.gpu.device import Device
 from orograph.gpu.program import Program
 from orograph.gpu.recording import write
 from orograph.hierarchy.clip_stack import Rectangle
-from orograph.lod.selection import RayWindows
+from orograph.lod.selection import LEVELS_SHARE, RaySurface, RayWindows
 from orograph.raycast.mips import Mips, build_mips
 from orograph.raycast.select import load
 from orograph.raycast.stack import HeightWindow
 from orograph.rendering.gpu.camera import CAMERA
-from orograph.rendering.gpu.pool import NODES, WINDOWS, Pool
+from orograph.rendering.gpu.pool import MISSING, NODES, WINDOWS, Pool
 from orograph.rendering.gpu.surface.left import Left
 from orograph.rendering.gpu.targets import GIVEN, MARKS, NEARER, Targets, cleared
 from orograph.store.terrain import Terrain
@@ -34,16 +35,16 @@ from orograph.store.terrain import Terrain
 WINDOW = np.dtype(
     [
         ("first", "<i4", 2), ("last", "<i4", 2), ("cells", "<i4", 2), ("offset", "<i4"), ("stride", "<i4"),
-        ("level", "<u4"), ("node", "<i4"), ("top", "<i4"), ("pad", "<i4"),
+        ("level", "<u4"), ("node", "<i4"), ("top", "<i4"), ("allowed", "<f4"),
     ]
 )  # fmt: skip
 STACK = np.dtype(
     [
-        ("low", "<f4"), ("high", "<f4"), ("count", "<i4"), ("pad", "<i4"), ("windows", WINDOW, WINDOWS),
+        ("low", "<f4"), ("high", "<f4"), ("count", "<i4"), ("whole", "<i4"), ("windows", WINDOW, WINDOWS),
         ("nodes", "<i4", (NODES, 4)),
     ]
 )  # fmt: skip
-"""The uniform ``Stack`` of ``shaders/surface_rays.wgsl``."""
+"""The uniform ``Stack`` of ``shaders/window_rays.wgsl``."""
 
 BLOCKS = {
     "array_stride": 8,
@@ -52,8 +53,8 @@ BLOCKS = {
 }
 """The buffer of blocks: column and row of each."""
 
-BLOCK, SPACING = 64, 16
-"""Pixels along a block, unless it is said, and between the rays whose steps are counted."""
+BLOCK, SPACING, BEAM = 64, 16, 16
+"""Pixels along a block, unless it is said, between the rays whose steps are counted, and along a beam."""
 
 COARSER = 1.25
 """By how much a tolerance grows until its windows fit."""
@@ -100,12 +101,15 @@ class Windows:
         last = self._last
         if last is None or last.windows != selection.windows:
             last = self._made(selection, {} if last is None else last.held)
-        self._last = (
-            last
-            if (last.bound, last.stats) == (selection.bound, selection.stats)
-            else replace(last, bound=selection.bound, stats=selection.stats)
-        )
-        return self._last
+        told = selection.bound, selection.stats, selection.surface
+        if (last.bound, last.stats, last.surface) != told:
+            stack = last.stack
+            if (last.bound, last.surface) != (selection.bound, selection.surface):
+                stack = stack.copy()
+                stack["windows"]["allowed"] = _allowed(selection)
+            last = replace(last, bound=told[0], stats=told[1], surface=told[2], stack=stack)
+        self._last = last
+        return last
 
     def _fits(self, selection: RayWindows) -> bool:
         return selection.windows.samples <= self.most and len(selection.windows) <= WINDOWS
@@ -119,18 +123,64 @@ class Windows:
                        minima=True)  # fmt: skip
         return CastWindows(
             method=selection.method, bound=selection.bound, lacking=selection.lacking, stats=selection.stats,
-            windows=selection.windows, stack=_stack(pool), pool=self.device.buffer(pool.values, "STORAGE", "heights"),
-            held=there,
+            windows=selection.windows, surface=selection.surface, stack=_stack(pool, selection),
+            pool=self.device.buffer(pool.values, "STORAGE", "heights"), held=there,
         )  # fmt: skip
 
 
-def _stack(pool: Pool) -> NDArray[np.void]:
+def _allowed(selection: RayWindows) -> NDArray[np.float64]:
+    """Pixels (``WINDOWS``,) by which another surface than the exact one may be off in each window: what the error of
+    its level leaves of the bound."""
+    out = np.zeros(WINDOWS)
+    for k, where in enumerate(selection.windows):
+        out[k] = (selection.bound or 0.0) * (1.0 if where.level == 0 else 1.0 - LEVELS_SHARE)
+    return out
+
+
+def _stack(pool: Pool, selection: RayWindows) -> NDArray[np.void]:
     out = np.zeros((), STACK)
     out["low"], out["high"], out["count"] = pool.low, pool.high, len(pool.windows)
+    out["whole"] = not (pool.values == MISSING).any()
     for k, w in enumerate(pool.windows):
-        out["windows"][k] = w.first, w.last, w.cells, w.offset, w.stride, w.level, w.node, w.top, 0
+        out["windows"][k] = w.first, w.last, w.cells, w.offset, w.stride, w.level, w.node, w.top, 0.0
+    out["windows"]["allowed"] = _allowed(selection)
     out["nodes"][: len(pool.nodes)] = pool.nodes
     return out
+
+
+class Beams:
+    """Finds how far the rays of ``BEAM`` × ``BEAM`` pixels go above all ground (``shaders/ray_beams.wgsl``)."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._program = Program(device, "ray_beams", SIDE=BEAM)
+        self._pipeline: Any = None
+        self._room: tuple[tuple[int, int], Any] = ((0, 0), None)
+        self._held: tuple[Any, Any, Any] = (None, None, None)
+
+    def starts(self, size: tuple[int, int]) -> Any:
+        """The buffer of depths of a picture so large; the same for the same size."""
+        if self._room[0] != size:
+            across, down = (-(-n // BEAM) for n in size)
+            self._room = size, self.device.buffer(4 * across * down, "STORAGE|COPY_SRC", "starts of rays")
+        return self._room[1]
+
+    def encode(self, encoder: Any, camera: Any, stack: Any, pool: Any, size: tuple[int, int]) -> None:
+        """Have the depths found by the camera and the windows in those buffers."""
+        starts = self.starts(size)
+        if self._pipeline is None:
+            self._pipeline = self._program.compute()
+        if self._held[0] is not pool or self._held[1] is not starts:
+            seen = self._program.bind({"camera": camera})
+            self._held = pool, starts, (
+                seen, self._program.bind({"stack": stack, "pool": pool, "starts": starts}, 1)
+            )  # fmt: skip
+        pass_ = encoder.begin_compute_pass()
+        pass_.set_pipeline(self._pipeline)
+        for k, group in enumerate(self._held[2]):
+            pass_.set_bind_group(k, group)
+        pass_.dispatch_workgroups(*(-(-n // (8 * BEAM)) for n in size))
+        pass_.end()
 
 
 class RayPass:
@@ -143,28 +193,40 @@ class RayPass:
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
         self.stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
-        self._camera = self._program(BLOCK).bind({"camera": camera})
-        self._pipelines: dict[tuple[bool, str, int], Any] = {}
-        self._held: tuple[Any, Any] = (None, None)
+        self._buffer, self._beams = camera, Beams(device)
+        self._camera = self._program(BLOCK, "exact").bind({"camera": camera})
+        self._pipelines: dict[tuple[bool, str, int, RaySurface], Any] = {}
+        self._held: tuple[Any, Any, Any, Any] = (None, None, None, None)
+        self._surface: RaySurface = "exact"
         self._blocks: tuple[bytes, Any] = (b"", None)
 
-    def _program(self, side: int) -> Program:
-        return Program(self.device, "surface_rays", SIDE=side)
+    def _program(self, side: int, surface: RaySurface) -> Program:
+        bilinear, constant = int(surface == "bilinear"), int(surface == "constant")
+        return Program(self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=bilinear, CONSTANT=constant)
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; it has no edges, and what lines are of the terrain is what is drawn."""
         slopes = bool(left.slopes)
-        self.bring(selection)
+        self.bring(encoder, targets, selection)
         pass_ = cleared(targets, self.device, slopes).begin(encoder)
         self._record(pass_, slopes, "")
         pass_.draw(3)
         pass_.end()
 
-    def bring(self, selection: CastWindows) -> None:
-        """Have the windows at which rays are cast next."""
-        if self._held[0] is not selection.pool:
+    def bring(self, encoder: Any, targets: Targets, selection: CastWindows) -> None:
+        """Have the windows at which rays are cast next, and find where rays begin."""
+        self._surface = selection.surface
+        size = targets.width, targets.height
+        starts = self._beams.starts(size)
+        if self._held[1] is not selection.stack:
             write(self.device, self.stack, selection.stack.tobytes())
-            self._held = selection.pool, self._program(BLOCK).bind({"stack": self.stack, "pool": selection.pool}, 1)
+        if self._held[0] is not selection.pool or self._held[2] is not starts:
+            bound = {"stack": self.stack, "pool": selection.pool, "starts": starts}
+            group = self._program(BLOCK, "exact").bind(bound, 1)
+        else:
+            group = self._held[3]
+        self._held = selection.pool, selection.stack, starts, group
+        self._beams.encode(encoder, self._buffer, self.stack, selection.pool, size)
 
     def bring_blocks(self, by_rays: NDArray[np.bool_]) -> int:
         """Have the blocks of the screen (down, across) that rays draw; how many there are."""
@@ -189,15 +251,15 @@ class RayPass:
     def _record(self, pass_: Any, slopes: bool, what: str, side: int = BLOCK) -> None:
         pass_.set_pipeline(self._pipeline(slopes, what, side))
         pass_.set_bind_group(0, self._camera)
-        pass_.set_bind_group(1, self._held[1])
+        pass_.set_bind_group(1, self._held[3])
 
     def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
         """The pipeline that draws all pixels (""), blocks ("block"), or keeps them free ("kept_free")."""
-        key = slopes, what, side
+        key = slopes, what, side, self._surface
         if key not in self._pipelines:
             entry = "kept_free" if what == "kept_free" else "fragment"
             sloped = "kept_free_with_slope" if what == "kept_free" else "with_slope"
-            self._pipelines[key] = self._program(side).draw(
+            self._pipelines[key] = self._program(side, self._surface).draw(
                 [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
                 vertex="block" if what else "vertex", fragment=sloped if slopes else entry,
                 buffers=[BLOCKS] if what else [], depth={**NEARER, "depth_compare": "always"} if what else NEARER,
@@ -210,7 +272,8 @@ class RaySteps:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self._program = Program(device, "ray_steps", COUNTED=1, SPACING=SPACING)
+        self._program = Program(device, "ray_steps", COUNTED=1, SPACING=SPACING, BEAM=BEAM)
+        self._beams = Beams(device)
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         self._stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
         self._pipeline: Any = None
@@ -225,12 +288,13 @@ class RaySteps:
         if self._pipeline is None:
             self._pipeline = self._program.compute()
         encoder = self.device.handle.create_command_encoder()
+        self._beams.encode(encoder, self._camera, self._stack, windows.pool, (width, height))
+        starts = self._beams.starts((width, height))
+        bound = {"stack": self._stack, "pool": windows.pool, "starts": starts, "found": found}
         pass_ = encoder.begin_compute_pass()
         pass_.set_pipeline(self._pipeline)
         pass_.set_bind_group(0, self._program.bind({"camera": self._camera}))
-        pass_.set_bind_group(
-            1, self._program.bind({"stack": self._stack, "pool": windows.pool, "found": found}, 1)
-        )  # fmt: skip
+        pass_.set_bind_group(1, self._program.bind(bound, 1))
         pass_.dispatch_workgroups(-(-across // 8), -(-down // 8))
         pass_.end()
         self.device.queue.submit([encoder.finish()])
