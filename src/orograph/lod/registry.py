@@ -35,6 +35,7 @@ METHODS: dict[str, str | type[Method]] = {
     "cdlod": "orograph.lod.cdlod:Cdlod",
     "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
+    "quadtin": "orograph.lod.quadtin:QuadTin",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }
 """Name to MODULE:CLASS, or to the class."""
