@@ -1,9 +1,9 @@
 """The hierarchy of a QuadTIN: right triangles in topology, whose split points lie where the points do.
 
-Two triangles cover the domain; each is split at a point near the middle of its *base*, together with the one across
+Two triangles cover the domain; each is split at a point near the middle of its *base*, together with that across it
 (a *diamond*), and so on: the triangulation is that of a restricted quadtree, its vertices are irregular. A triangle is
-split while it is further from the *truth*, a triangulated surface, than ``finest``; first whatever must be split so that
-none gets a vertex inside a side (newest-vertex bisection, as in ROAM's forced splits).
+split while it is further from the *truth*, a triangulated surface, than ``finest``; first whatever must be split so
+that none gets a vertex inside a side (newest-vertex bisection, as in ROAM's forced splits).
 
 The split point is no midpoint, so a diamond can fold: of the truth's vertices those count from which all four corners
 are seen, strictly, by orientation tests that are exact in int64 (the lattice of ``dem.delaunay``), and which leave each
@@ -25,7 +25,7 @@ DEAD, LIVE, MIXED = 0, 1, 2
 """Of triangles: no ground, ground everywhere, both."""
 
 TRIANGLES, VERTICES, QUEUE, POOL, STEINER, STUCK = range(6)
-"""Counts: triangles; vertices; triangles looked at; entries of lists; Steiner points; triangles that cannot be split."""
+"""Counts: triangles; vertices; triangles looked at; entries of lists; Steiner points; those that cannot be split."""
 
 LEAST = 0.25
 """The least area of a half, in parts of half of its triangle, for a point that is no Steiner point."""
@@ -224,25 +224,25 @@ def measure(tree, truth, t):
 @inlined
 def fits(tree, t, u, x, y, least):
     """Whether a diamond can be split at a place: all its corners are seen from there, and no half is too small."""
-    l, r, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
+    p, q, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
     xs, ys = tree.x, tree.y
-    left, right = orient(xs[a], ys[a], xs[l], ys[l], x, y), orient(xs[r], ys[r], xs[a], ys[a], x, y)
-    share = least * 0.5 * orient(xs[l], ys[l], xs[r], ys[r], xs[a], ys[a])
+    left, right = orient(xs[a], ys[a], xs[p], ys[p], x, y), orient(xs[q], ys[q], xs[a], ys[a], x, y)
+    share = least * 0.5 * orient(xs[p], ys[p], xs[q], ys[q], xs[a], ys[a])
     if left <= 0 or right <= 0 or left < share or right < share:
         return False
     if u < 0:
-        return orient(xs[l], ys[l], xs[r], ys[r], x, y) == 0
+        return orient(xs[p], ys[p], xs[q], ys[q], x, y) == 0
     b = tree.corners[u, 2]
-    left, right = orient(xs[l], ys[l], xs[b], ys[b], x, y), orient(xs[b], ys[b], xs[r], ys[r], x, y)
-    share = least * 0.5 * orient(xs[r], ys[r], xs[l], ys[l], xs[b], ys[b])
+    left, right = orient(xs[p], ys[p], xs[b], ys[b], x, y), orient(xs[b], ys[b], xs[q], ys[q], x, y)
+    share = least * 0.5 * orient(xs[q], ys[q], xs[p], ys[p], xs[b], ys[b])
     return left > 0 and right > 0 and left >= share and right >= share
 
 
 @inlined
 def choose(tree, truth, t, u, by_deviation):
     """The truth's vertex that a diamond is split at, −1: none."""
-    l, r = tree.corners[t, 0], tree.corners[t, 1]
-    x2, y2 = tree.x[l] + tree.x[r], tree.y[l] + tree.y[r]
+    p, q = tree.corners[t, 0], tree.corners[t, 1]
+    x2, y2 = tree.x[p] + tree.x[q], tree.y[p] + tree.y[q]
     best, found = np.inf, -1
     for half in range(1 if u < 0 else 2):
         h = t if half == 0 else u
@@ -282,15 +282,15 @@ def new_vertex(tree, truth, t, u, by_deviation):
     if found >= 0:
         tree.x[v], tree.y[v], tree.z[v], tree.steiner[v] = truth.x[found], truth.y[found], truth.z[found], 0
     else:
-        l, r = tree.corners[t, 0], tree.corners[t, 1]
-        x, y = (tree.x[l] + tree.x[r]) >> 1, (tree.y[l] + tree.y[r]) >> 1
+        p, q = tree.corners[t, 0], tree.corners[t, 1]
+        x, y = (tree.x[p] + tree.x[q]) >> 1, (tree.y[p] + tree.y[q]) >> 1
         if not fits(tree, t, u, x, y, 0.0):
             return -1
         z = on_truth(tree, truth, t, x, y)
         if np.isnan(z) and u >= 0:
             z = on_truth(tree, truth, u, x, y)
         if np.isnan(z):
-            z = 0.5 * (tree.z[l] + tree.z[r])
+            z = 0.5 * (tree.z[p] + tree.z[q])
         tree.x[v], tree.y[v], tree.z[v], tree.steiner[v] = x, y, z, 1
         tree.counts[STEINER] += 1
     tree.counts[VERTICES] = v + 1
@@ -326,9 +326,9 @@ def new_triangle(tree, truth, parent, other, a, b, c):
 @inlined
 def halve(tree, truth, t, u, m):
     """Make the children of a triangle; their neighbours across its base are not yet known."""
-    l, r, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
-    one = new_triangle(tree, truth, t, u, a, l, m)
-    two = new_triangle(tree, truth, t, u, r, a, m)
+    p, q, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
+    one = new_triangle(tree, truth, t, u, a, p, m)
+    two = new_triangle(tree, truth, t, u, q, a, m)
     tree.child[t], tree.node[t] = one, m
     tree.beside[one, 0], tree.beside[one, 1], tree.beside[one, 2] = tree.beside[t, 2], -1, two
     tree.beside[two, 0], tree.beside[two, 1], tree.beside[two, 2] = tree.beside[t, 1], one, -1
@@ -363,8 +363,8 @@ def wanted(tree, t, finest, smallest):
     if tree.child[t] >= 0:
         return False
     if tree.state[t] == MIXED:
-        l, r = tree.corners[t, 0], tree.corners[t, 1]
-        dx, dy = np.float64(tree.x[l] - tree.x[r]), np.float64(tree.y[l] - tree.y[r])
+        p, q = tree.corners[t, 0], tree.corners[t, 1]
+        dx, dy = np.float64(tree.x[p] - tree.x[q]), np.float64(tree.y[p] - tree.y[q])
         return dx * dx + dy * dy > smallest * smallest
     return tree.error[t] > finest or t < 2
 

@@ -8,8 +8,6 @@ shares a side with the one before, so they are one generalised strip (Pajarola 1
 
 from __future__ import annotations
 
-import numpy as np
-
 from orograph._numba import inlined, kernel
 from orograph.error.screen import ANISOTROPIC, anisotropic_exceeds, outside, sphere_bound, to_camera, triangle_bound
 from orograph.lod.quadtin_build import LIVE
@@ -23,8 +21,8 @@ def activate(camera, cull, tree, active, met, stack):
     """Mark the active vertices; how many there are.
 
     Args:
-        active: (v,) uint8, of the last time, cleared by its marks in ``met``. met: (v,) int32, vertices that were looked
-            at; its first entry is their number. stack: (v,) int32.
+        active: (v,) uint8, of the last time, cleared by its marks in ``met``. met: (v,) int32, vertices that were
+            looked at; its first entry is their number. stack: (v,) int32.
     """
     for i in range(1, met[0] + 1):
         active[met[i]] = 0
@@ -111,6 +109,12 @@ def leaves_of(camera, tree, active, out, stack):
     return count, worst
 
 
+@inlined
+def has(triangles, i, v):
+    """Whether a vertex is a corner of triangle i."""
+    return triangles[i, 0] == v or triangles[i, 1] == v or triangles[i, 2] == v
+
+
 @kernel
 def strip_of(triangles, out):
     """One generalised strip of triangles (m, 3) that all turn the same way, where one can share a side with the next.
@@ -124,7 +128,7 @@ def strip_of(triangles, out):
         joined, new = False, a
         if length:
             u, v = out[length - 2], out[length - 1]
-            if (u == a or u == b or u == c) and (v == a or v == b or v == c):
+            if has(triangles, i, u) and has(triangles, i, v):
                 new = a if a != u and a != v else b if b != u and b != v else c
                 joined = out[length - 3] != new
         if joined:
@@ -133,9 +137,8 @@ def strip_of(triangles, out):
         else:
             # The first corner is the one that the next triangle lacks, so that the strip goes on from the other two.
             if i + 1 < len(triangles):
-                x, y, z = triangles[i + 1, 0], triangles[i + 1, 1], triangles[i + 1, 2]
                 for _ in range(2):
-                    if a == x or a == y or a == z:
+                    if has(triangles, i + 1, a):
                         a, b, c = b, c, a
             if length:
                 out[length], out[length + 1] = out[length - 1], a
@@ -148,9 +151,8 @@ def strip_of(triangles, out):
         if i + 1 < len(triangles):
             # Where the next triangle hangs on the side (first, last) of this one, that side is brought to the end.
             w, u, v = out[length - 3], out[length - 2], out[length - 1]
-            x, y, z = triangles[i + 1, 0], triangles[i + 1, 1], triangles[i + 1, 2]
-            has_w, has_u, has_v = w == x or w == y or w == z, u == x or u == y or u == z, v == x or v == y or v == z
-            if has_v and has_w and not has_u:
+            k = i + 1
+            if has(triangles, k, v) and has(triangles, k, w) and not has(triangles, k, u):
                 out[length - 1], out[length] = w, v
                 length += 1
     return length

@@ -75,7 +75,7 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     if has_points(terrain):
         surface: Surface = terrain.derived("points")
         used, corners = np.unique(peeled(surface), return_inverse=True)
-        corners = corners.reshape(-1, 3).astype(np.int32)
+        corners = np.ascontiguousarray(corners.reshape(-1, 3), np.int32)
         z = surface.z[used].astype(np.float64)
         return Truth(surface.x[used], surface.y[used], z, corners, build.rim_of(corners, len(used))), surface.bits
     rows, cols = terrain.grid.shape
@@ -103,8 +103,8 @@ def peeled(surface: Surface) -> NDArray[np.int32]:
         area = np.abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
         longest = np.max([np.hypot(x[p] - x[q], y[p] - y[q]) for p, q in ((a, b), (b, c), (c, a))], axis=0)
         thin = SLIVER * area < longest**2
-        if not thin.any() or thin.all() and rim.all():
-            return triangles
+        if not thin.any() or (thin.all() and rim.all()):
+            return np.asarray(triangles, np.int32)
         keep = np.ones(len(triangles), bool)
         keep[np.flatnonzero(rim)[thin]] = False
         triangles = np.ascontiguousarray(triangles[keep])
@@ -248,8 +248,9 @@ def finished(tree: Tree, grid: Grid, bits: int, finest: float) -> Hierarchy:
     at = np.stack([east, north, z], -1)
     reach = np.linalg.norm(at[corners[:, :2]] - at[corners[:, 2:]], axis=-1).max(axis=1) + tree.error[:count]
     leaves = tree.child[:count] < 0
+    steiner = int(tree.steiner[4:v].sum())
     return Hierarchy(
         np.stack([col, row, z], -1), error, radius, np.ascontiguousarray(parents, np.int32), corners,
-        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach, nodes, int((tree.steiner[4:v] == 0).sum()),
-        int(tree.steiner[4:v].sum()), finest, int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
+        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach, nodes, v - 4 - steiner, steiner,
+        finest, int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
     )  # fmt: skip

@@ -99,7 +99,7 @@ def _rim(truth: Floats, triangles: NDArray[np.int32]) -> Floats:
     """The sides (k, 2, 2) of triangles that no other triangle has."""
     sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     found, counts = np.unique(sides, axis=0, return_counts=True)
-    return truth[found[counts == 1]][:, :, :2]
+    return np.asarray(truth[found[counts == 1]][:, :, :2])
 
 
 def _from_rim(at: Floats, rim: Floats) -> float:
