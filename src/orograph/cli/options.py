@@ -257,6 +257,21 @@ def jobs_option(function: F) -> F:
     )(function)
 
 
+def cluster_options(doing: str, shared: str = "") -> Callable[[F], F]:
+    """``--workers`` and ``--dask``: ``workers`` (int or None) and ``dask`` (an address or None).
+
+    Args:
+        doing: "Build". shared: what is said of the workers' memory.
+    """
+    workers = click.option(
+        "--workers", type=click.IntRange(1), metavar="N", help=f"{doing} in so many processes{shared} (Dask)."
+    )
+    dask = click.option(
+        "--dask", metavar="ADDRESS", help=f"{doing} on the workers of this Dask scheduler (tcp://HOST:8786)."
+    )
+    return lambda function: workers(dask(function))
+
+
 def progress_of(ctx: click.Context) -> LineProgress:
     """The progress line of this run: silent with ``--quiet``; warnings are collected by the verb all the same."""
     from orograph.cli.progress import LineProgress

@@ -175,6 +175,10 @@ class StoredTerrain(Terrain):
         layer: StoredLayer = LAYERS.open(self, layer=name, **options)
         return layer
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process opens the store itself."""
+        return _same, (self.storage.named(), self.cache.budget, self._jobs, self.record.source)
+
     def close(self) -> None:
         self.cache.clear()
         self.storage.close()
@@ -248,6 +252,21 @@ def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain
     stamp = None if storage.remote else storage.stamp(ROOT)
     record = read_record(storage)
     return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record))
+
+
+def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int | None, source: str) -> StoredTerrain:
+    """A store that another process has opened.
+
+    Raises:
+        StoreError: there is another here, or none.
+    """
+    found = _open(storage_at(*named), cache_bytes, jobs)
+    if found.record.source != source:
+        raise StoreError(
+            "A worker finds another store there than the process that began.", path=found.url,
+            remedy="See that all of them have the same file system.",
+        )  # fmt: skip
+    return found
 
 
 def read_record(storage: Storage) -> Record:

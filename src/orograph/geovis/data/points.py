@@ -32,7 +32,7 @@ class Points:
     Attributes:
         x, y: (n,) in the terrain's CRS, of those on the terrain. values: (n,). sigma: (n,) standard deviations;
             None: unknown.
-        name: what they are.
+        name: what they are. classes: where they have no attribute, the name of all of them.
     """
 
     x: Array
@@ -40,6 +40,7 @@ class Points:
     values: Array
     sigma: Array | None
     name: str
+    classes: tuple[str, ...] | None = None
 
 
 def is_table(source: Any) -> bool:
@@ -66,6 +67,9 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     if crs is None and east.lower() in DEGREES:
         crs = "EPSG:4326"
     numbers = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
+    bare = not numbers and given.variable is None and given.uncertainty is None
+    if bare:
+        numbers = {"place": np.zeros(len(columns[east]))}
     value = _attribute(given.variable, numbers, name)
     doubt = given.uncertainty
     sigma = None if doubt is None else _attribute(doubt.source, numbers, name)
@@ -86,7 +90,8 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
             remedy="Name data of the same area.",
         )  # fmt: skip
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
-    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "))
+    alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
+    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike)
 
 
 def _attribute(asked: Any, numbers: Mapping[str, Array], name: str) -> str:
@@ -102,7 +107,10 @@ def _columns(source: Any) -> tuple[dict[str, Array], Any, str]:
     """Columns of numbers of a table by name, their CRS (None: not known), and what the source is called."""
     if not isinstance(source, str):
         keys = list(source) if isinstance(source, Mapping) else list(source.columns)
-        return {str(k): np.array([number(v) for v in np.asarray(source[k])]) for k in keys}, None, "points"
+        columns = {str(k): np.array([number(v) for v in np.atleast_1d(np.asarray(source[k]))]) for k in keys}
+        if len({len(column) for column in columns.values()}) > 1:
+            raise UsageError("The columns of a table of points are equally long.")
+        return columns, None, "points"
     return read_table(source), None, source
 
 
