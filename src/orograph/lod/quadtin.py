@@ -134,9 +134,10 @@ class QuadTin(Method):
         promised = bool(within and (self.tree.whole or self.truth == "points"))
         stats: dict[str, Any] = {
             "method": self.info.name, "error": "exact", "truth": self.truth,
-            "tolerance": float(tolerance) if within else None, "conservative": promised, "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3),
-            "active": found.active, "points": self.tree.points, "steiner": self.tree.steiner,
-            "finest": self.tree.finest, "tiles_read": 0, "tiles_resident": 0,
+            "tolerance": float(tolerance) if within else None, "conservative": promised,
+            "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), "active": found.active,
+            "points": self.tree.points, "steiner": self.tree.steiner, "finest": self.tree.finest,
+            "tiles_read": 0, "tiles_resident": 0,
         }  # fmt: skip
         if goal.triangles is not None:
             stats["within_budget"] = found.triangles <= goal.triangles

@@ -74,8 +74,8 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     """The surface that a QuadTIN is to be, and the lattice's bits."""
     if has_points(terrain):
         surface: Surface = terrain.derived("points")
-        used, corners = np.unique(peeled(surface), return_inverse=True)
-        corners = np.ascontiguousarray(corners.reshape(-1, 3), np.int32)
+        used, places = np.unique(peeled(surface), return_inverse=True)
+        corners: NDArray[np.int32] = places.reshape(-1, 3).astype(np.int32)
         z = surface.z[used].astype(np.float64)
         return Truth(surface.x[used], surface.y[used], z, corners, build.rim_of(corners, len(used))), surface.bits
     rows, cols = terrain.grid.shape
@@ -209,7 +209,7 @@ def _overlapping(tree: Tree, truth: Truth, t: int, which: NDArray[np.int32]) -> 
     left, right = (int(v) for v in tree.corners[t, :2])
     ax, ay, bx, by = tree.x[left], tree.y[left], tree.x[right], tree.y[right]
     side = (bx - ax) * (truth.y - ay) - (by - ay) * (truth.x - ax)
-    return which[(side[truth.triangles] > 0).any(1)]
+    return np.asarray(which[(side[truth.triangles] > 0).any(1)], np.int32)
 
 
 def _larger(tree: Tree) -> Tree:
