@@ -254,3 +254,9 @@ def test_a_damaged_point_array_is_found(tmp_path):
     data[40] ^= 0xFF
     file.write_bytes(data)
     assert [key for key in store.check() if key.startswith("points/heights")]
+
+
+def test_facts_are_those_of_a_raster(tmp_path):
+    x, y, z = cloud(20)
+    with pytest.raises(UsageError, match="It holds points"):
+        orograph.info(str(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z})))

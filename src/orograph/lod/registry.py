@@ -37,6 +37,7 @@ METHODS: dict[str, str | type[Method]] = {
     "cdlod": "orograph.lod.cdlod:Cdlod",
     "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
+    "quadtin": "orograph.lod.quadtin:QuadTin",
     "cbt": "orograph.lod.cbt:Cbt",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }

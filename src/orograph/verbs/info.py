@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.reporting import reporting
 
@@ -80,10 +81,14 @@ def _dem_facts(
     path: str, progress: Progress, exact: bool | None, area: Area | None, jobs: int | None, options: Any
 ) -> Facts:
     from orograph.dem.inspect import crs_text, spacing_metres, suspicions
+    from orograph.dem.scattered import is_points
     from orograph.dem.source import Source
     from orograph.dem.statistics import statistics
     from orograph.store.terrain import exponent, level_count
 
+    if is_points(path):
+        remedy = "Build a store of it (`orograph.build`), and ask of that."
+        raise UsageError("It holds points, not a raster.", path=path, remedy=remedy)
     with Source.open(path, **options) as opened:
         source: Any = opened if area is None else area.cut([opened])[0]
         spacing = spacing_metres(source.grid)

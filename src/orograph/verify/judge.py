@@ -41,7 +41,8 @@ def judge_mesh(
     """Measure a tessellation against the full-resolution surface in view, and look for every kind of defect.
 
     Args:
-        tessellation: the mesh; its vertices may lie anywhere on the raster.
+        tessellation: the mesh; its vertices may lie anywhere on the raster. Where ``stats["truth"]`` is "points" it is
+            measured against the Delaunay surface of the terrain's points instead (``verify.points``).
         terrain: what it is a mesh of; read by bands of rows.
         view: the camera, in the terrain's CRS.
         exaggeration: heights are stretched by this on the way to the screen.
@@ -56,10 +57,16 @@ def judge_mesh(
         DamagedChunkError: as ``terrain.read``.
     """
     check_exaggeration(exaggeration)
+    of_points = tessellation.stats.get("truth") == "points"
     if heights is None:
-        heights = "free" if tessellation.stats.get("geomorph") else "samples"
+        heights = "free" if tessellation.stats.get("geomorph") or of_points else "samples"
     camera = Camera.of(view, terrain.grid, exaggeration)
-    return aside(partial(_judge, tessellation, terrain, camera, heights == "samples", jobs))
+    report = aside(partial(_judge, tessellation, terrain, camera, heights == "samples", jobs))
+    if of_points:
+        from orograph.verify.points import against_points
+
+        return against_points(report, tessellation, terrain, view, exaggeration)
+    return report
 
 
 def check_exaggeration(exaggeration: float) -> None:

@@ -1,0 +1,179 @@
+"""QuadTIN: the triangulation of a restricted quadtree over irregular points.
+
+Pajarola, Antonijuan & Lario, *QuadTIN: Quadtree based Triangulated Irregular Networks* (Vis 2002). A quadtree's
+hierarchy of triangles is laid over points that lie anywhere: where a regular one is split in the middle, this one is
+split at a point near the middle, and at a Steiner point where there is none (``quadtin_build``). Refinement is that of
+any restricted quadtree: a vertex is there if its error, saturated over the hierarchy, is beyond the tolerance on the
+screen (``quadtin_pass``), and the triangles are one generalised strip.
+
+The truth is the Delaunay surface of the points that the terrain was gridded from, or the raster's surface. The finest
+triangles are within ``finest`` metres of it; where that is more than the tolerance on the screen, the bound says so.
+Metres, pixels.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error.screen import CameraParameters, camera_parameters
+from orograph.errors import UsageError
+from orograph.geo.chart import AffineChart
+from orograph.lod.field import check_surface
+from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Ready
+from orograph.lod.options import check, option
+from orograph.lod.quadtin_pass import activate, leaves_of, strip_of
+from orograph.lod.quadtin_tree import Hierarchy, check_room, has_points, hierarchy_of
+from orograph.lod.right_triangles import Pass, by_tolerance
+from orograph.lod.selection import TriangleMesh
+from orograph.tessellation import Tessellation, turn
+from orograph.viewpoint import Camera
+
+PART = 16
+"""The finest triangles are off by the spacing of samples over this, unless otherwise asked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QuadTinOptions:
+    """Options of ``quadtin``."""
+
+    finest: float = option(
+        0.0, "How far the finest triangles may be from the points' surface, or the raster's; 0: a sixteenth of the "
+        "spacing of samples.", unit="metres", least=0.0,
+    )  # fmt: skip
+    split: str = option(
+        "nearest", "Which point splits a triangle: the one nearest to the middle of its longest side, as in print, or "
+        "the one that it is furthest off at.", choices=("nearest", "deviation"),
+    )  # fmt: skip
+    cull: bool = option(True, "Refine only what may be in view.")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(slots=True)
+class Refined:
+    """What a tolerance leads to.
+
+    Attributes:
+        leaves: (m,) int32, triangles of the hierarchy, in the order of the curve.
+        active: how many vertices are. bound: pixels.
+    """
+
+    leaves: NDArray[np.int32]
+    active: int
+    bound: float
+    within: bool = True
+    tolerance: float | None = None
+    stats: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def triangles(self) -> int:
+        """How many there are."""
+        return len(self.leaves)
+
+    def kept(self) -> Self:
+        """A copy that is good after the method has refined again."""
+        return replace(self, leaves=self.leaves.copy())
+
+
+class QuadTin(Method):
+    """QuadTIN. See ``Method`` for the arguments.
+
+    Attributes:
+        tree: the hierarchy. truth: "points" or "raster".
+
+    Raises:
+        UsageError: the terrain has no surface, or is too large.
+    """
+
+    info = MethodInfo(
+        "quadtin", "a restricted quadtree's triangles over irregular points", "Pajarola, Antonijuan & Lario 2002",
+        "triangles", QuadTinOptions, lambda options: True,
+    )  # fmt: skip
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        check_surface(self.terrain)
+        check_room(self.terrain, self.resources.max_memory)
+        self.truth = "points" if has_points(self.terrain) else "raster"
+        finest = self.options.finest or min(self.terrain.grid.spacing) / PART
+        self.tree: Hierarchy = hierarchy_of(
+            self.terrain,
+            finest,
+            self.options.split == "deviation",
+            self.resources.progress,
+            self.resources.max_memory,
+        )
+        count = len(self.tree.vertices)
+        self._active, self._met = np.zeros(count, np.uint8), np.zeros(count + 1, np.int32)
+        self._stack, self._leaves = np.empty(count + 1, np.int32), np.empty(1 << 12, np.int32)
+        self._depth = np.empty((1024, 2), np.int32)
+        self._last = Pass()
+
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TriangleMesh:
+        """The mesh for a camera. Its bound is the tolerance, or what the finest triangles are off, if that is more; of
+        a terrain with missing ground there is none, for the mesh ends within a sample of it.
+
+        Raises:
+            UsageError: the camera is over no flat terrain.
+        """
+        began = time.perf_counter()
+        if goal.tolerance is not None:
+            found = self._refine(camera, goal.tolerance)
+            found.tolerance = goal.tolerance
+        else:
+            found = by_tolerance(lambda pixels: self._refine(camera, pixels), goal, self._last)
+        took = time.perf_counter() - began
+        tolerance = max(found.tolerance or 0.0, found.bound)
+        within = found.within and np.isfinite(tolerance) and not self.tree.stuck
+        promised = bool(within and (self.tree.whole or self.truth == "points"))
+        stats: dict[str, Any] = {
+            "method": self.info.name, "error": "exact", "truth": self.truth,
+            "tolerance": float(tolerance) if within else None, "conservative": promised,
+            "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), "active": found.active,
+            "points": self.tree.points, "steiner": self.tree.steiner, "finest": self.tree.finest,
+            "tiles_read": 0, "tiles_resident": 0,
+        }  # fmt: skip
+        if goal.triangles is not None:
+            stats["within_budget"] = found.triangles <= goal.triangles
+        mesh = self._mesh(found.leaves, stats)
+        stats["triangles"] = len(mesh.triangles)
+        return TriangleMesh(
+            method=self.info.name, bound=stats["tolerance"] if promised else None, stats=stats, mesh=mesh
+        )
+
+    def _refine(self, camera: Camera, tolerance: float) -> Refined:
+        lens = self._lens(camera, tolerance)
+        active = activate(lens, self.options.cull, self.tree, self._active, self._met, self._stack)
+        while True:
+            count, bound = leaves_of(lens, self.tree, self._active, self._leaves, self._depth)
+            if count >= 0:
+                return Refined(self._leaves[:count], int(active), float(bound))
+            self._leaves = np.empty(2 * len(self._leaves), np.int32)
+
+    def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
+        if not isinstance(camera.chart, AffineChart):
+            raise UsageError(f"{self.info.name} refines flat terrain only.")
+        return camera_parameters(
+            camera.view, camera.chart.grid, exaggeration=camera.exaggeration, tolerance=tolerance
+        )  # fmt: skip
+
+    def _mesh(self, leaves: NDArray[np.int32], stats: dict[str, Any]) -> Tessellation:
+        """The triangles of a mesh, its vertices numbered, with its strip."""
+        corners = self.tree.corners[leaves]
+        used = np.zeros(len(self.tree.vertices), np.int32)
+        used[corners] = 1
+        which = np.flatnonzero(used)
+        used[which] = np.arange(len(which))
+        triangles = used[corners]
+        if turn(self.terrain.grid) < 0:
+            triangles = triangles[:, ::-1]
+        triangles = np.ascontiguousarray(triangles)
+        strip = np.empty(7 * len(triangles) + 8, np.int32)
+        length = strip_of(triangles, strip)
+        return Tessellation(self.tree.vertices[which], triangles, strip[:length].copy(), stats)

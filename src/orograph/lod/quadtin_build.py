@@ -1,0 +1,455 @@
+"""The hierarchy of a QuadTIN: right triangles in topology, whose split points lie where the points do.
+
+Two triangles cover the domain; each is split at a point near the middle of its *base*, together with that across it
+(a *diamond*), and so on: the triangulation is that of a restricted quadtree, its vertices are irregular. A triangle is
+split while it is further from the *truth*, a triangulated surface, than ``finest``; first whatever must be split so
+that none gets a vertex inside a side (newest-vertex bisection, as in ROAM's forced splits).
+
+The split point is no midpoint, so a diamond can fold: of the truth's vertices those count from which all four corners
+are seen, strictly, by orientation tests that are exact in int64 (the lattice of ``dem.delaunay``), and which leave each
+half no less than ``LEAST`` of its share. The nearest to the middle is taken. Where there is none, the middle itself
+becomes a vertex on the truth (a Steiner point). Each triangle carries the truth's triangles that overlap it, so its
+deviation, extreme at the truth's vertices within and where edges cross, is exact. Lattice units; metres.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined, kernel, leaf
+
+DEAD, LIVE, MIXED = 0, 1, 2
+"""Of triangles: no ground, ground everywhere, both."""
+
+TRIANGLES, VERTICES, QUEUE, POOL, STEINER, STUCK = range(6)
+"""Counts: triangles; vertices; triangles looked at; entries of lists; Steiner points; those that cannot be split."""
+
+LEAST = 0.25
+"""The least area of a half, in parts of half of its triangle, for a point that is no Steiner point."""
+
+DONE, TRIANGLES_FULL, POOL_FULL = range(3)
+
+RIM = 1e-9
+"""Relative excess over deviations, for rounding."""
+
+
+class Truth(NamedTuple):
+    """A triangulated surface.
+
+    Attributes:
+        x, y: (n,) int64 on the lattice. z: (n,) float64, metres.
+        triangles: (m, 3) int32, of positive area. rim: (m,) uint8, bit k: no triangle lies beyond corners k, k + 1.
+    """
+
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    z: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    rim: NDArray[np.uint8]
+
+
+class Tree(NamedTuple):
+    """All triangles there ever are, in the order in which they are made.
+
+    Attributes:
+        x, y: (v,) int64; z: (v,) float64: vertices; the first four are the domain's corners.
+        steiner: (v,) uint8, 1 where a vertex is none of the truth's.
+        owners: (v, 2) int32, the triangles that a vertex splits, −1: none.
+        corners: (t, 3) int32: left and right end of the base, apex; of positive area.
+        beside: (t, 3) int32, the leaves across the base, (right, apex), (apex, left); −1: none.
+        child: (t,) int32, the first of two, which have the vertex as apex: that at the left end, that at the right.
+        node: (t,) int32, the vertex that splits it, −1: a leaf.
+        state: (t,) uint8. error: (t,) float64, the largest deviation of the truth, metres. low, high: (t,) float64,
+            heights of the truth under it.
+        lists: (t, 2) int64, the part of ``pool`` with the truth's triangles that overlap a leaf.
+        pool: int32. counts: (6,) int64.
+    """
+
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    z: NDArray[np.float64]
+    steiner: NDArray[np.uint8]
+    owners: NDArray[np.int32]
+    corners: NDArray[np.int32]
+    beside: NDArray[np.int32]
+    child: NDArray[np.int32]
+    node: NDArray[np.int32]
+    state: NDArray[np.uint8]
+    error: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    lists: NDArray[np.int64]
+    pool: NDArray[np.int32]
+    counts: NDArray[np.int64]
+
+
+@inlined
+def orient(ax, ay, bx, by, cx, cy):
+    """Twice the signed area of three places, exact."""
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+@kernel
+def rim_of(triangles, points):
+    """Which sides of triangles have no triangle beyond them, as bits."""
+    first = np.zeros(points + 1, np.int64)
+    for t in range(len(triangles)):
+        for k in range(3):
+            first[triangles[t, k] + 1] += 1
+    for p in range(points):
+        first[p + 1] += first[p]
+    ends, at = np.empty(first[points], np.int32), first[:-1].copy()
+    for t in range(len(triangles)):
+        for k in range(3):
+            p = triangles[t, k]
+            ends[at[p]] = triangles[t, (k + 1) % 3]
+            at[p] += 1
+    rim = np.zeros(len(triangles), np.uint8)
+    for t in range(len(triangles)):
+        for k in range(3):
+            p, q = triangles[t, k], triangles[t, (k + 1) % 3]
+            beyond = False
+            for i in range(first[q], first[q + 1]):
+                beyond = beyond or ends[i] == p
+            if not beyond:
+                rim[t] |= np.uint8(1 << k)
+    return rim
+
+
+@inlined
+def apart(tree, truth, t, s):
+    """Whether a triangle of the tree and one of the truth share no area."""
+    c = tree.corners
+    for k in range(3):
+        p, q = c[t, k], c[t, (k + 1) % 3]
+        outside = True
+        for i in range(3):
+            v = truth.triangles[s, i]
+            outside = outside and orient(
+                tree.x[p], tree.y[p], tree.x[q], tree.y[q], truth.x[v], truth.y[v]) <= 0  # fmt: skip
+        if outside:
+            return True
+    for k in range(3):
+        p, q = truth.triangles[s, k], truth.triangles[s, (k + 1) % 3]
+        outside = True
+        for i in range(3):
+            v = c[t, i]
+            outside = outside and orient(
+                truth.x[p], truth.y[p], truth.x[q], truth.y[q], tree.x[v], tree.y[v]) <= 0  # fmt: skip
+        if outside:
+            return True
+    return False
+
+
+@inlined
+def enters(tree, truth, t, p, q):
+    """Whether an edge of the truth has a part inside a triangle of the tree."""
+    c = tree.corners
+    px, py, qx, qy = truth.x[p], truth.y[p], truth.x[q], truth.y[q]
+    below = above = False
+    for k in range(3):
+        u, v = c[t, k], c[t, (k + 1) % 3]
+        ux, uy, vx, vy = tree.x[u], tree.y[u], tree.x[v], tree.y[v]
+        if orient(ux, uy, vx, vy, px, py) <= 0 and orient(ux, uy, vx, vy, qx, qy) <= 0:
+            return False
+        side = orient(px, py, qx, qy, ux, uy)
+        below, above = below or side < 0, above or side > 0
+    return below and above
+
+
+@inlined
+def height_on(xs, ys, zs, a, b, c, x, y):
+    """The height of the plane through three vertices at a place."""
+    u = orient(xs[b], ys[b], xs[c], ys[c], x, y)
+    v = orient(xs[c], ys[c], xs[a], ys[a], x, y)
+    area = orient(xs[a], ys[a], xs[b], ys[b], xs[c], ys[c])
+    w = area - u - v
+    return (u * zs[a] + v * zs[b] + w * zs[c]) / area
+
+
+@inlined
+def covers(xs, ys, a, b, c, x, y):
+    """Whether a place lies in a triangle, its sides included."""
+    return (
+        orient(xs[a], ys[a], xs[b], ys[b], x, y) >= 0
+        and orient(xs[b], ys[b], xs[c], ys[c], x, y) >= 0
+        and orient(xs[c], ys[c], xs[a], ys[a], x, y) >= 0
+    )
+
+
+@inlined
+def crossing(tree, truth, u, v, p, q):
+    """The deviation where a side (u, v) of the tree crosses an edge (p, q) of the truth; 0 where they do not cross."""
+    ux, uy, vx, vy = tree.x[u], tree.y[u], tree.x[v], tree.y[v]
+    px, py, qx, qy = truth.x[p], truth.y[p], truth.x[q], truth.y[q]
+    a, b = orient(ux, uy, vx, vy, px, py), orient(ux, uy, vx, vy, qx, qy)
+    if not ((a > 0 and b < 0) or (a < 0 and b > 0)):
+        return 0.0
+    c, d = orient(px, py, qx, qy, ux, uy), orient(px, py, qx, qy, vx, vy)
+    if (c > 0 and d > 0) or (c < 0 and d < 0):
+        return 0.0
+    s, t = a / np.float64(a - b), c / np.float64(c - d)
+    on_truth = truth.z[p] + s * (truth.z[q] - truth.z[p])
+    on_side = tree.z[u] + t * (tree.z[v] - tree.z[u])
+    return abs(on_truth - on_side)
+
+
+@leaf
+def measure(tree, truth, t):
+    """Find a triangle's state, its error and its heights from its list."""
+    begin, end = tree.lists[t, 0], tree.lists[t, 1]
+    a, b, c = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
+    low, high, worst = np.inf, -np.inf, 0.0
+    state = DEAD if begin == end else LIVE
+    for i in range(begin, end):
+        s = tree.pool[i]
+        for k in range(3):
+            p, q = truth.triangles[s, k], truth.triangles[s, (k + 1) % 3]
+            low, high = min(low, truth.z[p]), max(high, truth.z[p])
+            if truth.rim[s] >> k & 1 and enters(tree, truth, t, p, q):
+                state = MIXED
+            if covers(tree.x, tree.y, a, b, c, truth.x[p], truth.y[p]):
+                worst = max(worst, abs(height_on(tree.x, tree.y, tree.z, a, b, c, truth.x[p], truth.y[p]) - truth.z[p]))
+            if p < q or truth.rim[s] >> k & 1:
+                worst = max(worst, crossing(tree, truth, a, b, p, q))
+                worst = max(worst, crossing(tree, truth, b, c, p, q))
+                worst = max(worst, crossing(tree, truth, c, a, p, q))
+    tree.state[t], tree.low[t], tree.high[t] = state, low, high
+    tree.error[t] = worst * (1 + RIM) if state == LIVE else 0.0
+
+
+@inlined
+def fits(tree, t, u, x, y, least):
+    """Whether a diamond can be split at a place: all its corners are seen from there, and no half is too small."""
+    p, q, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
+    xs, ys = tree.x, tree.y
+    left, right = orient(xs[a], ys[a], xs[p], ys[p], x, y), orient(xs[q], ys[q], xs[a], ys[a], x, y)
+    share = least * 0.5 * orient(xs[p], ys[p], xs[q], ys[q], xs[a], ys[a])
+    if left <= 0 or right <= 0 or left < share or right < share:
+        return False
+    if u < 0:
+        return orient(xs[p], ys[p], xs[q], ys[q], x, y) == 0
+    b = tree.corners[u, 2]
+    left, right = orient(xs[p], ys[p], xs[b], ys[b], x, y), orient(xs[b], ys[b], xs[q], ys[q], x, y)
+    share = least * 0.5 * orient(xs[q], ys[q], xs[p], ys[p], xs[b], ys[b])
+    return left > 0 and right > 0 and left >= share and right >= share
+
+
+@inlined
+def choose(tree, truth, t, u, by_deviation):
+    """The truth's vertex that a diamond is split at, −1: none."""
+    p, q = tree.corners[t, 0], tree.corners[t, 1]
+    x2, y2 = tree.x[p] + tree.x[q], tree.y[p] + tree.y[q]
+    best, found = np.inf, -1
+    for half in range(1 if u < 0 else 2):
+        h = t if half == 0 else u
+        a, b, c = tree.corners[h, 0], tree.corners[h, 1], tree.corners[h, 2]
+        for i in range(tree.lists[h, 0], tree.lists[h, 1]):
+            for k in range(3):
+                v = truth.triangles[tree.pool[i], k]
+                x, y = truth.x[v], truth.y[v]
+                if by_deviation:
+                    if not covers(tree.x, tree.y, a, b, c, x, y):
+                        continue
+                    score = -abs(height_on(tree.x, tree.y, tree.z, a, b, c, x, y) - truth.z[v])
+                else:
+                    dx, dy = np.float64(2 * x - x2), np.float64(2 * y - y2)
+                    score = dx * dx + dy * dy
+                if (score < best or (score == best and v < found)) and fits(tree, t, u, x, y, LEAST):
+                    best, found = score, v
+    return found
+
+
+@inlined
+def on_truth(tree, truth, t, x, y):
+    """The height of the truth at a place in a triangle; NaN where there is none."""
+    for i in range(tree.lists[t, 0], tree.lists[t, 1]):
+        s = tree.pool[i]
+        a, b, c = truth.triangles[s, 0], truth.triangles[s, 1], truth.triangles[s, 2]
+        if covers(truth.x, truth.y, a, b, c, x, y):
+            return height_on(truth.x, truth.y, truth.z, a, b, c, x, y)
+    return np.nan
+
+
+@inlined
+def new_vertex(tree, truth, t, u, by_deviation):
+    """The vertex that splits a diamond, −1: it cannot be split."""
+    v = tree.counts[VERTICES]
+    found = choose(tree, truth, t, u, by_deviation)
+    if found >= 0:
+        tree.x[v], tree.y[v], tree.z[v], tree.steiner[v] = truth.x[found], truth.y[found], truth.z[found], 0
+    else:
+        p, q = tree.corners[t, 0], tree.corners[t, 1]
+        x, y = (tree.x[p] + tree.x[q]) >> 1, (tree.y[p] + tree.y[q]) >> 1
+        if not fits(tree, t, u, x, y, 0.0):
+            return -1
+        z = on_truth(tree, truth, t, x, y)
+        if np.isnan(z) and u >= 0:
+            z = on_truth(tree, truth, u, x, y)
+        if np.isnan(z):
+            z = 0.5 * (tree.z[p] + tree.z[q])
+        tree.x[v], tree.y[v], tree.z[v], tree.steiner[v] = x, y, z, 1
+        tree.counts[STEINER] += 1
+    tree.counts[VERTICES] = v + 1
+    return v
+
+
+@inlined
+def new_triangle(tree, truth, parent, other, a, b, c):
+    """A triangle, with its share of the lists of its parent and of the one across the parent's base: where the split
+    point lies on that side, it reaches there."""
+    t = tree.counts[TRIANGLES]
+    tree.counts[TRIANGLES] = t + 1
+    tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2] = a, b, c
+    tree.child[t] = tree.node[t] = -1
+    at = tree.counts[POOL]
+    tree.lists[t, 0] = at
+    for i in range(tree.lists[parent, 0], tree.lists[parent, 1]):
+        s = tree.pool[i]
+        if not apart(tree, truth, t, s):
+            tree.pool[at] = s
+            at += 1
+    if other >= 0:
+        for i in range(tree.lists[other, 0], tree.lists[other, 1]):
+            s = tree.pool[i]
+            if not apart(tree, truth, t, s) and apart(tree, truth, parent, s):
+                tree.pool[at] = s
+                at += 1
+    tree.lists[t, 1] = tree.counts[POOL] = at
+    measure(tree, truth, t)
+    return t
+
+
+@inlined
+def halve(tree, truth, t, u, m):
+    """Make the children of a triangle; their neighbours across its base are not yet known."""
+    p, q, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
+    one = new_triangle(tree, truth, t, u, a, p, m)
+    two = new_triangle(tree, truth, t, u, q, a, m)
+    tree.child[t], tree.node[t] = one, m
+    tree.beside[one, 0], tree.beside[one, 1], tree.beside[one, 2] = tree.beside[t, 2], -1, two
+    tree.beside[two, 0], tree.beside[two, 1], tree.beside[two, 2] = tree.beside[t, 1], one, -1
+    for new in (one, two):
+        other = tree.beside[new, 0]
+        if other >= 0:
+            for k in range(3):
+                if tree.beside[other, k] == t:
+                    tree.beside[other, k] = new
+    return one
+
+
+@inlined
+def split(tree, truth, t, by_deviation):
+    """Split a diamond; whether it could be."""
+    u = tree.beside[t, 0]
+    m = new_vertex(tree, truth, t, u, by_deviation)
+    if m < 0:
+        return False
+    tree.owners[m, 0], tree.owners[m, 1] = t, u
+    one = halve(tree, truth, t, u, m)
+    if u >= 0:
+        other = halve(tree, truth, u, t, m)
+        tree.beside[one, 1], tree.beside[other + 1, 2] = other + 1, one
+        tree.beside[one + 1, 2], tree.beside[other, 1] = other, one + 1
+    return True
+
+
+@inlined
+def wanted(tree, t, finest, smallest):
+    """Whether a leaf is too far from the truth, or too large for ground and missing ground."""
+    if tree.child[t] >= 0:
+        return False
+    if tree.state[t] == MIXED:
+        p, q = tree.corners[t, 0], tree.corners[t, 1]
+        dx, dy = np.float64(tree.x[p] - tree.x[q]), np.float64(tree.y[p] - tree.y[q])
+        return dx * dx + dy * dy > smallest * smallest
+    return tree.error[t] > finest or t < 2
+
+
+@kernel
+def grow(tree, truth, finest, smallest, by_deviation):
+    """Split all triangles that have to be; goes on where it stopped. DONE, or what is full.
+
+    Args:
+        finest: metres. smallest: lattice units.
+    """
+    stack = np.empty(256, np.int32)
+    while tree.counts[QUEUE] < tree.counts[TRIANGLES]:
+        t = tree.counts[QUEUE]
+        depth = 0
+        if wanted(tree, t, finest, smallest):
+            stack[0], depth = t, 1
+        while depth:
+            if tree.counts[TRIANGLES] + 4 > len(tree.child) or tree.counts[VERTICES] + 1 > len(tree.x):
+                return TRIANGLES_FULL
+            s = stack[depth - 1]
+            u = tree.beside[s, 0]
+            if u >= 0 and tree.beside[u, 0] != s:
+                if depth == len(stack):
+                    tree.counts[STUCK] += 1
+                    break
+                stack[depth], depth = u, depth + 1
+                continue
+            size = tree.lists[s, 1] - tree.lists[s, 0]
+            if u >= 0:
+                size += tree.lists[u, 1] - tree.lists[u, 0]
+            if tree.counts[POOL] + 4 * size > len(tree.pool):
+                return POOL_FULL
+            if not split(tree, truth, s, by_deviation):
+                tree.counts[STUCK] += 1
+                break
+            depth -= 1
+        tree.counts[QUEUE] += 1
+    return DONE
+
+
+@kernel
+def gather_lists(tree, pool):
+    """Copy the lists of leaves into another pool; its entries."""
+    at = 0
+    for t in range(tree.counts[TRIANGLES]):
+        begin, end = tree.lists[t, 0], tree.lists[t, 1]
+        if tree.child[t] >= 0:
+            tree.lists[t, 0] = tree.lists[t, 1] = 0
+            continue
+        tree.lists[t, 0] = at
+        for i in range(begin, end):
+            pool[at] = tree.pool[i]
+            at += 1
+        tree.lists[t, 1] = at
+    tree.counts[POOL] = at
+    return at
+
+
+@kernel
+def saturate(tree, east, north, error, radius):
+    """Errors and spheres of vertices, closed over the hierarchy, from the last made to the first.
+
+    Args:
+        east, north: (v,) metres. error, radius: (v,) float64 zeros, filled: of what a vertex splits, and of the ground
+            around it, with all that depends on it.
+    """
+    for v in range(tree.counts[VERTICES] - 1, 3, -1):
+        for side in range(2):
+            t = tree.owners[v, side]
+            if t < 0:
+                continue
+            error[v] = max(error[v], np.inf if tree.state[t] == MIXED else tree.error[t])
+            if tree.state[t] != DEAD:
+                far = 0.0
+                for k in range(3):
+                    c = tree.corners[t, k]
+                    far = max(far, np.hypot(east[c] - east[v], north[c] - north[v]))
+                up = max(abs(tree.high[t] - tree.z[v]), abs(tree.low[t] - tree.z[v]))
+                radius[v] = max(radius[v], np.hypot(far, up) * (1 + RIM))
+        for side in range(2):
+            t = tree.owners[v, side]
+            if t < 0:
+                continue
+            p = tree.corners[t, 2]
+            error[p] = max(error[p], error[v])
+            away = np.sqrt((east[p] - east[v]) ** 2 + (north[p] - north[v]) ** 2 + (tree.z[p] - tree.z[v]) ** 2)
+            radius[p] = max(radius[p], (away + radius[v]) * (1 + RIM))
