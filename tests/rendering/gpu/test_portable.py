@@ -61,7 +61,7 @@ LIGHTS: dict[str, Any] = {
     "discs": ((Sun(90, 30, 10.0), (0.2, 0.2, 0.6)),),
 }
 SCENES: dict[str, dict[str, Any]] = {
-    "lines": {"contours": Contours(50.0), "silhouettes": Silhouettes(), "sky": True, "furniture": ("scale",)},
+    "lines": {"contours": Contours(50.0), "silhouettes": Silhouettes(), "sky": True, "furniture": True},
     "apertures": {"light": "aperture", **LIGHTS},
     "rays": {"light": "raytraced", "rays": 4, **LIGHTS},
     "mesh": {"method": "soar", "wireframe": True},
