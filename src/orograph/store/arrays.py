@@ -16,6 +16,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -338,10 +339,17 @@ class ShardedArray:
         if not missing:
             return out
         bulk = len(missing) > BULK
-        above = self._above(missing)
+        early: list[tuple[bytes | None, int]] | None = None
+        if self.coarser is not None and self.storage.remote and not bulk:
+            # All levels at once: one after the other their answers would be waited for as many times.
+            with ThreadPoolExecutor(1) as pool:
+                waiting = pool.submit(self._above, missing)
+                early, above = self._fetch(missing), waiting.result()
+        else:
+            above = self._above(missing)
 
         def load(spots: Sequence[Spot]) -> None:
-            for (i, j), (data, check) in zip(spots, self._fetch(spots), strict=True):
+            for (i, j), (data, check) in zip(spots, early or self._fetch(spots), strict=True):
                 chunk = self._decode(i, j, data, check, above)
                 if not bulk:
                     cache.put((path, i, j), chunk)
