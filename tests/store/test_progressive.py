@@ -161,6 +161,17 @@ def test_damage_above_is_named_where_it_is(tmp_path):
         terrain.read(0, 0, 64, 0, 64)  # (what does not hang on it is read)
 
 
+def test_windows_of_a_store_at_a_url(tmp_path):
+    heights, how = rough((300, 260), 9, missing=0.05), {"codec": "progressive", "max_error": 0.1, "errors": ()}
+    here = store.build(source(heights), tmp_path / "s", shard=64, chunk=16, **how).read(0, 0, 300, 0, 260)
+    there = store.build(source(heights), "memory://progressive", shard=64, chunk=16, overwrite=True, **how)
+    assert there.storage.remote
+    rng = np.random.default_rng(2)
+    for _ in range(10):
+        r, c = rng.integers(0, 230, 2)
+        np.testing.assert_array_equal(there.read(0, r, r + 30, c, c + 30), here[r : r + 30, c : c + 30])
+
+
 def test_the_record_says_what_it_is(tmp_path):
     terrain = store.build(source(rough((40, 40), 1)), tmp_path / "s", codec="progressive", max_error=0.1)
     said = json.loads((tmp_path / "s/zarr.json").read_text())["attributes"]["orograph"]["codec"]
