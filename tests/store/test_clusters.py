@@ -38,7 +38,7 @@ def client():
         yield client
 
 
-@pytest.mark.parametrize("kept", [{}, {"codec": "compact", "max_error": 0.05}], ids=["lossless", "compact"])
+@pytest.mark.parametrize("kept", [{}, {"codec": "progressive", "max_error": 0.05}], ids=["lossless", "progressive"])
 def test_workers_make_what_one_process_makes(tmp_path, client, kept):
     dem = written(tmp_path / "a.tif")
     how = SIZES | kept

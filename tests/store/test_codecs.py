@@ -12,6 +12,7 @@ from pathlib import Path
 import compact_reference
 import numpy as np
 import pytest
+import rasterio
 import smallest_reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -176,3 +177,28 @@ def test_the_decoder_for_browsers(codec, tmp_path):
     for k, whole in enumerate(wholes):
         found = np.frombuffer((tmp_path / f"{k}.out").read_bytes(), "<i4").reshape(whole.shape)
         np.testing.assert_array_equal(found, whole)
+
+
+@pytest.mark.parametrize(
+    ("path", "step", "effort"),
+    [("n44w072-hgt/N44W072.hgt", 1.0, 7), ("bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif", 1.0, 7),
+     ("nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif", 0.01, 3),
+     ("nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif", 204 / 1024, 3),
+     ("lsd-topo/gabilan.tif", 204 / 1024, 7)],
+)  # fmt: skip
+def test_smallest_is_not_larger_than_jpeg_xl(path, step, effort, shared_data):
+    imagecodecs = pytest.importorskip("imagecodecs")
+    with rasterio.open(shared_data / path) as file:
+        heights = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+    ours = theirs = 0
+    for row in range(0, heights.shape[0] - 255, 256):
+        for col in range(0, heights.shape[1] - 255, 256):
+            part = heights[row : row + 256, col : col + 256]
+            if np.isnan(part).any() or ours > 2e5:
+                continue
+            whole = np.rint(part / step).astype(np.int32)
+            ours += len(smallest.compressed(whole))
+            theirs += len(
+                imagecodecs.jpegxl_encode((whole - whole.min()).astype(np.uint16), lossless=True, effort=effort)
+            )
+    assert 0 < ours <= theirs

@@ -72,7 +72,9 @@ def test_any_shape_any_shards_any_error(tmp_path_factory, rows, cols, sizes, job
     how = {"codec": codec, "max_error": error, "shard": sizes[0], "chunk": sizes[1], "jobs": jobs}
     terrain = store.build(source(heights), url, **how)
     kept, coding = full(terrain), terrain.record.coding
-    np.testing.assert_array_equal(kept, rounded(heights, coding.step))
+    if codec != "progressive":
+        np.testing.assert_array_equal(kept, rounded(heights, coding.step))
+    np.testing.assert_array_equal(np.isnan(kept), np.isnan(heights))
     off = np.abs(kept.astype(np.float64) - heights)[~np.isnan(heights)]
     assert coding.largest == off.max(initial=0) <= error
     assert coding.rms == pytest.approx(math.sqrt(np.square(off).sum() / max(off.size, 1)))
@@ -88,7 +90,7 @@ def test_any_shape_any_shards_any_error(tmp_path_factory, rows, cols, sizes, job
             np.testing.assert_array_equal(getattr(terrain.tiles(level), name), getattr(memory.tiles(level), name))
         h, w = memory.mean_shape(level)
         means = memory.read_mean(level, 0, h, 0, w)
-        np.testing.assert_allclose(terrain.read_mean(level, 0, h, 0, w), means, rtol=1e-6, atol=coding.step / 8)
+        np.testing.assert_allclose(terrain.read_mean(level, 0, h, 0, w), means, rtol=1e-6, atol=coding.means.step / 2)
     assert not terrain.check()
 
 
@@ -105,7 +107,7 @@ def test_all_that_is_derived_is_of_the_kept_heights(built, tmp_path):
 
 def test_any_window(built):
     terrain = store.open(built, cache_bytes=5000)
-    kept = rounded(HEIGHTS, terrain.record.coding.step)
+    kept = full(store.open(built))
     rng = np.random.default_rng(0)
     for _ in range(30):
         (r0, r1), (c0, c1) = np.sort(rng.integers(0, 301, 2)), np.sort(rng.integers(0, 261, 2))
@@ -228,7 +230,7 @@ def test_damage_is_named_and_mended(built, tmp_path):
         assert {key.partition("[")[0] for key in terrain.check()} == {
             key for key in whole if whole[key] != files(area)[key]
         }
-        with pytest.raises(DamagedChunkError, match=r"heights/0/height/c/1/1\[.*fails its checksum"):
+        with pytest.raises(DamagedChunkError, match=r"heights/[01]/height/c/[01]/1\[.*fails its checksum"):
             full(terrain)
     repair(area, source(HEIGHTS))
     assert files(area) == whole

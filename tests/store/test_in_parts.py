@@ -22,7 +22,7 @@ def files(folder):
 
 
 @pytest.mark.parametrize("shape", [(700, 530), (513, 512), (640, 129), (1200, 66)])
-@pytest.mark.parametrize(("count", "kept"), [(1, {}), (3, {}), (3, {"codec": "compact", "max_error": 0.05})])
+@pytest.mark.parametrize(("count", "kept"), [(1, {}), (3, {}), (3, {"codec": "progressive", "max_error": 0.05})])
 def test_parts_make_what_one_process_makes(tmp_path, shape, count, kept):
     given = source(rough(shape, 3, missing=0.01, hole=True))
     how = SIZES | kept

@@ -114,11 +114,12 @@ class MaxError(click.ParamType[str | float]):
 )
 @click.option(
     "--codec",
-    type=click.Choice(["portable", "compact", "smallest"]),
+    type=click.Choice(["portable", "compact", "smallest", "progressive"]),
     default="portable",
     show_default=True,
     help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 of "
-    "the size, and smallest, smaller still and slower, are read by Orograph (and zarr-python beside it).",
+    "the size, and smallest, smaller still and slower, are read by Orograph (and zarr-python beside it); "
+    "progressive, the smallest of all, stores each level by what it differs by from the one above it.",
 )
 @click.option(
     "--max-error",

@@ -16,7 +16,8 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ from orograph.store import compact, smallest
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import MISSING, Packing
 from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed, tail_length, unsealed
+from orograph.store.progressive import Scheme, known, rebuilt, residuals
 from orograph.store.storage import Storage
 
 if TYPE_CHECKING:
@@ -42,8 +44,8 @@ BULK = 16  # windows of more chunks than this are decoded by all processors, and
 BATCH = 64  # chunks fetched together from remote storage
 INDICES = 4096  # shard indices kept
 
-OWN = {"compact": compact, "smallest": smallest}
-"""The project's own codecs, of chunks of int32 (docs/codec.md)."""
+OWN = {"compact": compact, "smallest": smallest, "progressive": smallest}
+"""The project's own codecs, of chunks of int32 (docs/codec.md), by profile."""
 
 CODEC = {"cname": "zstd", "clevel": 1, "blocksize": 1 << 18}
 """One blosc block per 256² chunk of float32. Warped SRTM packs 1.8:1 so (integers 5:1) and decodes at 2 GB/s a core.
@@ -63,6 +65,7 @@ class ArraySpec:
         fill: the value of chunks that are not written.
         dimensions: their names.
         packing: how the samples lie in it as int32; None: as they are.
+        scheme, coarser: how, and from which array, they follow (``progressive``); None: they stand for themselves.
     """
 
     path: str
@@ -73,6 +76,8 @@ class ArraySpec:
     fill: float = float("nan")
     dimensions: tuple[str, str] = ("y", "x")
     packing: Packing | None = None
+    scheme: Scheme | None = None
+    coarser: ArraySpec | None = None
 
     @property
     def shards(self) -> Spot:
@@ -113,8 +118,19 @@ class ArraySpec:
             "fill_value": "NaN" if np.isnan(fill) else np.dtype(dtype).type(fill).item(),
             "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
             "dimension_names": list(self.dimensions),
-            "attributes": {**attributes, **({} if self.packing is None else self.packing.attributes())},
+            "attributes": self._attributes(attributes),
         }
+
+    def _attributes(self, attributes: dict[str, Any]) -> dict[str, Any]:
+        if self.packing is None:
+            return attributes
+        if self.scheme is None or self.coarser is None:
+            return {**attributes, **self.packing.attributes()}
+        return {
+            "long_name": "differences of heights from their predictions (orograph: docs/codec.md, progressive)",
+            "grid_mapping": "spatial_ref", "_FillValue": MISSING,
+            "prediction": {"from": self.coarser.path, "step": self.packing.step, **asdict(self.scheme)},
+        }  # fmt: skip
 
     @property
     def chunks(self) -> int:
@@ -138,8 +154,11 @@ class ArraySpec:
                 view = block[i * self.chunk : (i + 1) * self.chunk, j * self.chunk : (j + 1) * self.chunk]
                 if self._is_fill(view):
                     continue
+                if self.scheme is not None:
+                    view = self._stored(view, self._last(spot, (i, j)), self.scheme)
                 if view.shape != (self.chunk, self.chunk):
-                    whole = np.full((self.chunk, self.chunk), self.fill, self.dtype)
+                    fill, dtype = (self.fill, self.dtype) if self.scheme is None else (MISSING, "int32")
+                    whole = np.full((self.chunk, self.chunk), fill, dtype)
                     whole[: view.shape[0], : view.shape[1]] = view
                     view = whole
                 data = self._compressed(view)
@@ -151,11 +170,44 @@ class ArraySpec:
         end, digest = sealed(self.key(spot), index, sums)
         return [*parts, end], digest
 
+    def _stored(self, view: Array, last: Spot, scheme: Scheme) -> Array:
+        """The differences that are stored of a chunk."""
+        assert self.packing is not None
+        return residuals(self.packing.numbers(view), last, scheme)
+
+    def _size(self, spot: Spot, chunk: Spot) -> tuple[Spot, Spot]:
+        """(The first sample of a chunk of a shard, how many it has each way)."""
+        row, col = (a * self.shard + b * self.chunk for a, b in zip(spot, chunk, strict=True))
+        return (row, col), (min(self.chunk, self.shape[0] - row), min(self.chunk, self.shape[1] - col))
+
+    def _last(self, spot: Spot, chunk: Spot) -> Spot:
+        return known(self.shape, *self._size(spot, chunk))
+
+    def heights_of(self, data: bytes, i: int, j: int, coarse: Array) -> Array:
+        """The samples of a chunk (i, j) of the array, of those of the array above it.
+
+        Args:
+            coarse: from every second of its rows and columns on.
+
+        Raises:
+            ValueError: it is damaged.
+        """
+        assert self.packing is not None and self.scheme is not None
+        _, size = self._size((0, 0), (i, j))
+        last = self._last((0, 0), (i, j))
+        stored = smallest.decompressed(data, (self.chunk, self.chunk))[: size[0], : size[1]]
+        above = self.packing.numbers(coarse[: (size[0] + 1) // 2 + last[0], : (size[1] + 1) // 2 + last[1]])
+        found = np.full((self.chunk, self.chunk), np.nan, np.float32)
+        found[: size[0], : size[1]] = self.packing.heights(rebuilt(stored, above, last, self.scheme))
+        return found
+
     @property
     def _own(self) -> ModuleType | None:
         return None if self.packing is None else OWN.get(self.packing.codec)
 
     def _compressed(self, chunk: Array) -> bytes:
+        if self.scheme is not None:
+            return smallest.compressed(chunk, nested=True)
         if self.packing is not None and self._own is not None:
             coded: bytes = self._own.compressed(self.packing.numbers(chunk))
             return coded
@@ -189,6 +241,22 @@ class ArraySpec:
         return bool((view == self.fill).all())
 
 
+class Window:
+    """A part of an array that is in memory.
+
+    Args:
+        first: its first sample. samples: it.
+    """
+
+    def __init__(self, first: Spot, samples: Array) -> None:
+        self.first, self.samples = first, samples
+
+    def window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """Samples ``[row0, row1) × [col0, col1)``."""
+        row, col = self.first
+        return self.samples[row0 - row : row1 - row, col0 - col : col1 - col]
+
+
 class ShardedArray:
     """An array of a store, opened for reading. Safe from any number of threads.
 
@@ -214,6 +282,9 @@ class ShardedArray:
         self.jobs, self.watch = jobs or cpu_count(), watch
         self.blank = np.full((spec.chunk, spec.chunk), spec.fill, spec.dtype)
         self.blank.flags.writeable = False
+        self.coarser: ShardedArray | Window | None = None
+        if spec.coarser is not None:
+            self.coarser = ShardedArray(spec.coarser, storage, digests, cache, jobs)
         self._indices: OrderedDict[Spot, list[Place]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -225,10 +296,10 @@ class ShardedArray:
             StoreReplacedError: the store is another by now.
         """
         if self.watch is None:
-            return self._window(row0, row1, col0, col1)
+            return self.window(row0, row1, col0, col1)
         self.watch()
         try:
-            return self._window(row0, row1, col0, col1)
+            return self.window(row0, row1, col0, col1)
         except DamagedChunkError:
             self.watch.explain(self.spec.path)
             raise
@@ -239,12 +310,20 @@ class ShardedArray:
         Raises:
             DamagedChunkError: as ``read``.
         """
-        if whole:
+        self._index(shard)
+        if whole and self.coarser is None:
             self.read(*self.spec.window(shard))
-        else:
-            self._index(shard)
+        elif whole:  # what lies above may not be there yet
+            row0, row1, col0, col1 = self.spec.window(shard)
+            rows, cols = (
+                range(a // self.spec.chunk, -(-b // self.spec.chunk)) for a, b in ((row0, row1), (col0, col1))
+            )
+            spots = [(i, j) for i in rows for j in cols]
+            for (i, j), (data, check) in zip(spots, self._fetch(spots), strict=True):
+                self._decode(i, j, data, check, None)
 
-    def _window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+    def window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """As ``read``, without asking whether the store is the same."""
         out = np.empty((row1 - row0, col1 - col0), self.spec.dtype)
         if out.size == 0:
             return out
@@ -260,10 +339,18 @@ class ShardedArray:
         if not missing:
             return out
         bulk = len(missing) > BULK
+        early: list[tuple[bytes | None, int]] | None = None
+        if self.coarser is not None and self.storage.remote and not bulk:
+            # All levels at once: one after the other their answers would be waited for as many times.
+            with ThreadPoolExecutor(1) as pool:
+                waiting = pool.submit(self._above, missing)
+                early, above = self._fetch(missing), waiting.result()
+        else:
+            above = self._above(missing)
 
         def load(spots: Sequence[Spot]) -> None:
-            for (i, j), (data, check) in zip(spots, self._fetch(spots), strict=True):
-                chunk = self._decode(i, j, data, check)
+            for (i, j), (data, check) in zip(spots, early or self._fetch(spots), strict=True):
+                chunk = self._decode(i, j, data, check, above)
                 if not bulk:
                     cache.put((path, i, j), chunk)
                 self._place(out, chunk, i, j, row0, col0)
@@ -275,6 +362,18 @@ class ShardedArray:
         else:
             load(missing)
         return out
+
+    def _above(self, spots: Sequence[Spot]) -> Window | None:
+        """What these chunks need of the array above; None: nothing."""
+        if self.coarser is None:
+            return None
+        spans = []
+        for axis in (0, 1):
+            first, end = min(spot[axis] for spot in spots), max(spot[axis] for spot in spots) + 1
+            size, side = self.spec.chunk, self.spec.shape[axis]
+            # (the last sample of an even number of them has an odd number, and is the last one above, too)
+            spans += [first * size // 2, end * size // 2 if end * size < side else side // 2 + 1]
+        return Window((spans[0], spans[2]), self.coarser.window(*spans))
 
     def _place(self, out: Array, chunk: Array, i: int, j: int, row0: int, col0: int) -> None:
         """Copy what of chunk (i, j) lies in the window at (row0, col0)."""
@@ -319,7 +418,7 @@ class ShardedArray:
                 self._indices.popitem(last=False)
         return index
 
-    def _decode(self, i: int, j: int, data: bytes | None, check: int) -> Array:
+    def _decode(self, i: int, j: int, data: bytes | None, check: int, above: Window | None) -> Array:
         if data is None:
             return self.blank
         said = int.from_bytes(data[-4:], "little")
@@ -328,7 +427,12 @@ class ShardedArray:
         if said != check:
             raise self._damaged(i, j, "it belongs to another shard")
         try:
-            chunk = self.spec.decompressed(data[:-4])
+            if above is None:
+                chunk = self.spec.decompressed(data[:-4])
+            else:
+                row, col = i * self.spec.chunk // 2, j * self.spec.chunk // 2
+                side = self.spec.chunk // 2 + 1
+                chunk = self.spec.heights_of(data[:-4], i, j, above.window(row, row + side, col, col + side))
         except (RuntimeError, ValueError) as error:
             raise self._damaged(i, j, "it cannot be decompressed") from error
         chunk.flags.writeable = False

@@ -130,7 +130,8 @@ def build(
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
-            (docs/codec.md), smaller, or "smallest", which is decoded slower.
+            (docs/codec.md), smaller, "smallest", which is decoded slower, or "progressive", which keeps no sample
+            twice: each level is what it differs by from a prediction out of the level above.
         max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
             twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
             feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.

@@ -32,8 +32,8 @@ from orograph.store.terrain import Heights
 if TYPE_CHECKING:
     from orograph.store.source import HeightSource
 
-Codec = Literal["portable", "compact", "smallest"]
-CODECS: tuple[Codec, ...] = ("portable", "compact", "smallest")
+Codec = Literal["portable", "compact", "smallest", "progressive"]
+CODECS: tuple[Codec, ...] = ("portable", "compact", "smallest", "progressive")
 
 MISSING = -(1 << 31)
 """The number of a missing sample."""
@@ -48,6 +48,7 @@ MEANS = 4
 """Steps of means in a step of heights."""
 
 _MOST = 1 << 29  # (means have numbers four times as large)
+_FINER = 16  # steps of *progressive* in twice the error, about
 _STRIP = 256  # rows that are rounded at once
 _WINDOWS, _SIDE = 8, 64  # windows each way in which steps are looked for, and samples along their sides
 
@@ -108,11 +109,22 @@ class Coding:
     @property
     def means(self) -> Packing:
         """Of means."""
+        if self.codec == "progressive":
+            return Packing(self.step * self.factor / MEANS, "smallest")
         return Packing(self.step / MEANS, self.codec)
 
-    def rounded(self, heights: Heights, own: int) -> tuple[Heights, NDArray[np.float64]]:
+    @property
+    def factor(self) -> int:
+        """Steps of heights in twice the largest error, of the codec *progressive*."""
+        return 1 if self.max_error is None else int(2 * self.max_error / self.step)
+
+    def rounded(self, heights: Heights, own: int, kept: Numbers | None = None) -> tuple[Heights, NDArray[np.float64]]:
         """Heights as they are kept, and what that loses of the first ``own`` rows and columns: (the largest distance,
         the sum of the squares of all).
+
+        Args:
+            heights: of a shard of ``own`` samples a side, with the row and column that follow.
+            kept: the numbers that they become (of the codec *progressive*); None: the nearest.
 
         Raises:
             UsageError: heights are too large for such steps.
@@ -122,20 +134,31 @@ class Coding:
         for row in range(0, len(heights), _STRIP):
             strip = slice(row, row + _STRIP)
             read = heights[strip].astype(np.float64)
-            number = np.rint(read / self.step)
+            number = np.rint(read / self.step) if kept is None else np.where(np.isnan(read), np.nan, kept[strip])
             out[strip] = number * self.step
             off = np.abs(out[strip] - read)
             worst = float(np.nanmax(off, initial=0.0))
-            highest = float(np.nanmax(np.abs(read), initial=0.0))
-            if highest >= _MOST * self.step or (self.max_error is not None and worst > self.max_error):
-                raise UsageError(
-                    f"Heights of {highest:g} m cannot be kept in steps of {self.step:g} m.",
-                    remedy="State a larger error (`max_error`), or build it lossless.",
-                )
+            self.bounded(read, worst)
             off = np.nan_to_num(off[: max(own - row, 0), :own])
             largest = max(largest, float(off.max(initial=0.0)))
             squares.append(float(np.square(off).sum()))
         return out, np.array([largest, math.fsum(squares)])
+
+    def bounded(self, read: NDArray[Any], worst: float = 0.0) -> None:
+        """Check that heights can be kept.
+
+        Args:
+            worst: how far off they came out, metres.
+
+        Raises:
+            UsageError: heights are too large, or came out further off than was stated.
+        """
+        highest = float(np.nanmax(np.abs(read), initial=0.0))
+        if highest >= _MOST * self.step or (self.max_error is not None and worst > self.max_error):
+            raise UsageError(
+                f"Heights of {highest:g} m cannot be kept in steps of {self.step:g} m.",
+                remedy="State a larger error (`max_error`), or build it lossless.",
+            )
 
     def measured(self, found: Sequence[NDArray[np.float64]], samples: int) -> Coding:
         """With what all tasks of a build found.
@@ -205,7 +228,7 @@ def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Codin
             f"`max_error` is at least {FINEST / 2:.3g} m, not {error:g}.",
             remedy="For less, keep the heights as they are: `max_error='lossless'`.",
         )
-    return Coding(codec, floored(2 * error), error)
+    return Coding(codec, floored(2 * error / (_FINER if codec == "progressive" else 1)), error)
 
 
 def floored(width: float) -> float:

@@ -82,13 +82,20 @@ class Groups(ShardStage[Handed]):
         row, col, shape = self._area(spot, self.summed)
         total, count = np.zeros(shape), np.zeros(shape, np.int32)
         facts: dict[Spot, Facts] = {}
+        spans = self._spans(spot)
+        whole: Heights | None = None
+        if self.finest.spec_of(heights_spec, self.levels).coarser is not None:  # it cannot be read back yet
+            whole = np.full((spans[1] - spans[0], spans[3] - spans[2]), np.nan, np.float32)
 
         def one(shard: Spot) -> None:
             own, facts[shard] = finest.found(shard) or finest.make(shard)
             top, left = shard[0] * self.shard, shard[1] * self.shard
             means = BoxMeans(own)
             end = top + self.shard >= self.shape[0], left + self.shard >= self.shape[1]
-            above.add(top, left, end, own, means, 0)
+            nested = above.add(top, left, end, own, means, 0)
+            if whole is not None:
+                r, c = (top >> self.levels) - spans[0], (left >> self.levels) - spans[2]
+                whole[r : r + nested.shape[0], c : c + nested.shape[1]] = nested
             if self.summed > self.levels:
                 means.ahead()
             r, c = (top >> self.summed) - row, (left >> self.summed) - col
@@ -98,8 +105,10 @@ class Groups(ShardStage[Handed]):
         for_each(one, self._shards(spot), self.jobs)
         kept: Facts = {"total": total, "count": count, **noting.packed()}
         kept.update({f"facts.{i}.{j}": np.frombuffer(pack(each), np.uint8) for (i, j), each in sorted(facts.items())})
+        if whole is not None:
+            kept["nested"] = whole
         self.writer.keep(self.key(spot), pack(kept))
-        return Handed(self._nested(spot), total, count, facts)
+        return Handed(self._nested(spot, kept), total, count, facts)
 
     def found(self, spot: Spot, proof: bool = True) -> Handed | None:
         data = self.writer.storage.get(self.key(spot))
@@ -115,7 +124,7 @@ class Groups(ShardStage[Handed]):
                 if name.startswith("facts."):
                     _, i, j = name.split(".")
                     facts[int(i), int(j)] = unpack(kept[name].tobytes())
-            return Handed(self._nested(spot), kept["total"], kept["count"], facts)
+            return Handed(self._nested(spot, kept), kept["total"], kept["count"], facts)
         except (DamagedChunkError, ValueError, KeyError):
             return None
 
@@ -147,14 +156,19 @@ class Groups(ShardStage[Handed]):
         row, col = spot[0] * size, spot[1] * size
         return row, col, (min(size, rows - row), min(size, cols - col))
 
-    def _nested(self, spot: Spot) -> Heights:
-        """Its samples of level s, with the last ones of the raster if it reaches its end."""
-        spec = self.finest.spec_of(heights_spec, self.levels)
-        spans = []
-        for at, side, samples in zip(spot, self.shape, spec.shape, strict=True):
+    def _spans(self, spot: Spot) -> tuple[int, int, int, int]:
+        """Its samples of level s, with the last ones of the raster if it reaches its end: row0, row1, col0, col1."""
+        spans, whole = [], self.finest.spec_of(heights_spec, self.levels).shape
+        for at, side, samples in zip(spot, self.shape, whole, strict=True):
             last = (at + 1) * self.shard << self.levels >= side
             spans += [at * self.shard, samples if last else (at + 1) * self.shard]
-        nested: Heights = self._array(spec).read(*spans)
+        return spans[0], spans[1], spans[2], spans[3]
+
+    def _nested(self, spot: Spot, kept: Facts) -> Heights:
+        """These samples."""
+        if "nested" in kept:
+            return kept["nested"]
+        nested: Heights = self._array(self.finest.spec_of(heights_spec, self.levels)).read(*self._spans(spot))
         return nested
 
     def _array(self, spec: ArraySpec) -> ShardedArray:

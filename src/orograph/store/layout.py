@@ -33,7 +33,7 @@ from pyproj import CRS
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid, wkt_of
 from orograph.store.arrays import ArraySpec
-from orograph.store.coding import Coding
+from orograph.store.coding import Coding, Packing
 from orograph.store.conventions import (
     consolidated,
     group,
@@ -46,6 +46,7 @@ from orograph.store.derived import At, Derived
 from orograph.store.digests import Digests, crc32c, digest_of
 from orograph.store.lattices import SOURCE, LatticeRecord
 from orograph.store.places import ROOT
+from orograph.store.progressive import Scheme
 from orograph.store.registry import KINDS
 from orograph.store.storage import Storage
 from orograph.store.terrain import (
@@ -73,7 +74,13 @@ TABLES_AND_VALID = {**TABLES, "valid": ("uint8", 0.0)}
 def heights_spec(shape: Shape, level: int, shard: int, chunk: int, coding: Coding | None = None) -> ArraySpec:
     """The nested heights of a level."""
     packing = None if coding is None else coding.heights
-    return ArraySpec(f"heights/{level}/height", level_shape(shape, level), shard, chunk, packing=packing)
+    spec = ArraySpec(f"heights/{level}/height", level_shape(shape, level), shard, chunk, packing=packing)
+    if coding is None or coding.codec != "progressive":
+        return spec
+    if level == level_count(shape) - 1:
+        return replace(spec, packing=Packing(coding.step * coding.factor, coding.codec))
+    scheme = Scheme(coding.factor, level >= (shard // chunk).bit_length())
+    return replace(spec, scheme=scheme, coarser=heights_spec(shape, level + 1, shard, chunk, coding))
 
 
 def mean_spec(shape: Shape, level: int, shard: int, chunk: int, coding: Coding | None = None) -> ArraySpec:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from orograph.error.diamonds import halve
 from orograph.errors import DamagedChunkError
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.arrays import ArraySpec, ShardedArray, Window
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.digests import Spot
@@ -39,6 +39,8 @@ from orograph.store.levels import (
     tile_errors,
 )
 from orograph.store.parts import pack, unpack
+from orograph.store.progressive import closed, coarse_of, known
+from orograph.store.smallest import compressed, decompressed
 from orograph.store.source import HeightSource
 from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count, level_shape, mean_shape, tile_shape
 from orograph.store.writer import Canvas, ShardWriter
@@ -78,17 +80,15 @@ class Finest:
 
     def make(self, spot: Spot) -> tuple[Heights, Facts]:
         """Read, write the shard, look at its tiles, and keep what was found; the shard's samples, and that."""
-        (rows, cols), size = self.shape, self.shard
+        size = self.shard
         row, col = spot[0] * size, spot[1] * size
-        heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
-        heights = np.ascontiguousarray(heights, np.float32)
-        facts: Facts = {}
-        if self.coding is not None:
-            heights, facts["lost"] = self.coding.rounded(heights, size)
+        heights, facts = self.read(spot)
         own = heights[:size, :size]
         digest = self.writer.shard(self.spec, spot, own)
         low, high, valid = extrema(heights)
         facts |= {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
+        if self.spec.coarser is not None:  # without it the shard cannot be read back
+            facts["coarse"] = self._coarse(spot, own)
         facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
         empty = not valid.any()
         for level in range(1, self.direct + 1):
@@ -99,9 +99,43 @@ class Finest:
         self.writer.keep(self.key(spot), pack(facts))
         return own, facts
 
+    def read(self, spot: Spot) -> tuple[Heights, Facts]:
+        """A shard's samples as they are kept, with the row and column that follow, and what that loses."""
+        (rows, cols), size = self.shape, self.shard
+        row, col = spot[0] * size, spot[1] * size
+        heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
+        heights = np.ascontiguousarray(heights, np.float32)
+        if self.coding is None:
+            return heights, {}
+        kept = None
+        if self.coding.codec == "progressive":
+            self.coding.bounded(heights)
+            levels = min((size // self.chunk).bit_length(), level_count(self.shape) - 1)
+            kept = closed(heights.astype(np.float64) / self.coding.step, levels, self.chunk, self.coding.factor)
+        heights, lost = self.coding.rounded(heights, size, kept)
+        return heights, {"lost": lost}
+
     def key(self, spot: Spot) -> str:
         """Where what was found is kept."""
         return f"{PARTS}/{spot[0]}.{spot[1]}.part"
+
+    def _coarse(self, spot: Spot, own: Heights) -> NDArray[np.uint8]:
+        """A shard's samples of level 1, packed."""
+        assert self.spec.packing is not None
+        numbers = coarse_of(self.spec.packing.numbers(own), self._last(spot))
+        return np.frombuffer(compressed(numbers), np.uint8)
+
+    def _kept(self, spot: Spot, packed: bytes) -> Window:
+        """The same as an array that these samples can be read from."""
+        assert self.spec.packing is not None
+        row0, row1, col0, col1 = self.spec.window(spot)
+        last = self._last(spot)
+        shape = (row1 - row0 + 1) // 2 + last[0], (col1 - col0 + 1) // 2 + last[1]
+        return Window((row0 // 2, col0 // 2), self.spec.packing.heights(decompressed(packed, shape)))
+
+    def _last(self, spot: Spot) -> tuple[int, int]:
+        row0, row1, col0, col1 = self.spec.window(spot)
+        return known(self.shape, (row0, col0), (row1 - row0, col1 - col0))
 
     def spec_of(self, kind: Kind, level: int) -> ArraySpec:
         """The array of the heights or means of a level."""
@@ -116,6 +150,8 @@ class Finest:
         try:
             facts = unpack(data)
             self.writer.take(self.spec, spot, facts["digest"].tobytes())
+            if array.coarser is not None:
+                array.coarser = self._kept(spot, facts["coarse"].tobytes())
             return array.read(*self.spec.window(spot)), facts
         except (DamagedChunkError, ValueError):
             return None

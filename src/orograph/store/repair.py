@@ -188,10 +188,11 @@ class _Repair:
         if source.grid.shape != record.grid.shape:
             self.why = f"{source.name} has {source.grid.shape} samples and the store {record.grid.shape}."
             return
-        spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk, record.coding)
+        finest = Finest(source, self.mender, record.shard, record.chunk, record.coding)
+        spec, side = finest.spec, record.shard
 
         def make(spot: Spot) -> None:
-            self.mender.shard(spec, spot, np.ascontiguousarray(source.read(*spec.window(spot)), np.float32))
+            self.mender.shard(spec, spot, np.ascontiguousarray(finest.read(spot)[0][:side, :side]))
 
         spots = [spot for spot in tasks(record.grid.shape, record.shard) if spec.key(spot) in self.mender.damaged]
         go_through("Mending heights", spots, make, self.jobs, self.progress)
@@ -234,7 +235,12 @@ class _Repair:
     def _coarse(self) -> None:
         """Coarser levels, means and tables, from level 0."""
         record = self.record
-        finest = Finest(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, record.coding)
+        heights: HeightSource | None = _StoredHeights(self.terrain)
+        if record.coding is not None and record.coding.codec == "progressive":  # level 0 needs those above it
+            heights = self._opened()
+        if heights is None:
+            raise self._left()
+        finest = Finest(heights, self.mender, record.shard, record.chunk, record.coding)
         Threads(self.jobs, False).run(Pyramid(finest, "Mending levels"), self.progress)
 
     def _prove(self) -> None:

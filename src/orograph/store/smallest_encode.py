@@ -73,8 +73,10 @@ def _judge(whole, skips, classes, weights, shares, seen, counts, values, activit
     side, halves = np.zeros((2, 9), np.int32), np.empty((2, cols), np.int32)
     bases, signs = np.empty(cols, np.int32), np.empty(cols, np.int32)
     lines, at, fitting = np.empty((3, cols + 4), np.int32), 0, seen.shape[1] > 0
-    step = 2 * max(rows * cols // (2 * SAMPLED), 1)
+    step = 2 * max(rows * cols // (SAMPLED * (1 if classes == 1 else 2)), 2)
     for row in range(rows):
+        if fitting and (row + 2) % step >= 4:  # (those that are looked at need the sizes of the two before them)
+            continue
         for k in range(3):
             lines[(row + k) % 3] = whole[row + (k + 2) % 3] if k else whole[row + 2]
         near, far, line, left = whole[row + 1], whole[row], whole[row + 2], sizes[row % 3]

@@ -13,7 +13,7 @@ from orograph.store.compact_decode import NEIGHBOURS, TOTAL
 from orograph.store.compact_encode import OFFSETS
 from orograph.store.smallest_decode import SIGNS
 
-SAMPLED = 8000  # samples of a class that are looked at, about
+SAMPLED = 4096  # samples of a class that are looked at, about
 SWEEPS = 40
 
 

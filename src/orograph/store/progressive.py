@@ -1,0 +1,114 @@
+"""The codec *progressive*: every level of a store by what it differs from a prediction out of the level above it.
+
+After the compressed pyramid of geometry clipmaps (Losasso and Hoppe 2004, section 5): a level is foretold from every
+second of its samples by the tensor product of (-1, 9, 9, -1) / 16. These samples are those of the level above, *as they
+are decoded*, and are kept; of the others the difference is stored, in steps of twice the largest error. Predictions lie
+between these steps, in finer ones (``Packing.factor``), so each level is as close to the terrain as was asked for,
+and smooth ground costs next to nothing. No sample is stored twice.
+
+A chunk is foretold from its own samples alone, so it needs one chunk of the level above, and no other; and what a shard
+of level 0 becomes hangs on nothing beyond it and the row and column that it shares. Levels whose chunks are larger than
+that are whole numbers of the large steps.
+
+Where the raster's last row has an odd number, the level above repeats it (``level_shape``), and it is known from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.store.coding import MISSING, Numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Scheme:
+    """How a level follows from the one above it.
+
+    Attributes:
+        factor: steps of heights in a step of what is stored.
+        exact: whether its heights are whole numbers of that.
+    """
+
+    factor: int
+    exact: bool
+
+
+def known(shape: tuple[int, int], first: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """Whether the last row and column of a chunk are the array's, with odd numbers: (1 or 0, 1 or 0).
+
+    Args:
+        shape: of the array. first, size: of the chunk.
+    """
+    row, col = (int(at + n == side and side % 2 == 0) for side, at, n in zip(shape, first, size, strict=True))
+    return row, col
+
+
+def coarse_of(numbers: Numbers, last: tuple[int, int]) -> Numbers:
+    """The samples of a chunk that the level above has, too."""
+    rows = np.arange(0, numbers.shape[0], 2)
+    cols = np.arange(0, numbers.shape[1], 2)
+    rows = np.append(rows, numbers.shape[0] - 1) if last[0] else rows
+    cols = np.append(cols, numbers.shape[1] - 1) if last[1] else cols
+    return np.ascontiguousarray(numbers[np.ix_(rows, cols)])
+
+
+def residuals(numbers: Numbers, last: tuple[int, int], scheme: Scheme) -> Numbers:
+    """What is stored of a chunk: differences in large steps, 0 where the level above has the sample.
+
+    Args:
+        numbers: (rows, cols), ``MISSING`` where missing. last: from ``known``.
+    """
+    from orograph.store.progressive_kernels import subtract
+
+    found = np.empty(numbers.shape, np.int32)
+    subtract(np.ascontiguousarray(numbers), coarse_of(numbers, last), *last, scheme.factor, scheme.exact, found)
+    return found
+
+
+def rebuilt(stored: Numbers, coarse: Numbers, last: tuple[int, int], scheme: Scheme) -> Numbers:
+    """A chunk of what is stored of it and the samples that the level above has."""
+    from orograph.store.progressive_kernels import add
+
+    found = np.empty(stored.shape, np.int32)
+    add(np.ascontiguousarray(stored), np.ascontiguousarray(coarse), *last, scheme.factor, scheme.exact, found)
+    return found
+
+
+def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> Numbers:
+    """The numbers that heights become: each level as close as it can be, in large steps from its prediction.
+
+    Args:
+        units: heights in small steps, NaN where missing; they begin at a multiple of ``chunk`` << (``levels`` - 1)
+            samples, and end at such a one, or with the raster.
+        levels: how many are made so; the one above them is whole numbers of the large steps.
+    """
+    from orograph.store.progressive_kernels import settle
+
+    coarse = _numbers(np.rint(_level(units, levels) / factor) * factor)
+    for level in range(levels - 1, -1, -1):
+        here = _level(units, level)
+        found = np.empty(here.shape, np.int32)
+        for row in range(0, here.shape[0], chunk):
+            for col in range(0, here.shape[1], chunk):
+                at = here[row : row + chunk, col : col + chunk]
+                size = at.shape[0], at.shape[1]
+                last = known((here.shape[0], here.shape[1]), (row, col), size)
+                own = coarse[row // 2 :, col // 2 :][: (size[0] + 1) // 2 + last[0], : (size[1] + 1) // 2 + last[1]]
+                part = np.empty(size, np.int32)
+                settle(np.ascontiguousarray(at), np.ascontiguousarray(own), *last, factor, part)
+                found[row : row + chunk, col : col + chunk] = part
+        coarse = found
+    return coarse
+
+
+def _level(units: NDArray[np.float64], level: int) -> NDArray[np.float64]:
+    """Every 2^level-th sample, and the last ones where they are others."""
+    rows, cols = (np.minimum(np.arange(-((1 - n) >> level) + 1) << level, n - 1) for n in units.shape)
+    return units[np.ix_(rows, cols)]
+
+
+def _numbers(steps: NDArray[np.float64]) -> Numbers:
+    return np.where(np.isnan(steps), MISSING, steps).astype(np.int32)
