@@ -131,6 +131,23 @@ def test_a_viewshed(run, hilly, measured, tmp_path):
     assert code == 0 and "samples (" in said, err
 
 
+def test_what_is_probable(run, measured, tmp_path):
+    out, picture = tmp_path / "p.tif", tmp_path / "p.png"
+    how = ("--sigma", 3, "--range", 90, "--draws", 6, "--seed", 2)
+    for verb in (("viewshed", A, "--radius", 1200), ("slope", "--exceeds", 10), ("contours", "--interval", 50)):
+        told = measured(*verb, *how, "-o", out, "--picture", picture, "--size", "320x200")
+        with rasterio.open(out) as file:
+            values = file.read()
+        assert told["samples"] == np.isfinite(values[0]).sum() and told["draws"] == 6
+        np.testing.assert_allclose(list(told["means"].values()), np.nanmean(values, (1, 2), dtype=float), rtol=1e-6)
+        assert np.nanmin(values[-1]) >= 0 and np.nanmax(values[-1]) <= 1 and values[-1].mean(where=values[-1] >= 0) > 0
+        assert picture.stat().st_size > 1000
+        again = measured(*verb, *how, "-o", tmp_path / "again.tif")
+        assert again["means"] == told["means"]
+    flooded = measured("flood", A, "--level", 600, "--picture", picture, "--size", "320x200")
+    assert flooded["draws"] == 0 and set(flooded["outputs"]) == {str(picture)}
+
+
 def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
     assert run("build", hilly, "-o", tmp_path / "hilly.oro", "--quiet")[0] == 0
     code, said, err = run("measure", "profile", tmp_path / "hilly.oro", A, B, "--json", "--quiet")
@@ -157,6 +174,15 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
         (("viewshed", A), 2, "where to write"),
         (("viewshed", A, "-o", "a.png"), 2, ".tif"),
         (("viewshed", A, "-o", "a.tif", "--radius", "-5"), 2, "radius"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--heights"), 2, "contradict"),
+        (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma says"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "-1"), 2, "standard deviation"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--draws", "0"), 2, "1 to 65,535 draws"),
+        (("slope", "-o", "a.tif"), 2, "how uncertain heights are"),
+        (("slope", "-o", "a.tif", "--sigma", "no.tif"), 3, "no.tif"),
+        (("contours", "-o", "a.tif", "--sigma", "1"), 2, "give one of the two"),
+        (("flood", A, "--level", "5"), 2, "where to write"),
+        (("flood", "1,2", "--level", "5", "-o", "a.tif"), 2, "km south of hilly"),
         (("length", A, B), 2, "no measure 'length'"),
     ],
 )
@@ -186,7 +212,7 @@ def test_the_input_is_not_overwritten(run, hilly):
 
 
 def test_every_measure_has_its_help(run):
-    for verb in ("pick", "profile", "area", "los", "viewshed"):
+    for verb in ("pick", "profile", "area", "los", "viewshed", "flood", "slope", "contours"):
         code, said, _ = run("measure", verb, "--help")
-        assert code == 0 and all(option in said for option in ("Usage", "--lonlat", "--nodata", "--max-memory"))
+        assert code == 0 and all(option in said for option in ("Usage", "--json", "--nodata", "--max-memory"))
     assert "viewshed" in run("measure", "--help")[1]

@@ -26,7 +26,7 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
     "check": "Read all of a store, and tell what is damaged.",
-    "export": "Write the heights of a store or a DEM as a GeoTIFF.",
+    "export": "Write heights, or data on the ground, for other tools.",
     "bake": "Put light into a store: sky, occlusion, apertures.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "movie": "Film a tour of a DEM or a store.",

@@ -1,4 +1,4 @@
-"""``orograph measure``: pick, profile, area, line of sight and viewshed on the true surface."""
+"""``orograph measure``: pick, profile, area, line of sight, viewshed and what is probable, on the true surface."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.files import check_ending
+from orograph.cli.measure_probable import check_files, contours, error_options, flood, height_error, slope
+from orograph.cli.measure_probable import viewshed as probable_viewshed
 from orograph.cli.measuring import (
     POINTS,
     Point,
@@ -66,6 +67,8 @@ def command() -> None:
       orograph measure area dem.tif --geojson lake.geojson --level 850
       orograph measure los dem.tif 512000,4180000 515000,4182000 --eye 1.7 -o sight.png
       orograph measure viewshed area.oro 512000,4180000 -o seen.tif --picture seen.png
+      orograph measure viewshed area.oro 512000,4180000 --sigma 4 --range 150 -o probable.tif
+      orograph measure flood coast.tif 512000,4180000 --level 2.5 --sigma 0.5 --range 300 -o flood.tif
     """
 
 
@@ -226,6 +229,7 @@ def los(
     "--radius", type=Float(), metavar="M", help="How far to look, true metres.  [default: all of the terrain]"
 )
 @click.option("--heights", is_flag=True, help="How high a target must be to be seen, instead of 1 (seen) and 0.")
+@error_options
 @click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
 @click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the seen ground painted.")
 @without("lonlat", "look_at")
@@ -234,25 +238,21 @@ def los(
 @click.pass_context
 def viewshed(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], eye: float, target: float, flat: bool,
-    refraction: float, radius: float | None, heights: bool, output: str | None, picture: str | None, degrees: bool,
-    as_json: bool, **camera: Any,
+    refraction: float, radius: float | None, heights: bool, sigma: str | None, reach: float, horizontal: float,
+    draws: int, seed: int, output: str | None, picture: str | None, degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
     """What is seen of the terrain from a point, sample by sample; as a raster, or painted on a picture.
 
     Each sample has its own line of sight over the full-resolution surface. What does not fit in a third of --max-memory
-    is in a scratch file in the temporary folder.
+    is in a scratch file in the temporary folder. With --sigma (or --horizontal) heights are uncertain, and the result
+    is how probable it is that a sample is seen.
     """
     check_points(points, 1, "A viewshed", 1)
-    if output is None and picture is None:
-        raise UsageError("Say where to write: --output seen.tif, --picture seen.png, or both.")
-    camera = {**camera, "lonlat": None, "look_at": None, "exaggeration": 1.0}
-    check_camera({k: camera[k] for k in CAMERA})
-    if output is not None:
-        check_ending("--output", output)
-    if picture is not None:
-        from orograph.rendering.picture import picture_format
-
-        picture_format(Path(picture))
+    camera = check_files(output, picture, camera)
+    error = height_error(sigma, reach, horizontal)
+    uncertain = sigma is not None or horizontal > 0
+    if uncertain and heights:
+        raise UsageError("--heights and --sigma contradict each other: of uncertain heights a probability is told.")
     outputs = () if output is None else (output,)
     terrain = opened(ctx, outputs, (picture,))
     from orograph import measuring
@@ -260,6 +260,12 @@ def viewshed(
 
     progress = progress_of(ctx)
     place = on_terrain(measuring.Places(terrain), points, degrees)[0]
+    if uncertain:
+        probable_viewshed(
+            ctx, terrain, place, error, draws, seed, output, picture, camera, as_json, eye_height=eye,
+            target_height=target, radius=radius, curvature=not flat, refraction=refraction,
+        )  # fmt: skip
+        return
     shed = measuring.viewshed(
         terrain, place, eye, target, radius=radius, curvature=not flat, refraction=refraction, heights=heights,
         max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
@@ -277,3 +283,7 @@ def viewshed(
         ("seen", f"{told['seen']:,} of {told['samples']:,} samples ({told['seen_fraction']:.1%})", ""),
     ]  # fmt: skip
     tell(ctx, terrain, told, lines, as_json, tuple(filter(None, (output, picture))))
+
+
+for measure in (slope, contours, flood):
+    command.add_command(measure)

@@ -14,6 +14,7 @@ from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, che
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
+    cluster_options,
     jobs_option,
     memory_option,
     progress_of,
@@ -45,10 +46,11 @@ OWN = {*DRAWING, *CAMERA}
 @vertical_options
 @memory_option
 @jobs_option
+@cluster_options("Draw tiles of it", ", which share --max-memory")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    max_memory: int, jobs: int | None, **options: Any,
+    max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -62,6 +64,7 @@ def command(
       orograph render dem.tif -o map.png --projection plan --furniture --size 20x15cm@300
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
       orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
+      orograph render area.oro -o wall.tif --size 100000x60000 --workers 8 --max-memory 16GiB
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -79,9 +82,10 @@ def command(
         from orograph.folders import cache_folder
         from orograph.output import check_folder
         from orograph.rendering.backends import draw, session
-        from orograph.rendering.large import ACROSS, draw_large, is_large
+        from orograph.rendering.large import ACROSS, check_most, draw_large, is_large
         from orograph.rendering.memory import band_pixels, check_memory
         from orograph.rendering.picture import picture_format
+        from orograph.rendering.tiles import draw_by_workers
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
 
@@ -91,10 +95,14 @@ def command(
         check_folder(Path(file))
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
 
+    together = workers is not None or dask is not None
     gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
 
     def by_bands(size: tuple[int, int]) -> bool:
         """Whether a picture is drawn by bands; UsageError where it is not, and does not fit into memory."""
+        if together:
+            check_most(size)
+            return True
         if (gpu or not options["wireframe"]) and is_large(size, max_memory, gpu=gpu):
             return True
         check_memory(size, max_memory if said else None)
@@ -107,7 +115,12 @@ def command(
     large = by_bands((view.width, view.height))
     scene = scene_of(terrain, view, options, max_memory, jobs)
     try:
-        if large:
+        if together:
+            facts = draw_by_workers(
+                scene, output, workers=workers, dask=dask, depth=depth, backend=options["backend"], jobs=jobs,
+                max_memory=max_memory, dpi=dpi, progress=progress,
+            )  # fmt: skip
+        elif large:
             draws = session(progress, backend=options["backend"])
             facts = draw_large(
                 scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress,
@@ -143,4 +156,5 @@ def command(
     else:
         stats = facts.get("mesh")
         mesh = f"  {stats['method']}: {stats['triangles']:,} triangles" if stats else ""
-        click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")
+        uneven = f"  (busiest worker {facts['imbalance']:.2f} × the mean)" if together else ""
+        click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s{uneven}")

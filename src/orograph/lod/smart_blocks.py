@@ -281,7 +281,7 @@ def weigh_boxes(camera, ends, boxes, away, cosine, ranges):
     """
     for i in range(len(ranges)):
         box = (boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4], boxes[i, 5])
-        low, high = 0, int(ranges[i])
+        low, high = np.int64(0), np.int64(ranges[i])
         while low < high:
             middle = (low + high) >> 1
             if box_bound(camera, box, away[i], cosine, ends[middle]) > camera.tolerance:

@@ -20,11 +20,14 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Moment, Placed, Sun
+    from orograph.scene.flying import Flight
+    from orograph.scene.ghosts import Ghost
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
@@ -108,6 +111,41 @@ def read_priority(text: str) -> Priority:
         return Priority.parse(text)
     except UsageError as error:
         raise ValueError(str(error)) from None
+
+
+def read_focus(text: str) -> Focus:
+    from orograph.geovis.data.focus import LENS, NEAR, Focus
+
+    try:
+        found = Focus.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    if found.source not in (LENS, NEAR):
+        from orograph.dem.handles import locate
+
+        assert locate(found.source)
+    return found
+
+
+def read_flight(text: str) -> Flight:
+    from orograph.scene.flying import Flight
+
+    try:
+        return Flight.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
+def read_ghost(text: str) -> Ghost:
+    from orograph.dem.handles import locate
+    from orograph.scene.ghosts import Ghost
+
+    try:
+        found = Ghost.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    assert locate(found.source)
+    return found
 
 
 def read_water(text: str) -> str | float:
@@ -201,11 +239,39 @@ def priority(value: Priority | str | None, terrain: Terrain) -> Priority | None:
     """Takes such a text."""
     from orograph.geovis.data.priority import Priority
 
-    if value is None or isinstance(value, Priority):
+    return _parsed(Priority, value)
+
+
+def focus(value: Focus | str | None, terrain: Terrain) -> Focus | None:
+    """Takes such a text, or an `orograph.Focus`."""
+    from orograph.geovis.data.focus import Focus
+
+    return _parsed(Focus, value)
+
+
+def flight(value: Flight | str | None, terrain: Terrain) -> Flight | None:
+    """Takes such a text, or a `Flight`."""
+    from orograph.scene.flying import Flight
+
+    return _parsed(Flight, value)
+
+
+def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
+    """Takes one or several: what `orograph.terrain` takes, arrays of the terrain's samples, or an `orograph.Ghost` of
+    each, which says what keys say."""
+    from orograph.scene.ghosts import Ghost
+
+    several = value if isinstance(value, list | tuple) else (value,)
+    return tuple(one if isinstance(one, Ghost) else Ghost(one) for one in several)
+
+
+def _parsed(kind: Any, value: Any) -> Any:
+    """A value of a kind, or the text of one."""
+    if value is None or isinstance(value, kind):
         return value
     if not isinstance(value, str):
-        raise TypeError("it is a text such as T+D-U-")
-    return Priority.parse(value)
+        raise TypeError(f"it is a text, or a {kind.__name__}")
+    return kind.parse(value)
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:

@@ -23,12 +23,15 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Sun
+    from orograph.scene.flying import Flight
+    from orograph.scene.ghosts import Ghost
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
@@ -178,7 +181,8 @@ class Theme:
     data: tuple[Dataset, ...] = option(
         (),
         "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
-        "variable, band, time, member, layer, geometry (which of several), style "
+        "variable, band, time, member, value (of several: median, min, max, spread, p90), exceeds (how probably), "
+        "layer, geometry (which of several), style "
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
         "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
         "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
@@ -190,6 +194,25 @@ class Theme:
         "What comes first: T+ shaded relief, T- a line drawing; D+ a continuous scale, D- classes; U+ glyphs of "
         "uncertainty, U- transparency or noise. Or overview, approach, overflight, replanning.",
         read=given.read_priority, given=given.priority, metavar="T±D±U±", shown="T+D+U- with data",
+    )  # fmt: skip
+    focus: Focus | None = option(
+        None,
+        "Another priority in a part of the picture: lens (a disc: at=0.5:0.5, radius=0.25, parts of the picture), near "
+        "(distance=METRES from the eye), a file of polygons, or of lines with width=METRES. Keys: priority, blend "
+        "(metres; of a lens, parts of the height): route.geojson,width=4000,priority=T+D+U+.",
+        read=given.read_focus, given=given.focus, metavar="lens|near|FILE[,KEY=VALUE…]",
+    )  # fmt: skip
+    flight: Flight | None = option(
+        None,
+        "Change the priority by degrees with the camera's height above ground: approach below LOW metres, above HIGH "
+        "overflight, or in films slower than SLOW metres a second (not faster than FAST) replanning.",
+        read=given.read_flight, given=given.flight, metavar="auto|LOW:HIGH[:SLOW:FAST]",
+    )  # fmt: skip
+    ghosts: tuple[Ghost, ...] = option(
+        (),
+        "Another surface over or under the ground, seen through: a DEM in any CRS, a water table. Keys: color, opacity "
+        "(before the ground), hidden (behind it), name, band, vertical_unit: table.tif,color=#2f7fd1,hidden=0.4.",
+        read=given.read_ghost, given=given.ghosts, flag="ghost", metavar="DEM[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     things: Things | None = None
 

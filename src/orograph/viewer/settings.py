@@ -164,6 +164,9 @@ class Settings:
         self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
         self.options |= {"tolerance": DEFAULT_TOLERANCE, "sky": True}
         check_options(options)
+        for name in ("focus", "flight", "ghosts"):
+            if options.get(name):
+                raise UsageError(f"`{name}` is drawn in pictures and films, not in the window.")
         for name, value in options.items():
             made = OPTIONS[name].given
             setattr(self, name, value if made is None else made(value, terrain))
