@@ -78,6 +78,7 @@ class Growing:
         self._choice: Choice | None = None
         self._asked: Any = None
         self._left = 0
+        self._counted = True
         self._wanted = False
 
     @property
@@ -91,7 +92,7 @@ class Growing:
         if not self._wanted or self._error:
             return False
         there = self._planted
-        return there is None or self._left > 0 or there.pages.waiting > 0
+        return there is None or self._left > 0 or not self._counted or there.pages.waiting > 0
 
     @property
     def current(self) -> bool:
@@ -137,7 +138,7 @@ class Growing:
         if asked.any():  # there was no room for them
             bound = max(bound, math.inf)
         self.came = there.pages.moved - moved
-        self._asked, self._left = (view, tolerance, exaggeration), 0
+        self._asked, self._left, self._counted = (view, tolerance, exaggeration), 0, True
         self._told(choice, bound)
 
     def aside(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
@@ -160,10 +161,11 @@ class Growing:
         self.came = there.pages.moved - moved
         if self._left > 0:
             count = min(choice.options.updates, self._left)
-            there.tree.update(view, tolerance, exaggeration, count)
-            self._left -= count
-            if self._left == 0:  # at rest there is time to look
-                self.counts = there.tree.counts()
+            there.tree.aim(view, tolerance, exaggeration, count)
+            self._left, self._counted = self._left - count, False
+            self._told(choice, max(tolerance, there.pages.bound))
+        elif not self._counted:  # at rest there is time to look
+            self.counts, self._counted = there.tree.counts(), True
             self._told(choice, max(tolerance, there.pages.bound))
 
     def none(self) -> None:
