@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.lighting.raster import Band, rectangles, scratch
+from orograph.folders import scratch
+from orograph.lighting.raster import Band, rectangles
 from orograph.measuring.flood_kernels import REACHED, WET, fill
 from orograph.measuring.height_error import BEYOND, ErrorField, HeightError
 from orograph.measuring.places import Places

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.folders import scratch
 from orograph.geo.grid import Grid, compose
 from orograph.lighting.normal import gradient
-from orograph.lighting.raster import Band, rectangles, scratch, write
+from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around, linear_of
 from orograph.measuring.viewshed import viewshed
 from orograph.parallel import cpu_count, map_ordered

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from orograph.scene.ghosts import Ghost
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
+
+T = TypeVar("T")
 
 Disc = tuple["Sun", tuple[float, float, float]]
 
@@ -265,13 +267,14 @@ def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
     return tuple(one if isinstance(one, Ghost) else Ghost(one) for one in several)
 
 
-def _parsed(kind: Any, value: Any) -> Any:
+def _parsed(kind: type[T], value: Any) -> T | None:
     """A value of a kind, or the text of one."""
     if value is None or isinstance(value, kind):
         return value
     if not isinstance(value, str):
         raise TypeError(f"it is a text, or a {kind.__name__}")
-    return kind.parse(value)
+    found: T = kind.parse(value)  # type: ignore[attr-defined]
+    return found
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
