@@ -181,6 +181,11 @@ def main() -> None:
         row(name, data=data, priority=name)
     for style in (one for one in Style.__args__ if one != "arrows"):  # type: ignore[attr-defined]
         row(f"style {style}", data=data.but(style=style, uncertainty=None))
+    plain = data.but(uncertainty=None, style="continuous")
+    row("member value p90", data=plain.but(value="p90"))
+    row("member exceeds 10", data=plain.but(exceeds=10.0))
+    row("focus lens", data=data, priority="T+D-U-", focus=orograph.Focus("lens", "T+D+U+"))
+    row("ghost", ghosts=orograph.Ghost(terrain, opacity=0.4))
     for sign in Sign.__args__:  # type: ignore[attr-defined]
         if sign not in ("errorbars", "none"):
             doubt = orograph.Uncertainty("spread", style=sign)

@@ -56,7 +56,7 @@ def build(size: int, method: str, jobs: int, allowed: int, folder: Path, out: Co
         while not done.wait(0.02):
             peaks[:] = map(max, peaks, memory())
 
-    watcher = threading.Thread(target=watch)
+    watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
     source = Formula((size, size), SEED, spacing=CELL)
     source.prepare()

@@ -138,6 +138,12 @@ def test_the_gpu_blends_the_same(ground, data, plain):
     assert np.abs(both[0].pixels.astype(int) - both[1].pixels).mean() < 3
 
 
+def test_a_focus_that_shows_nowhere_is_told(ground, data, plain):
+    with pytest.warns(UserWarning, match="The focus shows nowhere .* nearest ground is [0-9,]+ m"):
+        made = orograph.render(ground, size=SIZE, data=data, priority=OUT, focus="near,distance=1")
+    np.testing.assert_array_equal(made.pixels, plain[OUT].pixels)
+
+
 def test_steps_are_smooth():
     t = np.linspace(-2, 2, 401)
     found = smooth_step(t, 2.0)

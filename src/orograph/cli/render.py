@@ -22,8 +22,9 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
-from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene_of, scene_options
 from orograph.cli.sections import Verb
+from orograph.errors import UsageError
 
 OWN = {*DRAWING, *CAMERA}
 """What is said about the picture; all other options are about reading."""
@@ -40,6 +41,12 @@ OWN = {*DRAWING, *CAMERA}
     metavar="OUT.tif",
     help="Also write the depth: metres along the viewing direction, float32, NaN where no ground is.",
 )
+@click.option(
+    "--each",
+    metavar="view|member|band|time[=SOME]",
+    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), or one for each "
+    "member, band or time of the first --data, all or some: member=1-6, time=T12.",
+)
 @click.option("--save-view", type=FILE, metavar="VIEW.json", help="Also write the camera that was used.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
@@ -50,7 +57,7 @@ OWN = {*DRAWING, *CAMERA}
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
+    each: str | None, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -76,6 +83,8 @@ def command(
     )
     if depth:
         check_ending("--depth", depth)
+    if depth and each:
+        raise UsageError("--depth is that of one picture, and --each makes several.")
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
@@ -84,6 +93,7 @@ def command(
         from orograph.rendering.backends import draw, session
         from orograph.rendering.large import ACROSS, check_most, draw_large, is_large
         from orograph.rendering.memory import band_pixels, check_memory
+        from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
         from orograph.rendering.tiles import draw_by_workers
         from orograph.scene.diagnostics import LEAVE_CAMERA
@@ -96,6 +106,8 @@ def command(
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
 
     together = workers is not None or dask is not None
+    if together and each:
+        raise UsageError("Panels are drawn by this process: --each has no --workers and no --dask.")
     gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
 
     def by_bands(size: tuple[int, int]) -> bool:
@@ -111,8 +123,8 @@ def command(
     if options["size"] is not None:
         by_bands(options["size"])
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
-    view = camera_view(terrain, options)
-    large = by_bands((view.width, view.height))
+    view = camera_view(terrain, options if each is None else {**options, "furniture": False})
+    large = by_bands((view.width, view.height)) and each is None
     scene = scene_of(terrain, view, options, max_memory, jobs)
     try:
         if together:
@@ -126,6 +138,12 @@ def command(
                 scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress,
                 pixels=band_pixels(max_memory, gpu=gpu), dpi=dpi,
             )  # fmt: skip
+        elif each is not None:
+            budget = {"max_memory": max_memory, "jobs": jobs}
+            picture = draw_panels(
+                terrain, view, each, {**given_of(options), **budget}, backend=options["backend"], progress=progress
+            )
+            facts = picture.facts
         else:
             picture = draw(scene, progress, backend=options["backend"])
             facts = picture.facts

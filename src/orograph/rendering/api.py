@@ -18,6 +18,7 @@ from orograph.lod.options import Described
 from orograph.progress import Progress
 from orograph.rendering.backends import BACKENDS, draw
 from orograph.rendering.memory import check_memory
+from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
 from orograph.scene.camera import NO_INSETS, check_size, view_of
@@ -52,6 +53,7 @@ def render(
     size: tuple[int, int] = (1280, 720),
     backend: Literal["cpu", "gpu"] = "cpu",
     conservative: bool = False,
+    each: str | None = None,
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Picture:
@@ -69,6 +71,8 @@ def render(
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
             there is none). Default "cpu".
         conservative: refuse a ``method`` with which the tolerance is no promise for every sample in view.
+        each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
+            the relief), or "member", "band" or "time" of the first data, all or some: "member=1-6", "time=T12".
         progress: hears of what is being done, and of warnings. Default: work that lasts has a bar in terminals and
             notebooks, warnings are Python's; False: nothing is said.
         options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,
@@ -97,8 +101,11 @@ def render(
     from orograph.rendering.furniture.furnish import insets
 
     layers = layers_of(options.get("layers"))
-    free = insets(size, terrain.attribution, layers) if options.get("furniture") else NO_INSETS
+    beside = options.get("furniture") and each is None  # (panels have none of their own)
+    free = insets(size, terrain.attribution, layers) if beside else NO_INSETS
     view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
+    if each is not None:
+        return draw_panels(terrain, view, each, options, backend=backend, progress=heard)
     return draw(Scene.of(terrain, view, **options), heard, backend=backend)
 
 

@@ -50,7 +50,7 @@ def draw(scene: Scene, progress: Progress = SILENT, *, backend: str = "cpu") -> 
         def plain(one: Scene) -> Picture:
             return draw(one, progress, backend=backend)
 
-        return blended(scene, plain, lambda _: plain)
+        return blended(scene, plain, lambda _: plain, progress.warn)
     try:
         return backend_of(backend)(scene, progress)
     except OrographError as error:

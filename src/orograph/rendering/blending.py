@@ -28,11 +28,14 @@ LEAST = 1 / 512
 """Of a variant: less does not show."""
 
 
-def blended(scene: Scene, draw: Draw, others: Callable[[int], Draw]) -> Picture:
+def blended(
+    scene: Scene, draw: Draw, others: Callable[[int], Draw], warn: Callable[[str], None] | None = None
+) -> Picture:  # fmt: skip
     """The picture of a scene with its variants.
 
     Args:
         draw: draws the scene without them. others: what draws the variant with a number.
+        warn: hears of a focus that shows nowhere; None: nobody does, as of a film's frames.
     """
     whole = scene.view.part is None
     bare = replace(scene, variants=())
@@ -41,6 +44,8 @@ def blended(scene: Scene, draw: Draw, others: Callable[[int], Draw]) -> Picture:
     for number, variant in enumerate(scene.variants):
         weight = variant.weight(*_seen(picture))
         if not (weight > LEAST).any():
+            if warn is not None and variant.name == "focus":
+                warn(_nowhere(picture))
             continue
         try:
             other = others(number)(variant.scene.but(furniture=False, title=None) if whole else variant.scene)
@@ -57,6 +62,11 @@ def blended(scene: Scene, draw: Draw, others: Callable[[int], Draw]) -> Picture:
     if whole and scene.annotations.furniture:
         pixels = _furnished(scene, picture, pixels)
     return replace(picture, pixels=pixels, facts={**picture.facts, "description": describe(scene)})
+
+
+def _nowhere(picture: Picture) -> str:
+    far = np.linalg.norm(picture.places() - np.asarray(picture.view.eye), axis=-1)
+    return f"The focus shows nowhere in this picture, whose nearest ground is {np.nanmin(far):,.0f} m from the eye."
 
 
 def _linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:

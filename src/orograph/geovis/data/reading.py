@@ -297,6 +297,19 @@ def times_of(file: Any) -> list[str]:
     return found
 
 
+def members_in(given: Dataset, grid: Grid, asked: str) -> list[int]:
+    """The numbers, from 1, of the members or bands of a raster that are asked for: ``all``, ``3``, ``1-6``.
+
+    Raises:
+        UsageError: there are none such. Others: as ``read``.
+    """
+    if isinstance(given.source, str):
+        with HANDLES.borrow(_subdataset(locate(given.source), given.variable, given.source)) as file:
+            return _picked(range(1, file.count + 1), asked, given.source)
+    count = len(read(replace(given, member="all", uncertainty=None), grid).values)
+    return _picked(range(1, count + 1), asked, "the data")
+
+
 _SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
 
 
