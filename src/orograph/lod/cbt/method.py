@@ -32,9 +32,9 @@ class CbtOptions(RightTriangleOptions):
     """Options of ``cbt``. See ``RightTriangleOptions``."""
 
     metric: str | None = option(None, "How errors become pixels; none: anisotropic.", choices=METRICS)
-    updates: int = option(2, "Of the tree in a frame, where it lives on the GPU.", unit="updates", least=1, most=32)
-    slots: int = option(1 << 19, "Triangles that there is room for on the GPU.", unit="triangles", least=1 << 10,
-                        most=1 << 21)  # fmt: skip
+    updates: int = option(2, "On the GPU: updates of the tree in a frame.", unit="updates", least=1, most=32)
+    slots: int = option(1 << 19, "On the GPU: triangles that there is room for; rounded up to a power of two.",
+                        unit="triangles", least=1 << 14, most=1 << 21)  # fmt: skip
 
 
 class Cbt(RightTriangleMeshes):

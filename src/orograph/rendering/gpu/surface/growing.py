@@ -1,9 +1,9 @@
 """Methods that live on the GPU: their tree grows with the frames, and nothing is selected on the CPU.
 
 A tree is planted in a thread, for what it needs of a store may have to be made; until then patches stand in. After that
-every frame brings pages that came and has the tree updated, until nothing has changed for so many updates that it must
-have come to rest. A picture that waits has the tree itself tell which pages it looked for in vain, and goes on until
-there are none and nothing changes.
+every frame brings pages that came and has the tree updated, until it is likely to have come to rest; then it is looked
+at, and goes on if it has not. A picture that waits has the tree itself tell which pages it looked for in vain, and goes
+on until there are none and nothing changes.
 """
 
 from __future__ import annotations
@@ -78,12 +78,13 @@ class Growing:
         self._choice: Choice | None = None
         self._asked: Any = None
         self._left = 0
+        self._counted, self._changes = True, -1
         self._wanted = False
 
     @property
     def settling(self) -> int:
-        """Updates after which a tree has come to rest, if nothing changed meanwhile."""
-        return 4 * self.terrain.n + 8
+        """Updates after which a tree is likely to have come to rest: as many as there are levels, and some more."""
+        return 2 * self.terrain.n + AT_ONCE
 
     @property
     def busy(self) -> bool:
@@ -91,13 +92,13 @@ class Growing:
         if not self._wanted or self._error:
             return False
         there = self._planted
-        return there is None or self._left > 0 or there.pages.waiting > 0
+        return there is None or self._left > 0 or not self._counted or there.pages.waiting > 0
 
     @property
     def current(self) -> bool:
         """Whether the tree is what the last scene asked for."""
         there = self._planted
-        return there is not None and self._left == 0 and not there.pages.lacking
+        return there is not None and self._left == 0 and self._counted and not there.pages.lacking
 
     @property
     def lacking(self) -> int:
@@ -137,7 +138,7 @@ class Growing:
         if asked.any():  # there was no room for them
             bound = max(bound, math.inf)
         self.came = there.pages.moved - moved
-        self._asked, self._left = (view, tolerance, exaggeration), 0
+        self._asked, self._left, self._counted = (view, tolerance, exaggeration), 0, True
         self._told(choice, bound)
 
     def aside(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
@@ -160,10 +161,14 @@ class Growing:
         self.came = there.pages.moved - moved
         if self._left > 0:
             count = min(choice.options.updates, self._left)
-            there.tree.update(view, tolerance, exaggeration, count)
-            self._left -= count
-            if self._left == 0:  # at rest there is time to look
-                self.counts = there.tree.counts()
+            there.tree.aim(view, tolerance, exaggeration, count)
+            self._left, self._counted = self._left - count, False
+            self._told(choice, max(tolerance, there.pages.bound))
+        elif not self._counted:  # there is time to look whether it has come to rest
+            self.counts = there.tree.counts()
+            self._counted = self.counts.changes == self._changes
+            if not self._counted:
+                self._changes, self._left = self.counts.changes, AT_ONCE
             self._told(choice, max(tolerance, there.pages.bound))
 
     def none(self) -> None:

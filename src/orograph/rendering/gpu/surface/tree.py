@@ -134,7 +134,7 @@ class Tree:
         self.bytes = 2 * nodes.nbytes + 8 * self.slots + 12 * words
         self._camera = made(CAMERA.itemsize, "UNIFORM", "camera of a tree")
         self._tuning = made(TUNING.itemsize, "UNIFORM", "tuning of a tree")
-        self._turn = 0
+        self._turn = self._due = 0
         program, sums = Program(device, "cbt"), Program(device, "cbt_sums", WORDS=words)
         self._groups = [program.bind(self._bound(k)) for k in range(2)]
         self._adding = sums.bind({"bits": self.bits, "sums": self.sums, "arguments": self.arguments})
@@ -156,14 +156,27 @@ class Tree:
         }  # fmt: skip
 
     def update(self, view: View, tolerance: float, exaggeration: float, count: int) -> None:
-        """Judge for a camera and update so many times; nothing waits for it.
+        """Judge for a camera and update so many times, at once; nothing waits for it. Arguments as for ``aim``."""
+        self.aim(view, tolerance, exaggeration, count)
+        encoder = self.device.handle.create_command_encoder()
+        self.encode(encoder)
+        self.device.queue.submit([encoder.finish()])
+
+    def aim(self, view: View, tolerance: float, exaggeration: float, count: int) -> None:
+        """Have the tree judged for a camera and updated so many times before it is drawn.
 
         Args:
             tolerance: pixels.
         """
         write(self.device, self._camera, camera_of(view, self.terrain, exaggeration))
         write(self.device, self._tuning, self._tuned(view, tolerance, exaggeration))
-        encoder = self.device.handle.create_command_encoder()
+        self._due = count
+
+    def encode(self, encoder: Any) -> None:
+        """Record what ``aim`` asked for, once."""
+        count, self._due = self._due, 0
+        if not count:
+            return
         pass_ = encoder.begin_compute_pass()
         self._step(pass_, "judge")
         for _ in range(count):
@@ -173,7 +186,6 @@ class Tree:
             self._turn = 1 - self._turn
             self._step(pass_, "judge")
         pass_.end()
-        self.device.queue.submit([encoder.finish()])
         self.updates += count
 
     def _step(self, pass_: Any, name: str) -> None:
@@ -277,8 +289,9 @@ class TreePass:
         self._groups: tuple[Tree | None, list[Any]] = (None, [])
 
     def draw(self, encoder: Any, targets: Targets, selection: TreeFrame, left: Left) -> None:
-        """Clear the targets and draw."""
+        """Update the tree if it is to be, clear the targets and draw."""
         tree = selection.tree
+        tree.encode(encoder)
         if self._groups[0] is not tree:
             named = zip(("heights", "height_pages", "levels"), self.field, strict=True)
             held = {"camera": self.camera, "list": tree.list, "state": tree.state, **dict(named)}
