@@ -20,7 +20,7 @@ WINDOW = (1280, 800)
 OWN = {*DRAWING, *CAMERA, "adapter"}
 """What is said about the window; all other options are about reading."""
 
-NOT_HERE = ("relief", "sky", "furniture", "title", "samples", "triangles", "wireframe", "mesh_view")
+NOT_HERE = ("relief", "sky", "furniture", "title", "samples", "triangles", "wireframe", "mesh_view", "detail")
 """Options of pictures that the window's panels have, or that are not for a window."""
 
 
