@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 from orograph import store
 from orograph.progress import Progress
-from orograph.store.executing import Stage
+from orograph.store.executing import ShardStage
 from orograph.store.groups import MOST
 
 SHARD = 2048
@@ -63,7 +63,7 @@ class Timed:
         self.samples = shape[0] * shape[1]
         return 0
 
-    def run(self, stage: Stage[Any], progress: Progress) -> None:
+    def run(self, stage: ShardStage[Any], progress: Progress) -> None:
         work = add = written = 0.0
         put = stage.writer.storage.put
 

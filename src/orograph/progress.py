@@ -47,3 +47,32 @@ class Progress:
 
 
 SILENT = Progress()
+
+
+class Within(Progress):
+    """Reports of several tasks as of one."""
+
+    def __init__(self, progress: Progress, task: Task) -> None:
+        self._progress, self._task = progress, task
+
+    def task(self, what: str, total: float | None = None) -> Task:
+        return _Same(self._task)
+
+    def warn(self, text: str) -> None:
+        self._progress.warn(text)
+
+    def note(self, text: str) -> None:
+        self._progress.note(text)
+
+
+class _Same(Task):
+    """Another task, which neither begins nor ends."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+
+    def advance(self, n: float = 1) -> None:
+        self._task.advance(n)
+
+    def note(self, text: str) -> None:
+        self._task.note(text)

@@ -220,6 +220,22 @@ def test_smooth_ground_takes_less_than_half_of_regular_patches_triangles():
     assert 2 * counts["bdam"] <= counts["triangle-patches"]
 
 
+def test_marks_in_files_make_the_same(tmp_path, monkeypatch):
+    from orograph import folders
+    from orograph.store import tin_build
+
+    z = plain.rough(np.random.default_rng(7), (300, 411), gaps=0.01)
+    dem = Dem(z, plain.terrain(z).grid)
+    build(dem, tmp_path / "a.oro", tins=16, jobs=1, progress=False).close()
+    monkeypatch.setattr(folders, "HELD", 0)
+    monkeypatch.setattr(tin_build, "BAND", 1)
+    build(dem, tmp_path / "b.oro", tins=16, jobs=3, progress=False).close()
+    shards = sorted(p.relative_to(tmp_path / "a.oro") for p in (tmp_path / "a.oro" / "tins").rglob("c/*/*"))
+    assert shards and all(
+        (tmp_path / "b.oro" / s).read_bytes() == (tmp_path / "a.oro" / s).read_bytes() for s in shards
+    )
+
+
 def test_a_store_has_the_same(tmp_path):
     z = plain.rough(np.random.default_rng(5), (300, 421), gaps=0.01)
     t = plain.terrain(z)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import jobs_option, memory_option, progress_of
+from orograph.cli.options import cluster_options, jobs_option, memory_option, progress_of
 from orograph.cli.products import (
     Names,
     check_used,
@@ -54,10 +54,11 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
 @memory_option
 @jobs_option
+@cluster_options("Bake", ", which share --max-memory")
 @click.pass_context
 def command(
     ctx: click.Context, /, store: str, products: tuple[tuple[str, ...], ...], bits: str | None, overwrite: bool,
-    as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+    as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
 ) -> None:  # fmt: skip
     """Put light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
 
@@ -74,6 +75,7 @@ def command(
     Examples:
       orograph bake area.oro --products sky-view-factor,aperture
       orograph bake area.oro --products ambient-occlusion --radius 600 --rho linear
+      orograph bake area.oro --products sky-view-factor --workers 4 --max-memory 4GiB
     """
     from orograph.lighting.context import Options
 
@@ -83,7 +85,7 @@ def command(
     chosen = Options(more=more_of(options), **options)
     terrain = run(
         store, wanted, progress_of(ctx), chosen, bits=None if bits is None else int(bits), overwrite=overwrite,
-        max_memory=max_memory, jobs=jobs,
+        max_memory=max_memory, jobs=jobs, workers=workers, dask=dask,
     )  # fmt: skip
     seconds = time.perf_counter() - began
     if as_json:

@@ -14,6 +14,7 @@ from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
     Float,
+    cluster_options,
     jobs_option,
     memory_option,
     progress_of,
@@ -22,6 +23,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
@@ -31,7 +33,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """What is said about the film; all other options are about reading."""
 
 
-@click.command("movie")
+@click.command("movie", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
     "--output",
@@ -59,10 +61,14 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 @vertical_options
 @memory_option
 @jobs_option
+@cluster_options("Draw", ", which share --max-memory")
+@click.option("--part", metavar="I/N", help="Draw only this part of the frames (for job arrays), such as 3/64.")
+@click.option("--finish", is_flag=True, help="Make the film of its parts, when all are drawn.")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, tour_path: str | None, crf: int | None,
-    overwrite: bool, as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+    overwrite: bool, as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None,
+    part: str | None, finish: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Film a tour of a DEM (one file or many) or of a store, every frame with all of its detail.
 
@@ -76,6 +82,9 @@ def command(
       orograph movie area.oro --tour tour.json -o tour.mp4 --size 1920x1080 --sky
       orograph movie dem.tif --line hike.gpx --height 200 -o hike.webm
       orograph movie dem.tif --tour tour.json -o frames/%05d.png --from 10 --to 20
+      orograph movie area.oro --tour tour.json -o tour.mp4 --workers 4
+      orograph movie area.oro --tour tour.json -o tour.mp4 --part 3/64
+      orograph movie area.oro --tour tour.json -o tour.mp4 --finish
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -98,10 +107,12 @@ def command(
         from orograph.touring import Tour
         from orograph.touring.encode import check_movie, is_numbered
         from orograph.touring.film import Film
+        from orograph.verbs.filming import By, Shot, shoot_by
         from orograph.verbs.movie import shoot, without
 
     # What is wrong with the command line is said before any work is done.
     check_movie(output, options["size"], crf)
+    by = By.of(workers, dask, part, finish)
     if overwrite and not is_numbered(output):
         progress.warn("--overwrite is about pictures: a film takes the place of what was there, when it is whole.")
     if tour_path is not None:
@@ -122,17 +133,25 @@ def command(
     film = Film(
         tour, scene, draw=draw, fps=options["fps"], first=options["begin"], last=options["end"], progress=progress
     )
-    drawn = shoot(
-        film, output, size, crf=crf, overwrite=overwrite, jobs=jobs, progress=progress, dpi=dpi_of(options["size"])
-    )
+    how: dict[str, Any] = {"crf": crf, "overwrite": overwrite, "jobs": jobs, "progress": progress}
+    how["dpi"] = dpi_of(options["size"])
+    if by is None:
+        shot = Shot(shoot(film, output, size, **how))
+    else:
+        shot = shoot_by(by, film, output, size, backend=options["backend"], max_memory=max_memory, **how)
     seconds = time.perf_counter() - began
     if as_json:
         told = {
-            "movie": output, "frames": len(film), "drawn": drawn, "fps": film.tour.fps, "width": size[0],
+            "movie": output, "frames": len(film), "drawn": shot.drawn, "fps": film.tour.fps, "width": size[0],
             "height": size[1], "tour_seconds": film.tour.duration, "seconds_in_all": round(seconds, 3),
-            "lifted_m": round(film.course.lifted, 3),
+            "lifted_m": round(film.course.lifted, 3), "imbalance": shot.imbalance, "part": part,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
+    elif part is not None:
+        click.echo(f"{output}: part {part} is drawn ({shot.drawn} frames)  {seconds:.1f} s")
     else:
-        there = f" ({len(film) - drawn} were there)" if drawn < len(film) else ""
-        click.echo(f"{output}  {len(film)} frames{there}, {size[0]} × {size[1]}, {film.tour.fps:g}/s  {seconds:.1f} s")
+        there = f" ({len(film) - shot.drawn} were there)" if shot.drawn < len(film) else ""
+        uneven = "" if shot.imbalance is None else f"  (busiest worker {shot.imbalance:.2f} × the mean)"
+        click.echo(
+            f"{output}  {len(film)} frames{there}, {size[0]} × {size[1]}, {film.tour.fps:g}/s  {seconds:.1f} s{uneven}"
+        )

@@ -14,6 +14,7 @@ from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, che
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
+    cluster_options,
     jobs_option,
     memory_option,
     progress_of,
@@ -21,13 +22,15 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
-from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene_of, scene_options
+from orograph.cli.sections import Verb
+from orograph.errors import UsageError
 
 OWN = {*DRAWING, *CAMERA}
 """What is said about the picture; all other options are about reading."""
 
 
-@click.command("render")
+@click.command("render", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The picture: .png, .jpg, .webp or .tif.")
 @camera_options
@@ -38,16 +41,23 @@ OWN = {*DRAWING, *CAMERA}
     metavar="OUT.tif",
     help="Also write the depth: metres along the viewing direction, float32, NaN where no ground is.",
 )
+@click.option(
+    "--each",
+    metavar="view|member|band|time[=SOME]",
+    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), or one for each "
+    "member, band or time of the first --data, all or some: member=1-6, time=T12.",
+)
 @click.option("--save-view", type=FILE, metavar="VIEW.json", help="Also write the camera that was used.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
 @vertical_options
 @memory_option
 @jobs_option
+@cluster_options("Draw tiles of it", ", which share --max-memory")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    max_memory: int, jobs: int | None, **options: Any,
+    each: str | None, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -61,6 +71,7 @@ def command(
       orograph render dem.tif -o map.png --projection plan --furniture --size 20x15cm@300
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
       orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
+      orograph render area.oro -o wall.tif --size 100000x60000 --workers 8 --max-memory 16GiB
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -72,15 +83,19 @@ def command(
     )
     if depth:
         check_ending("--depth", depth)
+    if depth and each:
+        raise UsageError("--depth is that of one picture, and --each makes several.")
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.folders import cache_folder
         from orograph.output import check_folder
         from orograph.rendering.backends import draw, session
-        from orograph.rendering.large import ACROSS, draw_large, is_large
+        from orograph.rendering.large import ACROSS, check_most, draw_large, is_large
         from orograph.rendering.memory import band_pixels, check_memory
+        from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
+        from orograph.rendering.tiles import draw_by_workers
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
 
@@ -90,10 +105,16 @@ def command(
         check_folder(Path(file))
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
 
+    together = workers is not None or dask is not None
+    if together and each:
+        raise UsageError("Panels are drawn by this process: --each has no --workers and no --dask.")
     gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
 
     def by_bands(size: tuple[int, int]) -> bool:
         """Whether a picture is drawn by bands; UsageError where it is not, and does not fit into memory."""
+        if together:
+            check_most(size)
+            return True
         if (gpu or not options["wireframe"]) and is_large(size, max_memory, gpu=gpu):
             return True
         check_memory(size, max_memory if said else None)
@@ -102,16 +123,27 @@ def command(
     if options["size"] is not None:
         by_bands(options["size"])
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
-    view = camera_view(terrain, options)
-    large = by_bands((view.width, view.height))
+    view = camera_view(terrain, options if each is None else {**options, "furniture": False})
+    large = by_bands((view.width, view.height)) and each is None
     scene = scene_of(terrain, view, options, max_memory, jobs)
     try:
-        if large:
+        if together:
+            facts = draw_by_workers(
+                scene, output, workers=workers, dask=dask, depth=depth, backend=options["backend"], jobs=jobs,
+                max_memory=max_memory, dpi=dpi, progress=progress,
+            )  # fmt: skip
+        elif large:
             draws = session(progress, backend=options["backend"])
             facts = draw_large(
                 scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress,
                 pixels=band_pixels(max_memory, gpu=gpu), dpi=dpi,
             )  # fmt: skip
+        elif each is not None:
+            budget = {"max_memory": max_memory, "jobs": jobs}
+            picture = draw_panels(
+                terrain, view, each, {**given_of(options), **budget}, backend=options["backend"], progress=progress
+            )
+            facts = picture.facts
         else:
             picture = draw(scene, progress, backend=options["backend"])
             facts = picture.facts
@@ -142,4 +174,5 @@ def command(
     else:
         stats = facts.get("mesh")
         mesh = f"  {stats['method']}: {stats['triangles']:,} triangles" if stats else ""
-        click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")
+        uneven = f"  (busiest worker {facts['imbalance']:.2f} × the mean)" if together else ""
+        click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s{uneven}")

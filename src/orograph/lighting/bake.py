@@ -19,15 +19,13 @@ taken out of the store's record first, and are in it again when they are complet
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
 from orograph.errors import OutputError, StoreError, UsageError
+from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
 from orograph.lighting.products import Product, product
@@ -35,30 +33,17 @@ from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import Progress
 from orograph.reporting import reporting
-from orograph.store.digests import Digests
-from orograph.store.layers import GROUP, LAYERS, Bits, Codes, LayerBand, LayerRecord, layer_spec
+from orograph.store.clusters import check_workers, on_workers
+from orograph.store.digests import Digests, Spot
+from orograph.store.executing import Threads
+from orograph.store.layers import GROUP, LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
 from orograph.store.layout import Record, publish
-from orograph.store.levels import BoxMeans, divide, halve_sums
 from orograph.store.lock import alone
-from orograph.store.pyramid import spans, tasks
-from orograph.store.shards import go_through
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import StoredTerrain, open, read_record
-from orograph.store.terrain import level_count, mean_shape
-from orograph.store.writer import Canvas, ShardWriter
+from orograph.store.writer import ShardWriter
 
 Averaging = Literal["mean", "cap"]
-
-PARTIAL = f"{GROUP}/.partial"
-"""Where a bake is made until it is complete."""
-
-_STRIP = 64
-"""Rows of a shard that are made at a time: an even number, so that blocks of 2 × 2 lie in one strip."""
-
-_SAID = {
-    "mean": "mean of the valid samples of each block",
-    "cap": "caps of each block's mean area, towards the mean of sin^2(radius) times their directions",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +86,8 @@ def bake(
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
+    workers: int | None = None,
+    dask: Any = None,
     **more: Any,
 ) -> StoredTerrain:
     """Put products of light into a store, as layers of their names, and open it again.
@@ -118,6 +105,8 @@ def bake(
         jobs: threads; None: all processors. The store's bytes do not depend on either.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         storage_options: for the fsspec file system.
+        workers: bake in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…
 
     Raises:
@@ -134,8 +123,11 @@ def bake(
         each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
+    check_workers(workers, dask, "A bake")
     store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
+    if (workers is not None or dask is not None) and not isinstance(storage, FolderStorage):
+        raise UsageError("Workers bake into stores in folders.", remedy="Leave out `workers` and `dask`.")
     read_record(storage)  # a store that is not there is said before anything is written beside it
     cache = min(64 << 20, max_memory // 16)
     with alone(storage, "baking into this store"):
@@ -146,7 +138,9 @@ def bake(
             for layer in there:
                 progress.note(f"{layer.name} is in {storage.url} already, made with the same options.")
             made = [layer for layer in made if layer not in there]
-        if made:
+        if made and isinstance(storage, FolderStorage) and (workers is not None or dask is not None):
+            _on_cluster(storage, before, made, chosen, overwrite, (workers, dask, jobs or 1, max_memory), progress)
+        elif made:
             trim()  # what building the store has left
             with open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain:
                 context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress)
@@ -165,10 +159,39 @@ def _make(context: Context, storage: Storage, before: Record, made: list[LayerRe
         before = _publish(storage, before, [], {layer.name for layer in made}, writer.digests)
     products = [product(layer.name) for layer in made]
     for layer, read in zip(made, readers(context, products), strict=True):
-        _write(context, writer, before, layer, read)
+        stage = LayerStage(writer, before, layer, is_cap(layer), _of_all(read))
+        Threads(max(1, min(context.jobs, context.budget // stage.memory())), False).run(stage, context.progress)
     _publish(storage, before, made, {layer.name for layer in made}, writer.digests)
     if context.kept is not None:
         context.kept.remove()
+
+
+def _of_all(read: Callable[[Window], Values]) -> Callable[[Spot], Callable[[Window], Values]]:
+    """What reads the values of a shard, of what reads any window."""
+    return lambda spot: read
+
+
+def _on_cluster(
+    storage: FolderStorage, before: Record, made: list[LayerRecord], options: Options, overwrite: bool,
+    how: tuple[int | None, Any, int, int], progress: Progress,
+) -> None:  # fmt: skip
+    """Have workers bake layers, and let these take their places.
+
+    Args:
+        how: workers, dask, threads of each worker, bytes.
+    """
+    from orograph.lighting.bake_shop import on_cluster, recipe_of
+
+    kept = _kept(storage, before, made, overwrite)
+    workers, dask, jobs, max_memory = how
+    recipe = recipe_of(storage, options, made, before.shard, max_memory // ((workers or 1) * jobs))
+    partial = FolderStorage(storage.path / PARTIAL, many=True)
+    writer = ShardWriter(partial)
+    with on_workers(recipe, workers, dask, jobs, max_memory, "A bake") as cluster:
+        on_cluster(cluster, recipe.open(), writer, progress)
+    partial.sweep()
+    _publish(storage, before, made, {layer.name for layer in made}, writer.digests)
+    kept.remove()
 
 
 def check(names: Sequence[str]) -> None:
@@ -211,7 +234,7 @@ def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> 
         LayerBand(band.name.replace(" ", "-"), band.unit, float(band.byte[0]), float(band.byte[1]), bits or how.bits)
         for band in of.described(options)
     )
-    return LayerRecord(of.name, of.doc, bands, _SAID[how.averaging], made_with, store.source)
+    return LayerRecord(of.name, of.doc, bands, SAID[how.averaging], made_with, store.source)
 
 
 def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Checkpoint:
@@ -243,113 +266,6 @@ def _finished(storage: FolderStorage, record: Record) -> bool:
         return False
     there = LAYERS.of(record)
     return all(name in there and there[name].to_json() == layer for name, layer in plan.items())
-
-
-def _write(
-    context: Context, writer: ShardWriter, record: Record, layer: LayerRecord, read: Callable[[Window], Values]
-) -> None:
-    """Cut a product into shards, and average it level by level."""
-    shape, shard, chunk = record.grid.shape, record.shard, record.chunk
-    levels = level_count(shape)
-    direct = min(shard.bit_length() - 1, levels - 1)  # the coarsest level that shards make themselves
-    cap = BAKED[layer.name].averaging == "cap"
-
-    specs = [[layer_spec(shape, layer.name, k, b, shard, chunk) for b in layer.bands] for k in range(levels)]
-    coarse = [
-        [Canvas(spec, writer, spans(shape, shard, k, spec.shape)) for spec in specs[k]] for k in range(1, direct + 1)
-    ]
-    rest = [_Rest(mean_shape(shape, direct)) for _ in layer.bands] if direct < levels - 1 else []
-    spots = tasks(shape, shard)
-
-    def run(spot: tuple[int, int]) -> None:
-        row, col = spot[0] * shard, spot[1] * shard
-        last, right = min(row + shard, shape[0]), min(col + shard, shape[1])
-        sums = [BoxMeans((last - row, right - col)) for _ in layer.bands]
-
-        def strips() -> Iterator[Values]:
-            for top in range(row, last, _STRIP):
-                values = read((top, min(top + _STRIP, last), col, right))
-                for s, plane in zip(sums, _linear(values) if cap else values, strict=True):
-                    s.add(top - row, np.ascontiguousarray(plane, np.float32))
-                yield values
-
-        codes = _coded(layer.bands, (last - row, right - col), strips())
-        for spec in specs[0]:
-            writer.shard(spec, spot, codes.pop(0))
-        for k in range(1, direct + 1):
-            means = [s.next() for s in sums]
-            parts = (np.stack([m[top : top + _STRIP] for m in means]) for top in range(0, len(means[0]), _STRIP))
-            codes = _coded(layer.bands, means[0].shape, map(_caps, parts) if cap else parts)
-            for canvas in coarse[k - 1]:
-                canvas.add(row >> k, col >> k, codes.pop(0))
-        for part, s in zip(rest, sums):
-            part.add(row >> direct, col >> direct, s)
-
-    def coarsest() -> None:
-        for k in range(direct + 1, levels):
-            means = np.stack([part.next(mean_shape(shape, k)) for part in rest])
-            for band, spec, plane in zip(layer.bands, specs[k], _caps(means) if cap else means, strict=True):
-                writer.array(spec, band.encode(plane))
-
-    # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip and what comes up with them.
-    size, n = layer.bands[0].bits // 8, len(layer.bands)
-    need = shard * shard * (n * (size + 4) + size) + shard * _STRIP * 4 * n * (12 if cap else 6)
-    at_once = max(1, min(context.jobs, context.budget // need))
-    go_through(f"Baking {layer.name}", spots, run, at_once, context.progress, coarsest)
-
-
-def _coded(bands: Sequence[LayerBand], shape: tuple[int, ...], strips: Iterable[Values]) -> list[Codes]:
-    """Codes (rows, cols) of each band, of values that come in strips (bands, rows, cols) from the top.
-
-    The values of a whole shard, and what comes up on the way to them, are many times its codes.
-    """
-    codes: list[Codes] = [np.empty(shape, band.dtype) for band in bands]
-    row = 0
-    for values in strips:
-        for out, band, plane in zip(codes, bands, values, strict=True):
-            out[row : row + len(plane)] = band.encode(plane)
-        row += values.shape[1]
-    return codes
-
-
-class _Rest:
-    """Sums of the coarsest level that shards make, from which the levels above it follow."""
-
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self.total = np.zeros(shape)
-        self.count = np.zeros(shape, np.int64)
-
-    def add(self, row: int, col: int, sums: BoxMeans) -> None:
-        area = np.s_[row : row + sums.total.shape[0], col : col + sums.total.shape[1]]
-        self.total[area], self.count[area] = sums.total, sums.count
-
-    def next(self, shape: tuple[int, int]) -> Values:
-        total, count = np.empty(shape), np.empty(shape, np.int64)
-        halve_sums(self.total, self.count, total, count)
-        self.total, self.count = total, count
-        mean = np.empty(shape, np.float32)
-        divide(total, count, mean)
-        return mean
-
-
-def _linear(caps: Values) -> NDArray[np.float32]:
-    """Caps (4, rows, cols) (direction, radius in degrees) → what of them adds up: sin² r · direction, 1 − cos r."""
-    radius = np.radians(caps[3])
-    square = np.sin(radius) ** 2
-    # 1 − cos r = 2 sin² (r / 2), without cancellation.
-    return np.stack([*(square * caps[:3]), 2.0 * np.sin(radius / 2) ** 2]).astype(np.float32)
-
-
-def _caps(means: Values) -> Values:
-    """The inverse of ``_linear``, of means; where nothing is seen the radius is 0 and the direction up."""
-    length = np.sqrt((means[:3].astype(np.float64) ** 2).sum(0))
-    seen = length > 1e-12
-    with np.errstate(invalid="ignore", divide="ignore"):
-        direction = np.where(seen, means[:3] / length, np.array([0.0, 0.0, 1.0])[:, None, None])
-    radius = np.degrees(2.0 * np.arcsin(np.sqrt(np.clip(means[3].astype(np.float64) / 2, 0.0, 0.5))))
-    out = np.concatenate([direction, radius[None]]).astype(np.float32)
-    out[:, np.isnan(means[3])] = np.nan
-    return out
 
 
 def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> Record:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from orograph.lighting.raster import Canvas
     from orograph.lighting.raster_resume import Checkpoint
     from orograph.lighting.sweep import Block
+    from orograph.lighting.sweep_pass import Terms
 
 Values = NDArray[np.float32]
 Blocks = Iterator[tuple[int, int, Values]]
@@ -138,6 +139,7 @@ class Context:
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors.
         kept: where sweeps keep what they have done, and find it again; None: nowhere.
+        only: the window (row0, row1, col0, col1) that products made window by window are made for; None: all.
 
     Attributes:
         shape: (rows, cols) of the terrain and of every product.
@@ -153,8 +155,9 @@ class Context:
         max_memory: int = MEMORY,
         progress: Progress = SILENT,
         kept: Checkpoint | None = None,
+        only: tuple[int, int, int, int] | None = None,
     ) -> None:
-        self.kept = kept
+        self.kept, self.only = kept, only
         if jobs is not None and jobs < 1:
             raise UsageError(f"At least one thread is needed, not {jobs}.")
         self.terrain, self.options = terrain, options or Options()
@@ -221,26 +224,30 @@ class Context:
             blocks; each sample comes once with each azimuth, its azimuths always in the same order. A block's
             ``slopes`` are used again for the next block. The radius, curvature and refraction are those of the options.
         """
-        from orograph.lighting.sweep import curvature_of, horizons
+        from orograph.lighting.sweep import horizons
 
-        options = self.options
-        crs = self.terrain.grid.crs
-        bend = curvature_of(crs, options.bending(crs)) if options.curvature else 0.0
+        options, terms = self.options, self.terms(lowest, below)
         return horizons(
             self.heights,
             self.shape,
             self.linear,
             options.directions() if azimuths is None else np.asarray(azimuths, np.float64),
-            lowest=lowest,
-            below=below,
-            radius=options.radius,
-            curvature=bend,
+            **terms._asdict(),
             jobs=self.jobs,
             memory=self.budget,
             progress=self.progress,
             what=what,
             skip=skip,
         )
+
+    def terms(self, lowest: float = 0.0, below: bool = False) -> Terms:
+        """What a horizon is, by the options."""
+        from orograph.lighting.sweep import curvature_of
+        from orograph.lighting.sweep_pass import Terms
+
+        options, crs = self.options, self.terrain.grid.crs
+        bend = curvature_of(crs, options.bending(crs)) if options.curvature else 0.0
+        return Terms(lowest, below, options.radius, bend)
 
     def blocks(self, make: Callable[[int, int, int, int], Values], what: str, height: int = 256) -> Blocks:
         """Make a product window by window, in threads, window by window of whole tiles of a store.

@@ -222,10 +222,17 @@ def by_blocks(
         return context.kept.window(key, row0, col0, lambda: new(row0, row1, col0, col1))
 
     with context.progress.task(what, total=-(-rows // _BLOCK) * -(-cols // _WIDTH)) as task:
-        windows = rectangles(context.shape, _BLOCK, _WIDTH)
+        windows = (
+            w for w in rectangles(context.shape, _BLOCK, _WIDTH) if context.only is None or _meet(w, context.only)
+        )
         for block in map_ordered(lambda w: (w[0], w[2], make(*w)), windows, context.jobs):
             yield block
             task.advance()
+
+
+def _meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+    """Whether windows (row0, row1, col0, col1) have samples in common."""
+    return max(a[0], b[0]) < min(a[1], b[1]) and max(a[2], b[2]) < min(a[3], b[3])
 
 
 def _rays(context: Context, ways: Transmission, rays: int, seed: int) -> Blocks:

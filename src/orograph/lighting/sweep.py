@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ from pyproj import CRS
 from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 from orograph.lighting.sweep_lines import Lines, Pool
-from orograph.lighting.sweep_pass import Pass, Read, Strip, Values, Work, aligned
+from orograph.lighting.sweep_pass import Pass, Read, Strip, Terms, Values, Work, aligned
 from orograph.parallel import cpu_count, for_groups
 from orograph.progress import SILENT, Progress
 
@@ -136,17 +137,37 @@ def horizons(
     if cells.shape != (2, 2) or not np.isfinite(cells).all() or abs(np.linalg.det(cells)) == 0:
         raise UsageError("Horizons need the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
     jobs = jobs or cpu_count()
-    lines = [Lines(k, float(a), cells, shape) for k, a in enumerate(azimuths) if k not in skip]
+    passes: list[Pass] = []
+    for group in ways(azimuths, cells, shape, skip):
+        passes += passes_of(group, shape, Terms(lowest, below, radius, curvature), jobs, memory, band)
+    yield from blocks_of(passes, read, progress, what)
+
+
+def ways(
+    azimuths: NDArray[np.float64], linear: NDArray[np.float64], shape: tuple[int, int], skip: Collection[int] = ()
+) -> list[list[Lines]]:
+    """The lines of all azimuths, by axis and sense, in the order in which their horizons come to every sample."""
+    lines = [Lines(k, float(a), linear, shape) for k, a in enumerate(azimuths) if k not in skip]
     # The same order in all cases: sums over azimuths are the same to the bit.
     lines.sort(key=lambda a: (a.by_columns, a.backward, a.index))
+    return [list(group) for _, group in groupby(lines, key=lambda a: (a.by_columns, a.backward))]
+
+
+def passes_of(
+    group: list[Lines], shape: tuple[int, int], terms: Terms, jobs: int, memory: int, band: int | None = None,
+    span: tuple[int, int] | None = None,
+) -> list[Pass]:  # fmt: skip
+    """Passes for lines of one axis and sense, each of as many azimuths as memory allows; ``span``: as for ``Pass``."""
     passes: list[Pass] = []
-    for by_columns in (False, True):
-        for backward in (False, True):
-            group = [a for a in lines if (a.by_columns, a.backward) == (by_columns, backward)]
-            while group:
-                made = Pass(group, shape, lowest, below, radius, curvature, jobs, memory, band)
-                passes.append(made)
-                group = group[len(made.lines) :]
+    while group:
+        made = Pass(group, shape, terms, jobs, memory, band, span)
+        passes.append(made)
+        group = group[len(made.lines) :]
+    return passes
+
+
+def blocks_of(passes: Sequence[Pass], read: Read, progress: Progress = SILENT, what: str = "") -> Iterator[Block]:
+    """The blocks of passes, one after the other."""
     stages = [(each, band) for each in passes for band in each.bands]
     # Memory that is used again costs no page faults, which threads wait for one another in.
     largest = max((p.samples for p in passes), default=0)

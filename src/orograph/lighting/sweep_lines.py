@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.folders import scratch
 from orograph.lighting.own_cell import OwnCell
-from orograph.lighting.raster import scratch
 from orograph.lighting.sweep_kernels import PAGE
 
 T = TypeVar("T")
@@ -32,7 +32,10 @@ class Lines:
         by_columns: steps are columns and lanes rows, or the other way round.
         backward: the light is at the end of increasing steps.
         scale: steps per metre.
+        only: the lines [first, last) that are wanted; None: all.
     """
+
+    only: tuple[int, int] | None = None
 
     def __init__(self, index: int, azimuth: float, linear: NDArray[np.float64], shape: tuple[int, int]) -> None:
         across, down = (float(v) for v in np.linalg.solve(linear, direction(azimuth)))  # samples per metre to the light
@@ -68,7 +71,8 @@ class Lines:
     def touched(self, step0: int, step1: int) -> tuple[int, int]:
         """The lines [first, last) that pass between or beside samples at these steps, and the line behind the last."""
         ends = int(self.shift[step0]), int(self.shift[step1 - 1])
-        return -1 - max(ends), self.lanes - min(ends) + 1
+        first, last = -1 - max(ends), self.lanes - min(ends) + 1
+        return (first, last) if self.only is None else (max(first, self.only[0]), min(last, self.only[1]))
 
 
 class Pool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,13 +63,23 @@ class Strip:
     space: Values | None
 
 
+class Terms(NamedTuple):
+    """What a horizon is, as ``sweep.horizons`` takes it."""
+
+    lowest: float = 0.0
+    below: bool = False
+    radius: float | None = None
+    curvature: float = 0.0
+
+
 class Pass:
     """A pass over the raster for the first of some azimuths with a common axis and sense, as many as memory allows.
 
     Args:
         group: lines of the azimuths.
         shape: (rows, cols) of the raster.
-        lowest, below, radius, curvature, jobs, memory, band: as for ``sweep.horizons``.
+        terms: of the horizons. jobs, memory, band: as for ``sweep.horizons``.
+        span: the steps [first, last) to sweep, whose stacks are left in ``pools``; None: all of them.
 
     Attributes:
         lines: of the azimuths that take part. indices: which they are.
@@ -84,14 +95,13 @@ class Pass:
         self,
         group: list[Lines],
         shape: tuple[int, int],
-        lowest: float,
-        below: bool,
-        radius: float | None,
-        curvature: float,
+        terms: Terms,
         jobs: int,
         memory: int,
-        band: int | None,
+        band: int | None = None,
+        span: tuple[int, int] | None = None,
     ) -> None:
+        lowest, below, radius, curvature = terms
         self.shape, self.lowest, self.below, self.curvature, self.jobs = shape, float(lowest), below, curvature, jobs
         self.by_columns, self.backward = group[0].by_columns, group[0].backward
         self.lanes, self.steps = group[0].lanes, group[0].steps
@@ -123,7 +133,9 @@ class Pass:
             )
         self.lines, self.radius, self.stacks = group[:count], radius, third
         self.indices = np.array([a.index for a in self.lines])
-        self.bands = [(s, min(s + width, self.steps)) for s in range(0, self.steps, width)]
+        begin, end = span or (0, self.steps)
+        self.bands = [(s, min(s + width, end)) for s in range(begin, end, width)]
+        self.hands_on = span is not None
         if self.backward:
             self.bands.reverse()
         self.samples = count * min(width, self.steps) * self.pitch(self.lanes)
@@ -152,7 +164,7 @@ class Pass:
         """The heights that the slopes of a band are made of; ``spaces`` are buffers of strips before."""
         first, last = s0, s1
         if self.radius is not None:
-            reaches = [self._reach(a, s0, s1) for a in self.lines]
+            reaches = [reach_of(a, self.radius, s0, s1) for a in self.lines]
             first, last = min(h0 for _, h0, _ in reaches), max(h1 for _, _, h1 in reaches)
         if self.backward:  # samples' own cells reach one step farther towards the light
             last = min(max(last, s1 + 1), self.steps)
@@ -197,7 +209,7 @@ class Pass:
         lane, step = (wide, 1) if self.by_columns else (1, wide)
         out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
         work = self._shares(s0, s1, self.lines)
-        last = (s0, s1) == self.bands[-1]
+        last = (s0, s1) == self.bands[-1] and not self.hands_on
         keep = {(a.index, s) for a, s in work}
         for key in list(self.pools):  # others may be adding theirs
             if key not in keep:  # lines that left the raster
@@ -207,7 +219,7 @@ class Pass:
         longest = max(end - begin for begin, end in self.bands)
 
         def run(a: Lines, s: int) -> None:
-            pool = self.pools.get((a.index, s)) or self._pool()
+            pool = self.pools.get((a.index, s)) or self.pool()
             rows = taken(self._rows, lambda: working(longest))
             profile, slope = rows
             out = slopes[place[a.index]].reshape(-1)
@@ -234,29 +246,19 @@ class Pass:
 
         return [(a, s, partial(run, a, s)) for a, s in work]
 
-    def _pool(self) -> Pool:
+    def pool(self) -> Pool:
         """An empty pool, from any thread."""
         pool = taken(self._spare, Pool)
         pool.clear(self.share)
         return pool
-
-    def _reach(self, a: Lines, s0: int, s1: int) -> tuple[int, int, int]:
-        """The radius in steps, and the steps whose heights a band's slopes are made of: whole blocks of that many.
-
-        Azimuths have steps of different lengths in metres, hence radii of different numbers of steps.
-        """
-        assert self.radius is not None
-        reach = min(max(int(self.radius * a.scale + 1e-9), 1), self.steps)
-        first = a.position(s1 - 1 if a.backward else s0)
-        begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
-        return reach, *((s0, self.steps - begin) if a.backward else (begin, s1))
 
     def _limited(self, strip: Strip, s0: int, s1: int, slopes: Values) -> list[tuple[Lines, int, Work]]:
         lane, step = (strip.wide, 1) if self.by_columns else (1, strip.wide)
         out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
         work: list[tuple[Lines, int, Work]] = []
         for k, a in enumerate(self.lines):
-            reach, h0, h1 = self._reach(a, s0, s1)
+            assert self.radius is not None
+            reach, h0, h1 = reach_of(a, self.radius, s0, s1)
             sweep = partial(
                 sweep_windows, strip.flat, (h0 - strip.first) * step, lane, step, self.lanes, a.shift[h0:h1],
                 a.part[h0:h1], a.own_cell(h0, self.curvature), a.backward, a.position(h0), a.scale, self.lowest,
@@ -266,6 +268,17 @@ class Pass:
             )  # fmt: skip
             work += [(a, s, partial(_at_line, sweep, s * self.share)) for _, s in self._shares(s0, s1, [a])]
         return work
+
+
+def reach_of(a: Lines, radius: float, s0: int, s1: int) -> tuple[int, int, int]:
+    """A radius in steps, and the steps whose heights slopes of steps [s0, s1) are made of: whole blocks of that many.
+
+    Azimuths have steps of different lengths in metres, hence radii of different numbers of steps.
+    """
+    reach = min(max(int(radius * a.scale + 1e-9), 1), a.steps)
+    first = a.position(s1 - 1 if a.backward else s0)
+    begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
+    return reach, *((s0, a.steps - begin) if a.backward else (begin, s1))
 
 
 def _at_line(sweep: Callable[..., None], line0: int) -> None:

@@ -32,6 +32,7 @@ from orograph.lod.patches.shape import STEPS, patch_indices, patch_vertices
 from orograph.lod.right_triangles import METRIC, RightTriangleOptions, by_tolerance
 from orograph.lod.selection import TinBatch, TinBatches
 from orograph.lod.triangle_patches import Patches, TrianglePatches
+from orograph.lod.vertex_cache import for_cache
 from orograph.parallel import map_ordered
 from orograph.store.terrain import Terrain
 from orograph.store.tin_build import Workplace, make_tins, tins_of
@@ -95,9 +96,9 @@ class Bdam(TrianglePatches):
         self._most = max(256, self.resources.max_memory // (16 * TRIANGLE_BYTES * self.legs**2))
         self._workplace = Workplace()
         self._flip = turn(self.terrain.grid) > 0
-        self._points = patch_vertices(self.legs).astype(np.int64)
-        corners = patch_indices(self.legs).astype(np.int32)
-        self._corners = corners[:, ::-1].copy() if self._flip else corners
+        points, corners = patch_vertices(self.legs), patch_indices(self.legs).astype(np.int32)
+        points, self._corners = for_cache(points, corners[:, ::-1] if self._flip else corners)
+        self._points = points.astype(np.int64)
 
     def _pages(self) -> Pager:
         self.legs = min(self.options.legs, 1 << self.terrain.n)
@@ -192,7 +193,7 @@ class Bdam(TrianglePatches):
         for corners in patches:
             used, places = np.unique(corners, return_inverse=True)
             turned = places.reshape(-1, 3).astype(np.int32)
-            made.append(TinBatch(vertices[used], turned if self._flip else turned[:, ::-1]))
+            made.append(TinBatch(*for_cache(vertices[used], turned if self._flip else turned[:, ::-1])))
         return made[0], made[1]
 
     def _finest(self, instances: NDArray[Any]) -> list[TinBatch]:

@@ -18,6 +18,7 @@ from orograph.lod.options import Described
 from orograph.progress import Progress
 from orograph.rendering.backends import BACKENDS, draw
 from orograph.rendering.memory import check_memory
+from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
 from orograph.scene.camera import NO_INSETS, check_size, view_of
@@ -52,6 +53,7 @@ def render(
     size: tuple[int, int] = (1280, 720),
     backend: Literal["cpu", "gpu"] = "cpu",
     conservative: bool = False,
+    each: str | None = None,
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Picture:
@@ -69,6 +71,8 @@ def render(
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
             there is none). Default "cpu".
         conservative: refuse a ``method`` with which the tolerance is no promise for every sample in view.
+        each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
+            the relief), or "member", "band" or "time" of the first data, all or some: "member=1-6", "time=T12".
         progress: hears of what is being done, and of warnings. Default: work that lasts has a bar in terminals and
             notebooks, warnings are Python's; False: nothing is said.
         options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,
@@ -89,16 +93,19 @@ def render(
         raise UsageError(f"There is no backend {backend!r}; there are {', '.join(BACKENDS)}.")
     if conservative:
         check_promise(options.get("method", "auto"), backend)
-    max_memory, jobs = options.get("max_memory"), options.get("jobs")
+    check_options(options)
+    max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     check_size(size)
     check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
-    check_options(options)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets
 
     layers = layers_of(options.get("layers"))
-    free = insets(size, terrain.attribution, layers) if options.get("furniture") else NO_INSETS
+    beside = options.get("furniture") and each is None  # (panels have none of their own)
+    free = insets(size, terrain.attribution, layers) if beside else NO_INSETS
     view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
+    if each is not None:
+        return draw_panels(terrain, view, each, options, backend=backend, progress=heard)
     return draw(Scene.of(terrain, view, **options), heard, backend=backend)
 
 

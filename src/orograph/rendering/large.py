@@ -13,10 +13,10 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -42,6 +42,9 @@ ROWS, COLUMNS = 16, 64
 MOST_PIXELS = 1 << 30
 """Of a picture: 32768 × 32768. More would take hours, and is a slip of the keyboard."""
 
+MOST_TOGETHER = 1 << 33
+"""Of a picture that workers draw: 131072 × 65536."""
+
 ACROSS = 2048
 """Columns of a tile that a graphics card draws, at most."""
 
@@ -61,10 +64,17 @@ def is_large(size: tuple[int, int], max_memory: int | None, *, gpu: bool = False
     return (max_memory is not None and BYTES_PER_PIXEL * pixels > max_memory // 2) or (gpu and max(size) > SIDE)
 
 
+def check_most(size: tuple[int, int]) -> None:
+    """Raise UsageError where not even workers draw so many pixels."""
+    if size[0] * size[1] > MOST_TOGETHER:
+        raise UsageError(f"A picture of {size[0]} × {size[1]} pixels is larger than any that can be meant.",
+                         remedy="Make it smaller: 131072 × 65536 is the most.")  # fmt: skip
+
+
 def draw_large(
     scene: Scene, path: str | os.PathLike[str], *, depth: str | os.PathLike[str] | None = None,
     draw: Session | None = None, progress: Progress = SILENT, pixels: int | None = None, across: int | None = None,
-    dpi: float | None = None,
+    dpi: float | None = None, by: Callable[[Sheet, Progress], None] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Draw a scene into a file, within ``scene.budget.max_memory`` whatever the picture's size.
 
@@ -77,6 +87,7 @@ def draw_large(
         pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
         across: columns that a tile has at most; None: as many as the picture, if so many pixels make ``ROWS`` of them.
         dpi: dots per inch in print; None: not said.
+        by: what puts all bands onto the sheet; None: they are drawn here, one after the other.
 
     Returns:
         the picture's facts, as in ``Picture``.
@@ -109,10 +120,13 @@ def draw_large(
         scratch = stack.enter_context(Scratch(out, view.width, view.height))
         depths = None if depth is None else stack.enter_context(DepthFile(Path(depth), view.width, view.height, place))
         sheet = Sheet(scene, scratch, depths, session(progress) if draw is None else draw)
-        with progress.task("Drawing", total=view.width * view.height) as task:
-            for band in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
-                sheet.draw(band, progress)
-                task.advance(sum(w * h for _, _, w, h in band))
+        if by is not None:
+            by(sheet, progress)
+        else:
+            with progress.task("Drawing", total=view.width * view.height) as task:
+                for band in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
+                    sheet.put(band, (sheet.tile(box) for box in band), progress)
+                    task.advance(sum(w * h for _, _, w, h in band))
         if scene.annotations.furniture:
             sheet.furnish()
         scratch.close()
@@ -122,8 +136,11 @@ def draw_large(
     return sheet.facts
 
 
-Band = list[tuple[int, int, int, int]]
-"""Tiles (left, top, width, height) of the same rows, from left to right."""
+Box = tuple[int, int, int, int]
+"""A tile: left, top, width, height."""
+
+Band = list[Box]
+"""Tiles of the same rows, from left to right."""
 
 
 def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iterator[Band]:
@@ -135,6 +152,30 @@ def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iter
     for top in range(0, height, rows):
         tall = min(rows, height - top)
         yield [(left, top, min(across, width - left), tall) for left in range(0, width, across)]
+
+
+class Tile(NamedTuple):
+    """A tile as it was drawn.
+
+    Attributes:
+        pixels: (rows, cols, 3). depth: (rows, cols) metres. ground: (rows, cols) where ground is seen, or filled in.
+        facts: as of a ``Picture``. tint: how heights are coloured; None: not known.
+    """
+
+    pixels: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    ground: NDArray[np.bool_]
+    facts: dict[str, Any]
+    tint: Any = None
+
+
+def draw_tile(scene: Scene, box: Box, draw: Session) -> Tile:
+    """Draw a tile (left, top, width, height) of a scene's picture, without its furniture."""
+    picture = draw(scene.but(view=scene.view.tile(*box), furniture=False, title=None))
+    ground = np.isfinite(picture.depth)
+    if picture.void_filled is not None:
+        ground = ground | picture.void_filled
+    return Tile(picture.pixels, picture.depth, ground, picture.facts, picture.tint)
 
 
 class Sheet:
@@ -153,23 +194,23 @@ class Sheet:
         self.samples: list[NDArray[np.float64]] = []
         self.cover = np.zeros((height, -(-width // 8)), np.uint8) if scene.annotations.furniture else None
 
-    def draw(self, band: Band, progress: Progress) -> None:
-        """Draw the tiles of a band and write their rows."""
+    def tile(self, box: Box) -> Tile:
+        """Draw a tile."""
+        return draw_tile(self.scene, box, self._session)
+
+    def put(self, band: Band, tiles: Iterable[Tile], progress: Progress) -> None:
+        """Write the rows of the next band, of its tiles."""
         from orograph.rendering.furniture.legend import sampled
 
         view = self.scene.view
         _, top, _, tall = band[0]
         pixels, depth = np.empty((tall, view.width, 3), np.uint8), np.empty((tall, view.width), np.float32)
         ground = np.zeros((tall, view.width), bool)
-        for left, _, wide, _ in band:
-            picture = self._session(self.scene.but(view=view.tile(left, top, wide, tall), furniture=False, title=None))
+        for (left, _, wide, _), tile in zip(band, tiles, strict=True):
             here = slice(left, left + wide)
-            pixels[:, here], depth[:, here] = picture.pixels, picture.depth
-            ground[:, here] = np.isfinite(picture.depth)
-            if picture.void_filled is not None:
-                ground[:, here] |= picture.void_filled
-            self.tint = picture.tint
-            self._add(picture.facts, wide * tall / (view.width * view.height), progress)
+            pixels[:, here], depth[:, here], ground[:, here] = tile.pixels, tile.depth, tile.ground
+            self.tint = tile.tint
+            self._add(tile.facts, wide * tall / (view.width * view.height), progress)
         self.scratch.write(pixels)
         if self.depths is not None:
             self.depths.write(depth, top)

@@ -10,6 +10,8 @@ import os
 from pathlib import Path
 
 from orograph.errors import UsageError
+from orograph.store.memory import MemoryTerrain
+from orograph.store.terrain import Terrain
 
 BYTES_PER_PIXEL = 50
 """Of a picture while it is drawn: depth, window, void fill, linear light, bytes and masks."""
@@ -21,6 +23,21 @@ DRIVER = 320 << 20
 """Bytes that a software driver takes with its compiler."""
 TILED = 704 << 20
 """Bytes that a picture by tiles takes with a software driver, whatever is allowed."""
+
+
+WORKER = 512 << 20
+"""Bytes of a worker's process that draws: the interpreter, its libraries, compiled kernels, and what Dask has."""
+
+
+def worker_memory(pixels: int, terrain: Terrain, allowed: int) -> int:
+    """Bytes that a worker takes to draw so many pixels of a terrain at a time, besides ``WORKER``.
+
+    Args:
+        allowed: bytes that it may take in all, if that is enough.
+    """
+    # Heights in memory, with what is made of them; or the cache of a store, and windows of its heights.
+    held = 3 * terrain.heights.nbytes if isinstance(terrain, MemoryTerrain) else 64 << 20
+    return max(BYTES_PER_PIXEL * pixels + held + (256 << 20), allowed - WORKER)
 
 
 def band_pixels(max_memory: int | None, *, gpu: bool = False) -> int:

@@ -1,7 +1,7 @@
-"""Builds on the workers of a Dask cluster, of this machine or of many that share a file system (or a bucket).
+"""Work on the workers of a Dask cluster, of this machine or of many that share a file system (or a bucket).
 
 To Dask a task is opaque and a few bytes: the stage, and where (``workshop`` has what workers do with it). This process
-alone plans, holds the store's lock, adds up what tasks found, and lets the store take its place. It keeps a bounded
+alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a bounded
 number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so nothing that
 is done is lost with a worker, and what is found there is not made again. A task that fails, or whose workers die, is
 tried again; what fails every time is given up, and told when all others are done.
@@ -14,7 +14,7 @@ import itertools
 import queue
 import time
 import uuid
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from typing import Any
 
@@ -23,9 +23,8 @@ from orograph.progress import Progress, Task
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.groups import group_levels
-from orograph.store.layout import dumps
 from orograph.store.terrain import Shape
-from orograph.store.workshop import KNOWN, Recipe, do
+from orograph.store.workshop import Done, Recipe, do
 
 TRIES = 4
 """How often a task is begun before it is given up; Dask itself moves those of dead workers several times before."""
@@ -38,6 +37,9 @@ AHEAD = 2
 
 EACH = 8
 """Groups of heights for each thread of the workers, at least, if there are so many."""
+
+PAUSE = 0.5
+"""Seconds before workers are told again."""
 
 SILENCE = 60.0
 """Seconds without a scheduler after which the build ends."""
@@ -96,20 +98,63 @@ def levels_of(client: Any, shape: Shape, shard: int) -> int:
     return group_levels(shape, shard, EACH * threads_of(client))
 
 
-class Cluster:
-    """Runs the stages of a build on a cluster, whose workers know of it while it is entered.
+@contextlib.contextmanager
+def on_workers(
+    recipe: Recipe, workers: int | None, dask: Any, jobs: int, max_memory: int, what: str
+) -> Iterator[Cluster]:
+    """A cluster whose workers know a recipe.
 
     Args:
-        client: of Dask. recipe: what workers are told once.
+        workers, dask, jobs, max_memory: as of ``workforce``. what: is done, for messages: "A film".
+
+    Raises:
+        UsageError: as of ``workforce``.
+    """
+    check_workers(workers, dask, what)
+    needed = recipe.base + recipe.memory
+    with workforce(workers, dask, jobs, max_memory, needed) as client, Cluster(client, recipe) as cluster:
+        yield cluster
+
+
+def check_workers(workers: int | None, dask: Any, what: str) -> None:
+    """Raise UsageError where there are no workers, or of two kinds."""
+    if workers is not None and workers < 1:
+        raise UsageError(f"{what} takes at least one worker, not {workers}.")
+    if workers is not None and dask is not None:
+        raise UsageError("`workers` and `dask` exclude each other.")
+
+
+class Cluster:
+    """Runs stages on a cluster, whose workers know of the work while it is entered.
+
+    Args:
+        client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights.
+
+    Attributes:
+        busy: seconds that each worker was at work, by its name.
     """
 
-    def __init__(self, client: Any, recipe: Recipe) -> None:
+    def __init__(self, client: Any, recipe: Recipe, levels: int = 0) -> None:
         self.client, self.recipe, self.ident = client, recipe, f"orograph-{uuid.uuid4().hex}"
+        self.levels, self.busy = levels, defaultdict[str, float](float)
+
+    def imbalance(self) -> float:
+        """How much longer the busiest worker was at work than they were on average: 1 if all were as long."""
+        return max(self.busy.values(), default=0.0) * len(self.busy) / (sum(self.busy.values()) or 1.0) or 1.0
 
     def __enter__(self) -> Cluster:
         from orograph.store.dask_plugin import Telling
 
-        self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
+        for left in reversed(range(TRIES)):
+            try:
+                self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
+                break
+            except OSError as error:  # a worker has died while it was told; others may not have been
+                if not left:
+                    raise StoreError(
+                        f"The workers of the cluster cannot be reached: {error}.", remedy="See that they run."
+                    ) from error
+                time.sleep(PAUSE)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -117,7 +162,7 @@ class Cluster:
             self.client.unregister_worker_plugin(self.ident)
 
     def groups(self, shape: Shape, shard: int) -> int:
-        return self.recipe.levels
+        return self.levels
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
         """As of all executors.
@@ -125,19 +170,18 @@ class Cluster:
         Raises:
             StoreError: tasks were given up, or the scheduler is gone; or what workers wrote is not seen here.
         """
-        if stage.number or stage.name != "heights":
-            stage.writer.keep(KNOWN, dumps(stage.writer.digests.to_json()))
-        tasks = stage.tasks()
-        with progress.task(stage.label, total=len(tasks)) as task:
-            _Round(self.client, stage, self.ident, task).go()
+        stage.hand_over()
+        with progress.task(stage.label, total=len(stage.tasks())) as task:
+            _Round(self, stage, progress, task).go()
             stage.finish()
 
 
 class _Round:
     """All tasks of one stage, once round."""
 
-    def __init__(self, client: Any, stage: Stage[Any], ident: str, task: Task) -> None:
-        self.client, self.stage, self.ident, self.task = client, stage, ident, task
+    def __init__(self, cluster: Cluster, stage: Stage[Any], progress: Progress, task: Task) -> None:
+        self.client, self.stage, self.ident, self.task = cluster.client, stage, cluster.ident, task
+        self.busy, self.progress, self.heard_of = cluster.busy, progress, set[str]()
         self.todo: Iterator[Spot] = iter(stage.tasks())
         self.again: list[Spot] = []
         self.pending: dict[Any, Spot] = {}
@@ -190,7 +234,9 @@ class _Round:
         try:
             error = future.exception(timeout=10) if future.status == "error" else None
             why = "it was cancelled" if error is None and future.status != "finished" else _said(error)
-        except Exception as failure:  # the scheduler is gone, and what it knew with it
+            if why is None:
+                self._hear(future.result(timeout=10))
+        except Exception as failure:  # the scheduler is gone, and what it knew with it; or the worker
             error, why = failure, _said(failure)
         future.release()
         if why is None:
@@ -207,6 +253,14 @@ class _Round:
             self.given_up[spot] = why
         self._listen()
 
+    def _hear(self, done: Done) -> None:
+        """Count what a worker says of a task, and hand on what is new."""
+        self.busy[done.who] += done.seconds
+        for remark in done.remarks:
+            if remark not in self.heard_of:
+                self.heard_of.add(remark)
+                self.progress.warn(remark)
+
     def _listen(self) -> None:
         """Notice when the scheduler, or every worker, is gone."""
         if self.client.status == "running":
@@ -216,8 +270,8 @@ class _Round:
             return
         if self.client.status == "closed" or time.monotonic() - self.heard > SILENCE:
             raise StoreError(
-                "The scheduler of the cluster is gone.", path=self.stage.writer.storage.url,
-                remedy="What was done is kept: finish the build with `resume=True`.",
+                "The scheduler of the cluster is gone.", path=self.stage.place,
+                remedy=self.stage.again,
             )  # fmt: skip
 
     def _failed(self) -> StoreError:
@@ -229,8 +283,8 @@ class _Round:
         never = f" {left} tasks were not begun." if left else ""
         return StoreError(
             f"{len(self.given_up)} tasks of {self.stage.label!r} were given up after {TRIES} tries each: "
-            f"{'; '.join(told)}{others}.{never}", path=self.stage.writer.storage.url,
-            remedy="What was done is kept: see to the cause, then finish the build with `resume=True`.",
+            f"{'; '.join(told)}{others}.{never}", path=self.stage.place,
+            remedy=f"See to the cause. {self.stage.again}",
         )  # fmt: skip
 
 

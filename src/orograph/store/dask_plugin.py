@@ -1,4 +1,4 @@
-"""How the workers of a Dask cluster are told of a build: those that are there, and those that come later.
+"""How the workers of a Dask cluster are told of work: those that are there, and those that come later.
 
 It is imported only where Dask is installed.
 """

@@ -1,10 +1,10 @@
-"""How the work of a build is done: stages of tasks over shards, by whatever runs them.
+"""How work on terrain is done, builds, baked light, films and pictures: stages of tasks, by whatever runs them.
 
-A *stage* is all work of one kind: the heights, the samples of a lattice, the errors. Its tasks may be done in any
-order, by any threads, processes or machines, and again at any time: each reads what earlier stages and the sources
-have, writes whole shards that no other task writes, the same bytes every time, and keeps beside them what the rest of
-the build needs of it (``parts/``). Whoever finishes the stage adds up what the tasks found, and makes what no task
-could. Stages follow one another; tasks of one stage need nothing of each other.
+A *stage* is all work of one kind: the heights, the samples of a lattice, the errors, the frames of a film. Its tasks
+may be done in any order, by any threads, processes or machines, and again at any time: each reads what earlier stages
+and the sources have, writes whole files (shards) that no other task writes, the same bytes every time, and keeps beside
+them what the rest of the work needs of it (``parts/``). Whoever finishes the stage adds up what the tasks found, and
+makes what no task could. Stages follow one another; tasks of one stage need nothing of each other.
 
 An *executor* runs stages: ``Threads`` in this process, ``clusters.Cluster`` on the workers of a Dask cluster, and
 ``in_parts`` has those of job arrays, where processes that know nothing of each other do a share each.
@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from orograph.progress import Progress
 from orograph.store.digests import Spot
+from orograph.store.layout import PARTS, dumps
 from orograph.store.shards import go_through
 from orograph.store.terrain import Shape
 from orograph.store.writer import ShardWriter
@@ -26,21 +27,33 @@ Found = TypeVar("Found")
 
 
 class Stage(ABC, Generic[Found]):
-    """Work of one kind over all shards. Its methods are safe from any thread, for different tasks.
+    """Work of one kind. Its methods are safe from any thread, for different tasks.
 
     Attributes:
         name: of the kind. number: which of several stages of that kind. label: what is done, for the progress line.
-        writer: of its shards.
+        again: how work that was broken off goes on.
     """
 
     name: ClassVar[str]
     number: int = 0
     label: str
-    writer: ShardWriter
+    again: ClassVar[str] = "What was done is kept: run the same again, and it goes on."
 
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Where what it makes lies, for messages."""
+
+    def hand_over(self) -> None:
+        """Leave for other processes what their tasks need of this one, before any begins."""
+
+    def remarks(self, found: Found) -> tuple[str, ...]:
+        """What a task that was just done has to say to whoever adds up: warnings."""
+        return ()
+
+    @abstractmethod
     def kept(self, spot: Spot) -> bool:
-        """Whether a task was done before, without a look at its shards."""
-        return self.writer.storage.exists(self.key(spot))
+        """Whether a task was done before, without a look at what it wrote."""
 
     @abstractmethod
     def tasks(self) -> Sequence[Spot]:
@@ -56,10 +69,10 @@ class Stage(ABC, Generic[Found]):
 
     @abstractmethod
     def found(self, spot: Spot, proof: bool = True) -> Found | None:
-        """What was kept of a task that was done before; None if it was not, or its shards are damaged.
+        """What was kept of a task that was done before; None if it was not, or what it wrote is damaged.
 
         Args:
-            proof: read its shards whole; else only what their ends say is compared with what was kept.
+            proof: read what it wrote whole; else only what the ends of shards say is compared with what was kept.
         """
 
     @abstractmethod
@@ -68,6 +81,31 @@ class Stage(ABC, Generic[Found]):
 
     def finish(self) -> None:
         """Make what no task could, when all are added."""
+
+
+KNOWN = f"{PARTS}/digests.json"
+"""The digests by which other processes read what earlier stages of a build wrote."""
+
+
+class ShardStage(Stage[Found]):
+    """Work over the shards of a store that is built.
+
+    Attributes:
+        writer: of its shards.
+    """
+
+    writer: ShardWriter
+    again = "What was done is kept: finish the build with `resume=True`."
+
+    @property
+    def place(self) -> str:
+        return self.writer.storage.url
+
+    def kept(self, spot: Spot) -> bool:
+        return self.writer.storage.exists(self.key(spot))
+
+    def hand_over(self) -> None:
+        self.writer.keep(KNOWN, dumps(self.writer.digests.to_json()))
 
 
 class Executor(Protocol):

@@ -21,7 +21,7 @@ from orograph.parallel import for_each
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import SIZE, Spot
-from orograph.store.executing import Stage
+from orograph.store.executing import ShardStage
 from orograph.store.layout import PARTS, heights_spec, mean_spec
 from orograph.store.levels import F64, BoxMeans, Counts
 from orograph.store.parts import pack, unpack
@@ -53,7 +53,7 @@ class Handed(NamedTuple):
     facts: dict[Spot, Facts]
 
 
-class Groups(Stage[Handed]):
+class Groups(ShardStage[Handed]):
     """The heights of a store, group by group.
 
     Args:

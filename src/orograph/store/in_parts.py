@@ -176,7 +176,7 @@ class Gathering:
             return
         left: list[Spot] = [spot for spot in stage.tasks() if not stage.kept(spot)]
         if left:
-            raise self._missing(stage, left)
+            raise missing_parts(stage, left, self.count, self.url)
 
         def take(spot: Spot) -> None:
             found = stage.found(spot, proof=False)
@@ -187,16 +187,18 @@ class Gathering:
 
         go_through("Gathering the parts", stage.tasks(), take, 1, progress)
         if left:
-            raise self._missing(stage, left)
+            raise missing_parts(stage, left, self.count, self.url)
         stage.finish()
 
-    def _missing(self, stage: Stage[Any], left: Sequence[Spot]) -> StoreError:
-        parts = [i for i in range(1, self.count + 1) if set(share(stage.tasks(), (i, self.count))) & set(left)]
-        many = len(parts) > 1
-        return StoreError(
-            f"{'Parts' if many else 'Part'} {_runs(parts)} of {self.count} {'are' if many else 'is'} missing, "
-            "or not complete.", path=self.url, remedy=f"Run {'them' if many else 'it'} again, then finish.",
-        )  # fmt: skip
+
+def missing_parts(stage: Stage[Any], left: Sequence[Spot], count: int, url: str) -> StoreError:
+    """What says in which of ``count`` parts of a stage there are tasks left."""
+    parts = [i for i in range(1, count + 1) if set(share(stage.tasks(), (i, count))) & set(left)]
+    many = len(parts) > 1
+    return StoreError(
+        f"{'Parts' if many else 'Part'} {_runs(parts)} of {count} {'are' if many else 'is'} missing, "
+        "or not complete.", path=url, remedy=f"Run {'them' if many else 'it'} again, then finish.",
+    )  # fmt: skip
 
 
 def _runs(numbers: Sequence[int]) -> str:

@@ -34,6 +34,9 @@ Bits = Literal[8, 16]
 GROUP = "layers"
 """The group of a store that holds its layers."""
 
+PARTIAL = f"{GROUP}/.partial"
+"""Where layers are made in a folder until they are complete."""
+
 
 @dataclass(frozen=True, slots=True)
 class LayerBand:

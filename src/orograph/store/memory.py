@@ -73,6 +73,10 @@ class MemoryTerrain(Terrain):
         self._lock = threading.RLock()
         self._made: dict[tuple[str, int], object] = {}
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process has the heights, without what was made of them (and the source's own samples)."""
+        return MemoryTerrain, (self.heights, self.grid, self.name, self.vertical, self.attribution)
+
     @property
     def height_range(self) -> tuple[float, float]:
         low, high, _ = self._extrema(0)

@@ -25,7 +25,7 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.digests import Spot
-from orograph.store.executing import Stage
+from orograph.store.executing import ShardStage
 from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
 from orograph.store.levels import (
     BoxMeans,
@@ -154,7 +154,7 @@ class Above:
         return nested
 
 
-class Pyramid(Stage[tuple[Heights, Facts]]):
+class Pyramid(ShardStage[tuple[Heights, Facts]]):
     """All arrays of a store under construction.
 
     Args:

@@ -26,7 +26,7 @@ from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.digests import Spot
-from orograph.store.executing import Executor, Stage
+from orograph.store.executing import Executor, ShardStage
 from orograph.store.lattices import LatticeRecord, StoredLattice
 from orograph.store.layout import PARTS, heights_spec
 from orograph.store.parts import pack, unpack
@@ -92,7 +92,7 @@ class _Total:
         return Resampled(rms, self.largest, self.summit_loss, self.highest, self.highest_loss)
 
 
-class Look(Stage[Facts]):
+class Look(ShardStage[Facts]):
     """The tasks of one lattice; ``facts`` has what they found.
 
     Args:

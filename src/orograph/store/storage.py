@@ -79,6 +79,10 @@ class Storage(ABC):
         """The same place, without anything that was remembered of it."""
         return self
 
+    def named(self) -> tuple[str, dict[str, Any] | None]:
+        """What other processes find it by (``storage_at``)."""
+        return self.url, None
+
     def close(self) -> None:  # noqa: B027 (only folders hold files open)
         """Let go of open files."""
 
@@ -211,6 +215,9 @@ class FolderStorage(Storage):
     def anew(self) -> Storage:
         return FolderStorage(self.path)
 
+    def named(self) -> tuple[str, dict[str, Any] | None]:
+        return str(self.path.absolute()), None
+
     def size(self) -> int | None:
         return sum(entry.stat().st_size for entry in self.path.rglob("*") if entry.is_file())
 
@@ -262,7 +269,7 @@ class RemoteStorage(Storage):
     def __init__(self, url: str, options: dict[str, Any] | None = None) -> None:
         import fsspec
 
-        self.url = url.rstrip("/")
+        self.url, self._options = url.rstrip("/"), options
         given = dict(options or {})
         try:
             if self.url.partition("://")[0] in ("http", "https"):
@@ -277,6 +284,9 @@ class RemoteStorage(Storage):
                 path=url,
                 remedy="pip install 'orograph[remote]' brings http and s3; other protocols need their fsspec package.",
             ) from error
+
+    def named(self) -> tuple[str, dict[str, Any] | None]:
+        return self.url, self._options
 
     def _at(self, key: str) -> str:
         return f"{self.root.rstrip('/')}/{key}" if key else self.root

@@ -25,6 +25,7 @@ from orograph.store.layout import (
     table_spec,
 )
 from orograph.store.places import ROOT, missing
+from orograph.store.points import POINTS, StoredPoints
 from orograph.store.registry import kind_of
 from orograph.store.storage import Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
@@ -70,7 +71,9 @@ class StoredTerrain(Terrain):
         self.supplied: dict[Key, Terrain] = {}
         self._opened_data: dict[Key, Any] = {}
         self.resampled = record.resampled
-        if record.lattices:
+        if POINTS.of(record):
+            self.samples = StoredPoints(self)
+        elif record.lattices:
             self.samples = StoredSamples(self.grid, [self._lattice(number) for number in range(len(record.lattices))])
 
     @property
@@ -172,6 +175,10 @@ class StoredTerrain(Terrain):
         layer: StoredLayer = LAYERS.open(self, layer=name, **options)
         return layer
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process opens the store itself."""
+        return _same, (self.storage.named(), self.cache.budget, self._jobs, self.record.source)
+
     def close(self) -> None:
         self.cache.clear()
         self.storage.close()
@@ -245,6 +252,21 @@ def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain
     stamp = None if storage.remote else storage.stamp(ROOT)
     record = read_record(storage)
     return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record))
+
+
+def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int | None, source: str) -> StoredTerrain:
+    """A store that another process has opened.
+
+    Raises:
+        StoreError: there is another here, or none.
+    """
+    found = _open(storage_at(*named), cache_bytes, jobs)
+    if found.record.source != source:
+        raise StoreError(
+            "A worker finds another store there than the process that began.", path=found.url,
+            remedy="See that all of them have the same file system.",
+        )  # fmt: skip
+    return found
 
 
 def read_record(storage: Storage) -> Record:

@@ -25,7 +25,7 @@ from orograph.store.coding import Coding
 from orograph.store.diamond_table import diamond_spec
 from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
 from orograph.store.digests import Spot
-from orograph.store.executing import Stage
+from orograph.store.executing import ShardStage
 from orograph.store.layout import PARTS, heights_spec
 from orograph.store.levels import subsample
 from orograph.store.parts import pack, unpack
@@ -40,7 +40,7 @@ Codes = dict[tuple[int, str], NDArray[np.uint8]]
 Surveyed = tuple[Codes, list[Rest]]
 
 
-class Errors(Stage[Surveyed]):
+class Errors(ShardStage[Surveyed]):
     """The diamonds' arrays of a store under construction.
 
     Args:

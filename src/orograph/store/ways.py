@@ -63,12 +63,12 @@ def executor_of(
     if workers is None and dask is None:
         yield Threads(at_once.jobs, going_on)
         return
+    from orograph.store.build_shop import recipe_of
     from orograph.store.clusters import Cluster, levels_of, workforce
-    from orograph.store.workshop import recipe_of
 
     begun = storage.get(PLAN) or b""
     recipe = recipe_of(raster, storage, storage_options, plan, coding, begun, at_once.task, at_once.base)
     with workforce(workers, dask, at_once.jobs, at_once.memory, at_once.base + at_once.task) as client:
         recipe = recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"]))
-        with Cluster(client, recipe) as cluster:
+        with Cluster(client, recipe, recipe.levels) as cluster:
             yield cluster

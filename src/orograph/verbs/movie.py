@@ -16,13 +16,14 @@ from orograph.rendering.memory import check_memory
 from orograph.reporting import reporting
 from orograph.scene import given
 from orograph.scene.methods import check_promise
-from orograph.scene.parts import check_options
+from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.touring import Tour
 from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
+from orograph.verbs.filming import By, shoot_by
 from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 
@@ -40,6 +41,10 @@ def movie(
     backend: Literal["cpu", "gpu"] = "cpu",
     conservative: bool = False,
     progress: Progress | bool | None = None,
+    workers: int | None = None,
+    dask: Any = None,
+    part: str | tuple[int, int] | None = None,
+    finish: bool = False,
     **options: Any,
 ) -> Path:
     """Film a tour of a terrain, every frame with all of its detail.
@@ -55,6 +60,9 @@ def movie(
         overwrite: draw pictures anew that are there already; else an interrupted film goes on.
         backend: "cpu" or "gpu". conservative: refuse a ``method`` with which the tolerance is no promise.
         progress: hears of it; False: nothing is said.
+        workers: draw in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
+        part: draw only this part of the frames, "3/64" or (3, 64), for job arrays. finish: make the film of its parts.
         options: of the scene, as for ``orograph.render``: they hold for the whole film, whatever the tour says.
 
     Returns:
@@ -62,7 +70,8 @@ def movie(
 
     Raises:
         UsageError: an option is unknown or makes no sense. ReadError, StoreError: the terrain or the tour cannot be
-        read. OutputError: the film cannot be written. NothingInViewError: a frame would be empty.
+        read; or parts are missing, or frames were given up by workers. OutputError: the film cannot be written.
+        NothingInViewError: a frame would be empty.
     """
     heard = reporting(progress)
     reading = {name: options.pop(name) for name in READING if name in options}
@@ -77,9 +86,10 @@ def movie(
     if tour is None and not chosen(way):
         way["orbit"] = True
     check_tour(way)
+    by = By.of(workers, dask, part, finish)
     path = os.fspath(output)
     check_movie(path, size, crf)
-    max_memory, jobs = options.get("max_memory"), options.get("jobs")
+    max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)
     if tour is None:
         sun = given.sun(options.get("sun"), ground)
@@ -94,7 +104,11 @@ def movie(
     scene = Scene.of(ground, view.resized(*pixels), **options)
     draw = session(heard, backend=backend)
     film = Film(keys, scene, draw=draw, fps=fps, first=begin, last=end, progress=heard)
-    shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
+    if by is None:
+        shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
+    else:
+        shoot_by(by, film, path, pixels, backend=backend, crf=crf, overwrite=overwrite, jobs=jobs,
+                 max_memory=max_memory, progress=heard)  # fmt: skip
     return Path(path)
 
 

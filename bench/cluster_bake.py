@@ -1,0 +1,91 @@
+"""What a task of a bake by workers takes: seconds, bytes read and written, and memory, on one shard after the other.
+
+    python bench/cluster_bake.py STORE [--azimuths 16]
+
+Tasks are done here, one after the other, by a shop as a worker has it; nothing is put into the store.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import tempfile
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+from orograph.lighting.bake import BAKED, _kept, _record
+from orograph.lighting.bake_shop import BakeShop, SweepStage, recipe_of
+from orograph.lighting.context import Options
+from orograph.lighting.products import product
+from orograph.store.storage import FolderStorage
+from orograph.store.stored import read_record
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("store")
+    parser.add_argument("--azimuths", type=int, default=16)
+    parser.add_argument("--products", default="sky-view-factor,aperture")
+    parser.add_argument("--tasks", type=int, default=12, help="tasks that are measured")
+    args = parser.parse_args()
+    options = Options(azimuths=args.azimuths)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy.oro"
+        shutil.copytree(args.store, copy, ignore=shutil.ignore_patterns("layers"))
+        storage = FolderStorage(copy)
+        record = read_record(storage)
+        made = [_record(product(name), options, None, record) for name in args.products.split(",") if name in BAKED]
+        _kept(storage, record, made, True)
+        recipe = recipe_of(storage, options, made, record.shard, 1 << 30)
+        shop = BakeShop(recipe)
+        read, written = [0], [0]
+        get, put = shop.storage.get, shop.storage.put
+
+        def counted_get(key):
+            data = get(key)
+            read[0] += len(data or b"")
+            return data
+
+        def counted_put(key, parts):
+            written[0] += sum(map(len, parts))
+            put(key, parts)
+
+        shop.storage.get, shop.storage.put = counted_get, counted_put
+        heights = shop.context.heights
+        swept = [0]
+
+        def counted(*window):
+            found = heights(*window)
+            swept[0] += found.nbytes
+            return found
+
+        shop.context.heights = counted
+        rows, done = [], 0
+        for number in range(len(shop.numbers)):
+            stage = SweepStage(shop, number)
+            for spot in stage.tasks():
+                read[0] = written[0] = swept[0] = 0
+                tracemalloc.start()
+                began = time.process_time()
+                stage.make(spot)
+                seconds, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1]
+                tracemalloc.stop()
+                rows.append((seconds, swept[0], read[0], written[0], peak))
+                done += 1
+            if done >= args.tasks:
+                break
+        table = np.array(rows[1:])  # the first one compiles, or reads what is compiled
+        print(f"{len(table)} tasks of {record.shard}² samples, {args.azimuths} azimuths, {args.products}")
+        for name, column, unit in zip(
+            ("processor", "heights read", "sums and hulls read", "written", "peak of arrays"), table.T,
+            (1.0, 1e6, 1e6, 1e6, 1e6),
+        ):  # fmt: skip
+            told = "s" if unit == 1.0 else "MB"
+            print(f"{name:22} mean {column.mean() / unit:8.1f} {told}  most {column.max() / unit:8.1f} {told}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,344 @@
+"""Baked light by the workers of a cluster: what is a task, and what lies in files between tasks.
+
+*Horizons swept without a radius.* All azimuths of one axis and sense make a way over the terrain (four at most), and
+shards of the same steps a row. A task sweeps one shard in all azimuths of a way (``sweep_part``): it reads the heights
+of the shard and of up to a shard on either side, the hulls that its neighbours in the row in front have left, and the
+shard's sums of the way before, and writes the sums and the hulls that leave it. Rows follow one another, and shards of
+a row are swept at once. *Within a radius* a task needs heights alone: it sweeps a shard in all azimuths.
+*Rays and walks* are made window by window. In the end a task codes a shard's values (``bake_layers``).
+
+Sums come about in the order of azimuths of one process, so the bytes are those of one process. All files lie in the
+bake's folder (``layers/.partial``) until it is complete.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import StoreError, UsageError
+from orograph.lighting.bake_layers import LayerStage, is_cap
+from orograph.lighting.context import BASE, Context, Options, Values
+from orograph.lighting.gather import Sweep, Window
+from orograph.lighting.occlusion import ELSEWHERE
+from orograph.lighting.products import product
+from orograph.lighting.raster_resume import Checkpoint
+from orograph.lighting.sweep import Block, ways
+from orograph.lighting.sweep_lines import Lines
+from orograph.lighting.sweep_part import Hulls, Part
+from orograph.progress import Progress, Within
+from orograph.store.clusters import Cluster
+from orograph.store.digests import Spot
+from orograph.store.executing import Stage
+from orograph.store.layers import PARTIAL, LayerRecord
+from orograph.store.parts import pack, unpack
+from orograph.store.storage import FolderStorage
+from orograph.store.stored import open as open_store
+from orograph.store.workshop import guarded
+from orograph.store.writer import ShardWriter
+
+PLAN = "plan.json"
+
+CACHE = 64 << 20
+"""Bytes of a worker's cache of heights."""
+
+SWEEP = 192 << 20
+"""Bytes for the heights, slopes and stacks of a task."""
+
+
+class BakeRecipe(NamedTuple):
+    """All that workers are told once of a bake.
+
+    Attributes:
+        url: the store's folder. options: of the products. layers: what is made. plan: as it lies in the bake's folder.
+        memory, base: as of all recipes.
+    """
+
+    url: str
+    options: Options
+    layers: list[LayerRecord]
+    plan: bytes
+    memory: int
+    base: int
+
+    def open(self) -> BakeShop:
+        return BakeShop(self)
+
+
+def recipe_of(
+    storage: FolderStorage, options: Options, layers: list[LayerRecord], shard: int, memory: int
+) -> BakeRecipe:
+    """The recipe of a bake whose plan lies in its folder.
+
+    Args:
+        shard: samples along the sides of the store's shards. memory: bytes for each task, if that is enough.
+
+    Raises:
+        UsageError: a product is made by the GPU.
+    """
+    if any(layer.options.get("method") in ELSEWHERE for layer in layers):
+        raise UsageError(
+            "What the GPU makes of a whole terrain is not made by workers.", remedy="Bake it without a cluster."
+        )
+    bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
+    needed = SWEEP + 3 * 4 * bands * shard * shard
+    plan = FolderStorage(storage.path / PARTIAL).get(PLAN) or b""
+    return BakeRecipe(str(storage.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
+
+
+class BakeShop:
+    """What one process needs for a bake.
+
+    Attributes:
+        groups: the products (their numbers) that share sweeps, with the ways of these.
+    """
+
+    def __init__(self, recipe: BakeRecipe) -> None:
+        self.recipe = recipe
+        folder = Path(recipe.url) / PARTIAL
+        self.storage = guarded(FolderStorage(folder), PLAN, recipe.plan)
+        self.terrain = open_store(recipe.url, cache_bytes=CACHE)
+        self.record = self.terrain.record
+        kept = Checkpoint(folder, json.loads(recipe.plan or b"{}"))
+        self.context = Context(
+            self.terrain, recipe.options, jobs=1, max_memory=recipe.base + recipe.memory, kept=kept
+        )  # fmt: skip
+        self.products = [product(layer.name) for layer in recipe.layers]
+        self._own = threading.local()
+        self._stages: dict[tuple[str, int], Stage[Any]] = {}
+        self.sweeps = {
+            k: made for k, each in enumerate(self.products) if isinstance(made := each.make(self.context), Sweep)
+        }
+        alike: dict[Any, list[int]] = {}
+        for k, sweep in self.sweeps.items():
+            alike.setdefault(sweep.group, []).append(k)
+        self.groups = [(group, self._ways(group)) for group in alike.values()]
+        self.numbers = [
+            (g, w, row) for g, (_, of) in enumerate(self.groups) for w in range(len(of)) for row in self.rows(of[w])
+        ]  # fmt: skip
+
+    def _ways(self, group: list[int]) -> list[list[list[Lines]]]:
+        """The ways of a group: each of one axis and sense, to be done one after the other; or all as one."""
+        found = ways(self.sweeps[group[0]].azimuths, self.context.linear, self.context.shape)
+        return [found] if self.recipe.options.radius is not None else [[way] for way in found]
+
+    def rows(self, together: list[list[Lines]]) -> list[int]:
+        """The rows of shards along the steps of a way, in their order; [-1]: all are done at once."""
+        if self.recipe.options.radius is not None:
+            return [-1]
+        (way,) = together
+        rows = range(-(-way[0].steps // self.record.shard))
+        return list(reversed(rows) if way[0].backward else rows)
+
+    def stage(self, name: str, number: int) -> Stage[Any]:
+        if (name, number) not in self._stages:
+            self._stages[name, number] = self._layer(number) if name == LayerStage.name else SweepStage(self, number)
+        return self._stages[name, number]
+
+    def _layer(self, number: int) -> LayerStage:
+        layer = self.recipe.layers[number]
+        writer = ShardWriter(self.storage)
+
+        def reader(spot: Spot) -> Callable[[Window], Values]:
+            window = stage.window(spot)
+            return self._summed(number, spot, window) if number in self.sweeps else self._windows(number, window)
+
+        stage = LayerStage(writer, self.record, layer, is_cap(layer), reader, True, number)
+        return stage
+
+    def own(self, window: Window) -> dict[int, Sweep]:
+        """The sweeps, with windows counted from a shard's first row and column; of this thread, until its next call."""
+        own = self._own
+        if not hasattr(own, "context"):
+            own.context = _Shifted(self.context)
+            own.sweeps = {k: self.products[k].make(own.context) for k in self.sweeps}
+        own.context.move(window)
+        found: dict[int, Sweep] = own.sweeps
+        return found
+
+    def _summed(self, number: int, spot: Spot, window: Window) -> Callable[[Window], Values]:
+        """What gives a product's values out of a shard's sums."""
+        g, (_, of) = next((g, each) for g, each in enumerate(self.groups) if number in each[0])
+        sums = unpack(self.storage.get(f"{folder_of(g, len(of) - 1)}/{spot[0]}.{spot[1]}.sums") or b"")
+        sweep, canvas = self.own(window)[number], sums[str(number)]
+
+        def read(of: Window) -> Values:
+            return sweep.finish(canvas, (of[0] - window[0], of[1] - window[0], of[2] - window[2], of[3] - window[2]))
+
+        return read
+
+    def _windows(self, number: int, window: Window) -> Callable[[Window], Values]:
+        """What gives the values of a product that is made window by window."""
+        context = Context(
+            self.terrain, self.recipe.options, jobs=1, max_memory=self.context.max_memory, kept=self.context.kept,
+            only=window,
+        )  # fmt: skip
+        made = self.products[number].make(context)
+        assert not isinstance(made, Sweep)
+        row0, row1, col0, col1 = window
+        values = np.empty((len(self.recipe.layers[number].bands), row1 - row0, col1 - col0), np.float32)
+        for row, col, block in made:
+            r0, c0 = max(row, row0), max(col, col0)
+            r1, c1 = min(row + block.shape[1], row1), min(col + block.shape[2], col1)
+            values[:, r0 - row0 : r1 - row0, c0 - col0 : c1 - col0] = block[:, r0 - row : r1 - row, c0 - col : c1 - col]
+        return lambda of: values[:, of[0] - row0 : of[1] - row0, of[2] - col0 : of[3] - col0]
+
+
+class _Shifted(Context):
+    """A context whose windows are counted from the first row and column of a window of the terrain."""
+
+    def __init__(self, whole: Context) -> None:
+        super().__init__(whole.terrain, whole.options, jobs=1, max_memory=whole.max_memory)
+        self._whole, self._at = whole, (0, 0)
+
+    def move(self, window: Window) -> None:
+        self._at, self.shape = (window[0], window[2]), (window[1] - window[0], window[3] - window[2])
+
+    def heights(self, row0: int, row1: int, col0: int, col1: int) -> Values:
+        row, col = self._at
+        return self._whole.heights(row0 + row, row1 + row, col0 + col, col1 + col)
+
+    def gradient(self, row0: int, row1: int, col0: int, col1: int) -> tuple[Values, Values]:
+        row, col = self._at
+        return self._whole.gradient(row0 + row, row1 + row, col0 + col, col1 + col)
+
+
+def folder_of(group: int, way: int) -> str:
+    """Where the sums and hulls of a way lie."""
+    return f"sweeps/{group}.{way}"
+
+
+class SweepStage(Stage[bool]):
+    """The shards of a row, swept in all azimuths of a way (or all shards, in all azimuths)."""
+
+    name = "sweep"
+
+    def __init__(self, shop: BakeShop, number: int) -> None:
+        self.shop, self.number = shop, number
+        self.group, self.way, self.row = shop.numbers[number]
+        self.products, of = shop.groups[self.group]
+        self.ways = of[self.way]
+        self.shard = shop.record.shard
+        names = ", ".join(shop.products[k].name for k in self.products)
+        self.label = f"Sweeping horizons for {names}"
+
+    @property
+    def place(self) -> str:
+        return self.shop.recipe.url
+
+    def tasks(self) -> list[Spot]:
+        rows, cols = (-(-n // self.shard) for n in self.shop.context.shape)
+        if self.row < 0:
+            return [(i, j) for i in range(rows) for j in range(cols)]
+        if self.ways[0][0].by_columns:
+            return [(i, self.row) for i in range(rows)]
+        return [(self.row, j) for j in range(cols)]
+
+    def key(self, spot: Spot) -> str:
+        return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.sums"
+
+    def kept(self, spot: Spot) -> bool:
+        return self.shop.storage.exists(self.key(spot))
+
+    def found(self, spot: Spot, proof: bool = True) -> bool | None:
+        if not proof:
+            return True if self.kept(spot) else None
+        try:
+            unpack(self.shop.storage.get(self.key(spot)) or b"")
+        except ValueError:
+            return None
+        return True
+
+    def add(self, spot: Spot, found: bool) -> None:
+        """Nothing is to be added up: sums lie in files."""
+
+    def make(self, spot: Spot) -> bool:
+        shop, storage = self.shop, self.shop.storage
+        row, col = spot[0] * self.shard, spot[1] * self.shard
+        rows, cols = shop.context.shape
+        window = row, min(row + self.shard, rows), col, min(col + self.shard, cols)
+        sweeps = {k: shop.own(window)[k] for k in self.products}
+        canvases = self._before(spot, window, sweeps)
+
+        def add(block: Block) -> None:
+            for k, sweep in sweeps.items():
+                sweep.add(canvases[k], block, 0, block.row1 - block.row0)
+
+        first = next(iter(sweeps.values()))
+        terms = shop.context.terms(first.lowest, first.below)
+        for way in self.ways:
+            part = Part(way, shop.context.shape, terms, window)
+            left: dict[str, NDArray[Any]] = {}
+            for index, hulls in part.sweep(shop.context.heights, self._handed(part, spot), add, 1, SWEEP // 2):
+                left |= hulls.packed(index)
+            if left:
+                storage.put(self._hulls(spot), [pack(left)])
+        storage.put(self.key(spot), [pack({str(k): canvas for k, canvas in canvases.items()})])
+        return True
+
+    def _before(self, spot: Spot, window: Window, sweeps: dict[int, Sweep]) -> dict[int, Values]:
+        """The sums of a shard, as the way before has left them."""
+        if self.way == 0:
+            shape = window[1] - window[0], window[3] - window[2]
+            return {k: np.zeros((sweep.bands, *shape), np.float32) for k, sweep in sweeps.items()}
+        kept = unpack(self.shop.storage.get(f"{folder_of(self.group, self.way - 1)}/{spot[0]}.{spot[1]}.sums") or b"")
+        return {k: kept[str(k)].copy() for k in sweeps}
+
+    def _hulls(self, spot: Spot) -> str:
+        return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.hulls"
+
+    def _handed(self, part: Part, spot: Spot) -> Callable[[int], list[Hulls]]:
+        """Azimuth → the hulls that parts in front of one have left; none before the first row."""
+        if part.terms.radius is not None or self.number == 0 or self.shop.numbers[self.number - 1][:2] != (
+            self.group, self.way,
+        ):  # fmt: skip
+            return lambda index: []
+        row = self.shop.numbers[self.number - 1][2]
+        spots = [(lane, row) if part.by_columns else (row, lane) for lane in part.before(self.shard)]
+        before = [unpack(self.shop.storage.get(self._hulls(at)) or b"") for at in spots]
+        return lambda index: [Hulls.unpacked(each, index) for each in before]
+
+
+def on_cluster(cluster: Cluster, shop: BakeShop, writer: ShardWriter, progress: Progress) -> None:
+    """Have all shards of a bake's layers made.
+
+    Args:
+        shop: of this process. writer: of the coarse shards.
+
+    Raises:
+        StoreError: tasks were given up.
+    """
+    layers = [
+        LayerStage(writer, shop.record, layer, is_cap(layer), _nothing, True, k)
+        for k, layer in enumerate(shop.recipe.layers)
+    ]  # fmt: skip
+    for g, (group, of) in enumerate(shop.groups):
+        if all(layers[k].kept(spot) for k in group for spot in layers[k].tasks()):
+            continue
+        stages = [SweepStage(shop, n) for n, (h, _, _) in enumerate(shop.numbers) if h == g]
+        with progress.task(stages[0].label, total=sum(len(stage.tasks()) for stage in stages)) as task:
+            for way in range(len(of)):
+                mine = [stage for stage in stages if stage.way == way]
+                done = f"{folder_of(g, way)}.done"
+                if shop.storage.exists(done):
+                    task.advance(sum(len(stage.tasks()) for stage in mine))
+                    continue
+                for stage in mine:
+                    cluster.run(stage, Within(progress, task))
+                shop.storage.put(done, [b"all of this way is swept"])
+                if way:
+                    with contextlib.suppress(StoreError):  # a worker that was given up may still write there
+                        shop.storage.remove(folder_of(g, way - 1))
+    for layer in layers:
+        cluster.run(layer, progress)
+
+
+def _nothing(spot: Spot) -> Callable[[Window], Values]:
+    raise AssertionError("workers make shards")

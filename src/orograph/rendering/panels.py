@@ -1,0 +1,217 @@
+"""Small multiples: one picture of several panels, one for each member, band or time of data, or a map and a relief.
+
+All panels have one camera (``view`` but for the map), one scale of values and one of uncertainties, and one legend
+beside them (Tory et al. 2006, of 2D and 3D views side by side; Tufte's small multiples). Units: pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.geovis.data.dataset import Dataset, datasets_of
+from orograph.geovis.data.derived import deviations, read_data
+from orograph.geovis.data.features import has_features
+from orograph.geovis.data.painting import image_grid
+from orograph.geovis.data.points import is_table
+from orograph.geovis.data.reading import matches, members_in, times_in
+from orograph.geovis.data.sampling import Positions
+from orograph.geovis.data.scales import spanned
+from orograph.geovis.layers import drawn as visible
+from orograph.progress import SILENT, Progress
+from orograph.rendering.backends import session
+from orograph.rendering.furniture.furnish import furnish, insets
+from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+from orograph.rendering.furniture.lettering import Style, cut, set_type
+from orograph.rendering.picture import Picture
+from orograph.scene import camera
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+PAPER, INK = (246, 244, 239), (36, 40, 46)
+EACH = ("view", "member", "band", "time")
+MOST = 36
+"""Panels: more are too small to read."""
+
+LOOKED_AT = 512
+"""Places along the terrain's longer side whose values make the scale of all panels."""
+
+CAPTION = 1.9
+"""Heights of a caption, in units of type."""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One of several pictures: what stands above it, its data, and whether it is a map."""
+
+    title: str
+    data: tuple[Dataset, ...]
+    plan: bool = False
+
+
+def draw_panels(
+    terrain: Terrain, view: View, each: str, options: Mapping[str, Any], *, backend: str = "cpu",
+    progress: Progress = SILENT,
+) -> Picture:  # fmt: skip
+    """A picture of panels.
+
+    Args:
+        view: of each panel; its size is that of the whole.
+        each: "view": a map beside the relief; "member", "band" or "time" of the first data: all of them, or some,
+            "member=1-6", "time=2019-03-01".
+        options: of a scene, ``furniture`` and ``title`` being those of the whole.
+
+    Raises:
+        UsageError: there are no such panels, or too many. Others: as ``backends.draw``.
+    """
+    panels = panels_of(datasets_of(options.get("data")), each, terrain)
+    size = (view.width, view.height)
+    free = insets(size, terrain.attribution) if options.get("furniture") else (0.0, 0.0, 0.0, 0.0)
+    style = Style.of(size, " ".join(panel.title for panel in panels))
+    caption = math.ceil(CAPTION * style.unit)
+    boxes = _boxes(len(panels), size, free, caption, style.gap)
+    wide, tall = boxes[0][2], boxes[0][3] - caption
+    sheet = np.empty((size[1], size[0], 3), np.uint8)
+    sheet[:] = PAPER
+    cover = np.zeros(sheet.shape[:2], bool)
+    draw = session(progress, backend=backend)
+    common = {name: value for name, value in options.items() if name not in ("furniture", "title", "data")}
+    made: list[tuple[Scene, Picture]] = []
+    with progress.task("Drawing panels", total=len(panels)) as task:
+        for panel, (x, y, _, _) in zip(panels, boxes):
+            seen = camera.plan(terrain, (wide, tall)) if panel.plan else view.resized(wide, tall)
+            scene = Scene.of(terrain, seen, **common, data=panel.data)
+            picture = draw(scene)
+            made.append((scene, picture))
+            sheet[y + caption : y + caption + tall, x : x + wide] = picture.pixels
+            cover[y : y + caption + tall, x : x + wide] = True
+            task.advance()
+    sheet = _captioned(sheet, panels, boxes, style)
+    scene, picture = made[-1]
+    if options.get("furniture"):
+        sheet = _furnished(sheet, cover, scene.but(view=view), picture, options.get("title"), _note(panels, each))
+    names = ", ".join(panel.title for panel in panels)
+    facts = {**picture.facts, "description": f"{len(panels)} panels: {names}. {picture.facts['description']}"}
+    return Picture(
+        sheet, np.full(sheet.shape[:2], np.nan, np.float32), view, facts, None, None, picture.tint, picture.crs,
+        picture.exaggeration, picture.attribution,
+    )  # fmt: skip
+
+
+def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Panel]:
+    """The panels that are asked for, their data with one scale.
+
+    Raises:
+        UsageError: there are none, or too many, or they cannot be told apart.
+    """
+    key, _, some = each.partition("=")
+    if key not in EACH:
+        raise UsageError(f"There is no panel for each {key!r}.", remedy=f"There are {', '.join(EACH)}.")
+    if key == "view":
+        return [Panel("Map", data, True), Panel("Relief", data)]
+    if not data:
+        raise UsageError(f"A panel for each {key} is of data, and there are none.")
+    first, *rest = data
+    if has_features(first.source) or is_table(first.source):
+        raise UsageError(f"A panel for each {key} is of a raster.", path=str(first.source))
+    doubt = first.uncertainty
+    if (doubt is not None and doubt.of_members) or first.derived:
+        first = first.but(uncertainty=None if doubt is not None and doubt.of_members else doubt)
+        if first.derived:
+            raise UsageError("A panel shows one member, of which there is no value= or exceeds=.")
+    if key == "time":
+        chosen = [time for time in times_in(first) if not some or matches(time, some)]
+        ones = [(time.replace("T", " "), first.but(time=time)) for time in chosen]
+    else:
+        numbers = members_in(first, terrain.grid, some or "all")
+        ones = [(f"{key} {number}", first.but(**{key: str(number)})) for number in numbers]
+    if not 2 <= len(ones) <= MOST:
+        raise UsageError(
+            f"Panels are 2 to {MOST}, and there {'is' if len(ones) == 1 else 'are'} {len(ones)}.",
+            remedy=f"Choose some: {key}=1-6." if key != "time" else "Choose some: time=2019-03-01, time=T12.",
+        )  # fmt: skip
+    values, sigmas, over = [], [], image_grid(terrain.grid, LOOKED_AT)
+    for _, one in ones:
+        field = read_data(one, terrain.grid)
+        values.append(Positions.of(over, field).values(field.shown).ravel())
+        found = deviations(one, field, terrain.grid)
+        if found is not None:
+            sigmas.append(Positions.of(over, found[0]).values(found[1]).ravel())
+    span = first.range or _ends(np.concatenate(values))
+    shared = first.uncertainty
+    if shared is not None and shared.range is None:
+        shared = replace(shared, range=(0.0, spanned(np.concatenate(sigmas), None)[1]))
+    breaks = "equal" if first.breaks == "quantiles" else first.breaks
+    return [Panel(title, (one.but(range=span, breaks=breaks, uncertainty=shared), *rest)) for title, one in ones]
+
+
+def _ends(values: NDArray[Any]) -> tuple[float, float]:
+    """The least and the greatest value, which never coincide."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return (low, high) if low < high else (low - 0.5, low + 0.5)
+
+
+def _boxes(
+    count: int, size: tuple[int, int], free: tuple[float, float, float, float], caption: int, gap: int
+) -> list[tuple[int, int, int, int]]:
+    """(x, y, width, height with the caption) of panels with the picture's proportions, as large as they can be."""
+    left, right, top, bottom = (
+        round(part * side) for part, side in zip(free, (size[0], size[0], size[1], size[1]))
+    )  # fmt: skip
+    room_x, room_y = size[0] - left - right - 2 * gap, size[1] - top - bottom - 2 * gap
+    best = (0.0, 1)
+    for across in range(1, count + 1):
+        down = -(-count // across)
+        wide = (room_x - (across - 1) * gap) / across
+        tall = (room_y - (down - 1) * gap) / down - caption
+        best = max(best, (min(wide, tall * size[0] / size[1]), across))
+    wide, across = int(best[0]), best[1]
+    tall = int(wide * size[1] / size[0])
+    if wide < 48 or tall < 32:
+        raise UsageError(f"{count} panels do not fit into {size[0]} × {size[1]} pixels.", remedy="Make it larger.")
+    down = -(-count // across)
+    x0 = left + gap + (room_x - across * wide - (across - 1) * gap) // 2
+    y0 = top + gap + (room_y - down * (tall + caption) - (down - 1) * gap) // 2
+    return [
+        (x0 + k % across * (wide + gap), y0 + k // across * (tall + caption + gap), wide, tall + caption)
+        for k in range(count)
+    ]
+
+
+def _captioned(
+    sheet: NDArray[np.uint8], panels: list[Panel], boxes: list[tuple[int, int, int, int]], style: Style
+) -> NDArray[np.uint8]:  # fmt: skip
+    from PIL import Image
+
+    image, font = Image.fromarray(sheet), style.font(1.0)
+    for panel, (x, y, wide, _) in zip(panels, boxes):
+        words = cut(style.text(panel.title), font, wide, style)
+        set_type(image, (x, y + round(1.3 * style.unit)), words, font, INK, "ls")
+    return np.asarray(image, np.uint8).copy()
+
+
+def _furnished(
+    sheet: NDArray[np.uint8], cover: NDArray[np.bool_], scene: Scene, picture: Picture, title: str | None, note: str
+) -> NDArray[np.uint8]:  # fmt: skip
+    assert picture.tint is not None
+    depth = picture.depth.astype(np.float64)
+    seen = sampled(depth, *depth.shape), depth[:, depth.shape[1] // 2]
+    pieces = furniture_of(scene, Drawn(picture.tint, picture.facts["shown"], bool(visible(scene.data.layers)), *seen))
+    for key in scene.keys:
+        pieces["note"] = pieces["note"].replace(f"{key.note} · ", "") if key.note else pieces["note"]
+    pieces["note"] = pieces["note"].replace("scale at the picture's middle · ", "")
+    pieces |= {"metres_per_pixel": None, "north": None, "note": f"{pieces['note']} · {note}"}
+    if title is not None:
+        pieces["title"] = title
+    return furnish(sheet, **pieces, ground=cover)
+
+
+def _note(panels: list[Panel], each: str) -> str:
+    return "map and relief" if panels[0].plan else f"one panel for each {each.partition('=')[0]}, one scale"

@@ -1,0 +1,303 @@
+"""Large pictures drawn by the workers of a cluster, sort-first: each task is a tile of the picture.
+
+After Goswami, Makhinya, Bösch & Pajarola 2010, "Scalable parallel out-of-core terrain rendering", sec. 4 (sort-first
+decomposition with balanced loads): where in the picture drawing takes long is found by a coarse pass, a small picture
+whose parts are timed, and tiles are cut so that each costs about as much, at multiples of the caster's blocks. What the
+forecast misses is evened out by there being several tiles for each worker, which takes the next when it is done.
+
+A tile is what the whole picture shows there, to the bit, so the file has the bytes of one that is drawn by one process.
+Tiles lie in a folder beside the picture, ``.NAME.tiles``, until it is complete: what is there is not drawn again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import shutil
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import StoreError, UsageError
+from orograph.progress import Progress
+from orograph.rendering.backends import Session, session
+from orograph.rendering.large import COLUMNS, ROWS, Band, Box, Sheet, Tile, draw_large, draw_tile
+from orograph.rendering.memory import BYTES_PER_PIXEL, WORKER, worker_memory
+from orograph.scene.scene import Scene
+from orograph.store.clusters import Cluster, check_workers, threads_of, workforce
+from orograph.store.digests import Spot
+from orograph.store.executing import Stage
+from orograph.store.layout import dumps
+from orograph.store.lock import alone
+from orograph.store.parts import pack, unpack
+from orograph.store.storage import FolderStorage, Storage
+from orograph.store.workshop import guarded
+
+EACH = 6
+"""Tiles for each worker, at least."""
+
+COARSE, CELL = 512, (2 * COLUMNS, 4 * ROWS)
+"""Pixels a side of the coarse pass, at most, and those of its parts that are timed."""
+
+LEAST, MOST = 1 << 14, 4 << 20
+"""Pixels of a tile."""
+
+PLAN = "plan.json"
+
+Costs = NDArray[np.float64]
+
+
+class SheetRecipe(NamedTuple):
+    """All that workers are told once of a picture.
+
+    Attributes:
+        scene: that is drawn. backend: that draws. folder: of the tiles. plan: as it lies there. bands: of the tiles.
+        memory, base: as of all recipes.
+    """
+
+    scene: Scene
+    backend: str
+    folder: str
+    plan: bytes
+    bands: list[Band]
+    memory: int
+    base: int = WORKER
+
+    def open(self) -> _SheetShop:
+        return _SheetShop(self)
+
+
+class _SheetShop:
+    """What one process has for a picture."""
+
+    def __init__(self, recipe: SheetRecipe) -> None:
+        storage = guarded(FolderStorage(recipe.folder), PLAN, recipe.plan)
+        self._tiles = Tiles(recipe, storage, session(backend=recipe.backend))
+
+    def stage(self, name: str, number: int) -> Tiles:
+        return self._tiles
+
+
+class Tiles(Stage[Tile]):
+    """The tiles of a picture; a task is a band's number and its tile's.
+
+    Args:
+        storage: of the tiles. draw: draws them; None: this process only puts them onto ``sheet``, band by band.
+    """
+
+    name = "tiles"
+    label = "Drawing"
+
+    def __init__(
+        self, recipe: SheetRecipe, storage: Storage, draw: Session | None = None, sheet: Sheet | None = None,
+        progress: Progress | None = None,
+    ) -> None:  # fmt: skip
+        self.recipe, self.storage, self.draw, self.sheet = recipe, storage, draw, sheet
+        self.progress = progress or Progress()
+        self._drawing = threading.Lock()  # a session draws one picture at a time, with all threads
+        self._there: set[Spot] = set()
+        self._next = 0
+
+    @property
+    def place(self) -> str:
+        return self.recipe.folder
+
+    def tasks(self) -> list[Spot]:
+        return [(b, k) for b, band in enumerate(self.recipe.bands) for k in range(len(band))]
+
+    def key(self, spot: Spot) -> str:
+        return f"{spot[0]}.{spot[1]}.tile"
+
+    def kept(self, spot: Spot) -> bool:
+        return self.storage.exists(self.key(spot))
+
+    def found(self, spot: Spot, proof: bool = True) -> Tile | None:
+        data = self.storage.get(self.key(spot))
+        try:
+            kept = {} if data is None else unpack(data)
+        except ValueError:
+            return None
+        if not kept:
+            return None
+        facts = json.loads(kept["facts"].tobytes())
+        return Tile(kept["pixels"], kept["depth"], kept["ground"].astype(bool), facts)
+
+    def make(self, spot: Spot) -> Tile:
+        assert self.draw is not None
+        with self._drawing:
+            tile = draw_tile(self.recipe.scene, self.recipe.bands[spot[0]][spot[1]], self.draw)
+        facts = np.frombuffer(json.dumps(tile.facts).encode(), np.uint8)
+        kept: dict[str, NDArray[Any]] = {
+            "pixels": tile.pixels,
+            "depth": tile.depth,
+            "ground": tile.ground.astype(np.uint8),
+        }
+        kept["facts"] = facts
+        self.storage.put(self.key(spot), [pack(kept)])
+        return tile
+
+    def add(self, spot: Spot, found: Tile) -> None:
+        """Put the next bands onto the sheet, as far as all of their tiles are there."""
+        assert self.sheet is not None
+        self._there.add(spot)
+        bands = self.recipe.bands
+        while self._next < len(bands):
+            spots = [(self._next, k) for k in range(len(bands[self._next]))]
+            if not self._there.issuperset(spots):
+                return
+            tiles = [found if each == spot else self._again(each) for each in spots]
+            self.sheet.put(bands[self._next], tiles, self.progress)
+            self._next += 1
+
+    def _again(self, spot: Spot) -> Tile:
+        tile = self.found(spot)
+        if tile is None:
+            raise StoreError(f"{self.key(spot)} is gone, which was there.", path=self.place, remedy=self.again)
+        return tile
+
+    def finish(self) -> None:
+        """What the furniture has to know of the picture's colours: those of any part of it."""
+        if self.sheet is not None and self.recipe.scene.annotations.furniture:
+            left, top, wide, tall = self.recipe.bands[-1][-1]
+            self.sheet.tint = self.sheet.tile((left, top, min(wide, COLUMNS), min(tall, ROWS))).tint
+
+
+def draw_by_workers(
+    scene: Scene, path: str | os.PathLike[str], *, workers: int | None = None, dask: Any = None,
+    depth: str | os.PathLike[str] | None = None, backend: str = "cpu", jobs: int | None = None,
+    max_memory: int = 1 << 30, dpi: float | None = None, progress: Progress,
+) -> dict[str, Any]:  # fmt: skip
+    """Draw a scene into a file, its tiles by workers.
+
+    Args:
+        workers: processes of ``jobs`` threads each (None: 1), which share ``max_memory``; or
+        dask: a ``distributed.Client``, or the address of a scheduler.
+        depth, backend, dpi, progress: as for ``draw_large``.
+
+    Returns:
+        facts, as of ``draw_large``; ``imbalance`` is how much longer the busiest worker was at work than they were on
+        average.
+
+    Raises:
+        StoreError: another process draws the same picture, or tiles were given up. As ``draw_large``.
+    """
+    check_workers(workers, dask, "A picture")
+    if scene.surface.wireframe and backend == "cpu":
+        raise UsageError("A wireframe is drawn over a whole picture, by one process.", remedy="Leave out the workers.")
+    out = Path(path)
+    folder = FolderStorage(out.absolute().with_name(f".{out.name}.tiles"), many=True)
+    imbalance = 1.0
+
+    def by(sheet: Sheet, progress: Progress) -> None:
+        nonlocal imbalance
+        each = max_memory // (workers or 1)
+        most = min(MOST, max(each // 8 // BYTES_PER_PIXEL, LEAST))
+        needed = worker_memory(most, scene.terrain, each)
+        with workforce(workers, dask, 1, max_memory, WORKER + needed) as client:
+            plan, bands = _planned(scene, folder, backend, threads_of(client), most, max_memory, progress)
+            drawn = scene if workers is None else scene.but(jobs=jobs or 1)  # processes share the machine's processors
+            recipe = SheetRecipe(drawn, backend, str(folder.path), plan, bands, needed)
+            with Cluster(client, recipe) as cluster:
+                cluster.run(Tiles(recipe, folder, session(backend=backend), sheet, progress), progress)
+                imbalance = cluster.imbalance()
+
+    with alone(folder, "drawing this picture"):
+        facts = draw_large(
+            scene, out, depth=depth, draw=session(progress, backend=backend), progress=progress, dpi=dpi, by=by
+        )
+        shutil.rmtree(folder.path, ignore_errors=True)
+    return {**facts, "imbalance": round(imbalance, 3)}
+
+
+def _planned(
+    scene: Scene, folder: FolderStorage, backend: str, threads: int, most: int, max_memory: int, progress: Progress
+) -> tuple[bytes, list[Band]]:
+    """The tiles of a picture: those that were begun, or new ones."""
+    fingerprint = hashlib.sha256(json.dumps([scene.told(), backend], sort_keys=True, default=str).encode()).hexdigest()
+    there = folder.get(PLAN)
+    if there is not None:
+        try:
+            plan = json.loads(there)
+            if plan["picture"] == fingerprint:
+                return there, [[(a, b, c, d) for a, b, c, d in band] for band in plan["bands"]]
+        except (ValueError, KeyError, TypeError):
+            pass
+        folder.remove()
+    costs = coarse_costs(scene, session(backend=backend), progress)
+    rows = max(ROWS, max_memory // 64 // scene.view.width // ROWS * ROWS)
+    bands = cut(scene.view.width, scene.view.height, costs, EACH * threads, most, rows)
+    plan_now = dumps({"picture": fingerprint, "bands": bands})
+    folder.put(PLAN, [plan_now])
+    return plan_now, bands
+
+
+def coarse_costs(scene: Scene, draw: Session, progress: Progress) -> Costs:
+    """What the parts of a picture cost to draw, by a small one: (rows, cols) of seconds in each of its cells."""
+    view = scene.view
+    shrink = max(1.0, max(view.width, view.height) / COARSE)
+    small = scene.but(view=view.resized(max(1, round(view.width / shrink)), max(1, round(view.height / shrink))))
+    wide, tall = small.view.width, small.view.height
+    lefts, tops = range(0, wide, CELL[0]), range(0, tall, CELL[1])
+    costs = np.zeros((len(tops), len(lefts)))
+    with progress.task("Looking where it takes long", total=costs.size) as task:
+        draw_tile(small, (0, 0, wide, tall), draw)  # what is made once, is made now
+        for i, top in enumerate(tops):
+            for j, left in enumerate(lefts):
+                began = time.process_time()
+                draw_tile(small, (left, top, min(CELL[0], wide - left), min(CELL[1], tall - top)), draw)
+                costs[i, j] = time.process_time() - began
+                task.advance()
+    return np.asarray(np.maximum(costs - 0.9 * costs.min(), 1e-6))  # without what each tile costs, however small it is
+
+
+def cut(width: int, height: int, costs: Costs, count: int, most: int, rows: int) -> list[Band]:
+    """Cut a picture into tiles of about equal cost.
+
+    Args:
+        costs: (r, c) of the cells of a coarse picture; the last row and column may be cut off.
+        count: of tiles, about, or more. most: pixels of one. rows: of a band, at most.
+
+    Returns:
+        bands of tiles at multiples of ``ROWS`` and ``COLUMNS``.
+    """
+    each = costs.sum() / count
+    tall = max(ROWS, min(rows, math.ceil(height / math.sqrt(count)), math.isqrt(most)) // ROWS * ROWS)
+    found: list[Band] = []
+    for top in range(0, height, tall):
+        high = min(tall, height - top)
+        across = _between(costs, top / height, (top + high) / height)
+        share = max(1, math.ceil(across.sum() / each), math.ceil(width * high / most))
+        found.append([(left, top, wide, high) for left, wide in _columns(width, across, share, most // high)])
+    return found
+
+
+def _between(costs: Costs, begin: float, end: float) -> Costs:
+    """The costs of the columns between two heights of the picture, 0 at its top and 1 at its bottom."""
+    edges = np.linspace(0.0, 1.0, len(costs) + 1)
+    part = np.clip(np.minimum(edges[1:], end) - np.maximum(edges[:-1], begin), 0.0, None) * len(costs)
+    return np.asarray(part @ costs)
+
+
+def _columns(width: int, costs: Costs, count: int, most: int) -> Sequence[tuple[int, int]]:
+    """Where tiles of about equal cost begin, and how wide they are."""
+    sums = np.concatenate([[0.0], np.cumsum(costs)])
+    places = np.interp(np.arange(1, count) / count * sums[-1], sums, np.linspace(0.0, width, len(sums)))
+    most = max(COLUMNS, most // COLUMNS * COLUMNS)
+    ends = sorted({round(place / COLUMNS) * COLUMNS for place in places} - {0} | {width})
+    found, left = [], 0
+    for end in (end for end in ends if end <= width):
+        while left < end:
+            wide = min(most, end - left)
+            found.append((left, wide))
+            left += wide
+    return found
+
+
+__all__ = ["Box", "coarse_costs", "cut", "draw_by_workers"]

@@ -1,0 +1,153 @@
+"""What a worker of a cluster needs for a build (``workshop``): where the store is made, by which plan, of which files.
+
+It opens those files itself, and does nothing if they are others than those the plan was made of, or if the build was
+given up or begun anew meanwhile: its plan is looked at before every write. What stages need of earlier ones (the
+digests of shards, by which these are read) lies in ``parts/`` of the store.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from orograph.errors import StoreError, UsageError
+from orograph.store.arrays import ShardedArray
+from orograph.store.cache import ChunkCache
+from orograph.store.coding import Coding
+from orograph.store.digests import Digests
+from orograph.store.executing import KNOWN, Stage
+from orograph.store.layout import TABLES_AND_VALID, table_spec
+from orograph.store.places import PLAN
+from orograph.store.source import HeightSource
+from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.terrain import TileTable
+from orograph.store.workshop import guarded
+from orograph.store.writer import ShardWriter
+
+
+class BuildRecipe(NamedTuple):
+    """All that workers are told once.
+
+    Attributes:
+        url: where the store is made. storage_options: for the fsspec file system.
+        plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
+        files, options: of the source (``Mosaic.open``).
+        levels: of the groups of heights; 0: none. memory: bytes a task may take, besides ``base`` of the process.
+    """
+
+    url: str
+    storage_options: dict[str, Any] | None
+    plan: dict[str, Any]
+    coding: Coding | None
+    begun: bytes
+    files: list[str]
+    options: dict[str, Any]
+    levels: int
+    memory: int
+    base: int
+
+    def open(self) -> BuildShop:
+        return BuildShop(self)
+
+
+def recipe_of(
+    raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
+    coding: Coding | None, begun: bytes, memory: int, base: int,
+) -> BuildRecipe:  # fmt: skip
+    """The recipe of a build without groups.
+
+    Raises:
+        UsageError: the heights are not in files, or the store would be in this process's memory.
+    """
+    said = getattr(raster, "recipe", lambda: None)()
+    if said is None:
+        raise UsageError(
+            "Workers of a cluster open the files of a terrain themselves, and these heights are in no files.",
+            remedy="Write them to a file (orograph.write), or build without a cluster.",
+        )
+    if storage.url.startswith("memory:"):
+        raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Name a folder.")
+    files, options = said
+    here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
+    url = str(storage.path.absolute()) if isinstance(storage, FolderStorage) else storage.url
+    return BuildRecipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)
+
+
+class BuildShop:
+    """What one process of a cluster needs for a build."""
+
+    def __init__(self, recipe: BuildRecipe) -> None:
+        self.recipe, self.plan = recipe, recipe.plan
+        self.storage = guarded(storage_at(recipe.url, recipe.storage_options), PLAN, recipe.begun)
+        self._raster: HeightSource | None = None
+        self._stages: dict[tuple[str, int], Stage[Any]] = {}
+
+    def stage(self, name: str, number: int) -> Stage[Any]:
+        """A stage."""
+        if (name, number) not in self._stages:
+            writer = ShardWriter(self.storage)
+            writer.digests = Digests.from_json(json.loads(self.storage.get(KNOWN) or b"{}"))
+            self._stages[name, number] = _STAGES[name](self, writer, number)
+        return self._stages[name, number]
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Samples along the sides of shards and chunks."""
+        return self.plan["shard"], self.plan["chunk"]
+
+    def raster(self) -> HeightSource:
+        """The source, opened here.
+
+        Raises:
+            StoreError: its files are not those that the build was begun with.
+        """
+        if self._raster is None:
+            from orograph.dem.mosaic import Mosaic
+
+            raster = Mosaic.open(self.recipe.files, **self.recipe.options)
+            if raster.fingerprint() != self.plan["source"]:
+                raise StoreError(
+                    "A worker finds other files under the names of the sources than the process that builds.",
+                    path=self.recipe.url, remedy="See that all of them have the same file system, and files at rest.",
+                )  # fmt: skip
+            self._raster = raster
+        return self._raster
+
+
+def _heights(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.groups import Groups
+    from orograph.store.pyramid import Finest, Pyramid
+
+    finest = Finest(shop.raster(), writer, *shop.sizes, shop.recipe.coding)
+    if shop.recipe.levels:
+        return Groups(finest, shop.recipe.levels)
+    return Pyramid(finest)
+
+
+def _source(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.resampling import Look
+
+    raster: Any = shop.raster()
+    keep, coding = shop.plan["keep_source"], shop.recipe.coding
+    return Look(number, raster.resampled_from, raster.grid, writer, shop.sizes, keep, coding)
+
+
+def _errors(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.survey import Errors
+
+    grid = shop.raster().grid
+    specs = {name: table_spec(grid.shape, 0, name, *shop.sizes) for name in TABLES_AND_VALID}
+    tables = {
+        name: ShardedArray(spec, shop.storage, writer.digests, ChunkCache(0), 1).read(
+            0, spec.shape[0], 0, spec.shape[1]
+        )
+        for name, spec in specs.items()
+    }
+    return Errors(grid, writer, *shop.sizes, TileTable(**tables), tuple(shop.plan["errors"]), shop.recipe.coding)
+
+
+_STAGES: dict[str, Callable[[BuildShop, ShardWriter, int], Stage[Any]]] = {
+    "heights": _heights, "source": _source, "errors": _errors,
+}  # fmt: skip

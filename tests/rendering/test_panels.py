@@ -1,0 +1,104 @@
+"""Panels: each is what its picture alone would be, with one camera and one scale."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from affine import Affine
+
+import orograph
+from orograph.errors import UsageError
+from orograph.rendering.panels import _boxes, panels_of
+
+PLACE = Affine(50, 0, 500_000, 0, -50, 5_600_000)
+
+
+@pytest.fixture(scope="module")
+def ground() -> orograph.Terrain:
+    y, x = np.mgrid[:60, :80]
+    return orograph.terrain((100 + 20 * np.sin(x / 7 + y / 9)).astype(np.float32), transform=PLACE, crs="EPSG:32630")
+
+
+@pytest.fixture(scope="module")
+def data() -> orograph.Dataset:
+    members = np.random.default_rng(3).normal(0, 1, (5, 12, 16)).cumsum(1) + np.arange(5)[:, None, None]
+    return orograph.Dataset(members.astype(np.float32), name="Field", style="segmented")
+
+
+def test_each_panel_is_its_own_picture(ground, data):
+    view = orograph.camera.whole(ground, (400, 300))
+    sheet = orograph.render(ground, view, data=data, each="member=2-5", progress=False)
+    boxes = _boxes(4, (400, 300), (0, 0, 0, 0), *_type())
+    wide, tall = boxes[0][2], boxes[0][3] - _type()[0]
+    span = panels_of((data,), "member=2-5", ground)[0].data[0].range
+    values = data.source[1:]
+    assert span == pytest.approx((values.min(), values.max()), abs=0.05 * float(np.ptp(values)))
+    for k, (x, y, _, _) in enumerate(boxes):
+        alone = orograph.render(
+            ground, view.resized(wide, tall), progress=False,
+            data=data.but(member=str(k + 2), range=span, breaks="equal"),
+        )  # fmt: skip
+        top = y + _type()[0]
+        np.testing.assert_array_equal(sheet.pixels[top : top + tall, x : x + wide], alone.pixels)
+    assert sheet.describe().startswith("4 panels: member 2, member 3")
+
+
+def _type():
+    from orograph.rendering.furniture.lettering import Style
+
+    style = Style.of((400, 300), "member")
+    return int(np.ceil(1.9 * style.unit)), style.gap
+
+
+def test_boxes_do_not_meet_and_keep_proportions():
+    for count in (2, 3, 7, 24, 36):
+        boxes = _boxes(count, (1200, 800), (0.0, 0.15, 0.08, 0.1), 20, 8)
+        assert len(boxes) == count
+        for x, y, wide, tall in boxes:
+            assert x >= 0 and y >= 64 and x + wide <= 1020 and y + tall <= 720
+            assert abs(wide / (tall - 20) - 1.5) < 0.03
+        for i, a in enumerate(boxes):
+            for b in boxes[:i]:
+                assert a[0] >= b[0] + b[2] or b[0] >= a[0] + a[2] or a[1] >= b[1] + b[3] or b[1] >= a[1] + a[3]
+    with pytest.raises(UsageError, match="do not fit"):
+        _boxes(30, (200, 150), (0, 0, 0, 0), 20, 8)
+
+
+def test_a_map_beside_the_relief(ground, data):
+    sheet = orograph.render(ground, size=(600, 300), data=data, each="view", furniture=True, progress=False)
+    assert sheet.pixels.shape == (300, 600, 3) and "Map, Relief" in sheet.describe()
+    found = panels_of((data,), "view", ground)
+    assert [panel.plan for panel in found] == [True, False]
+
+
+def test_times_and_one_scale_of_uncertainties(ground):
+    xarray = pytest.importorskip("xarray")
+    times = np.array(["2019-03-01T00", "2019-03-01T12", "2019-03-02T12"], "M8[ns]")
+    y, x = 5_600_000 - 100 - np.arange(15) * 200.0, 500_100 + np.arange(20) * 200.0
+    values = np.random.default_rng(1).normal(0, 1, (3, 15, 20)).astype(np.float32)
+    array = xarray.DataArray(values, dims=("time", "y", "x"), coords={"time": times, "y": y, "x": x})
+    sigma = orograph.Uncertainty(np.full((15, 20), 0.5, np.float32))
+    found = panels_of((orograph.Dataset(array, uncertainty=sigma),), "time=T12", ground)
+    assert [panel.title for panel in found] == ["2019-03-01 12:00", "2019-03-02 12:00"]
+    spans = {panel.data[0].range for panel in found}
+    assert len(spans) == 1 and spans.pop() == pytest.approx((values[1:].min(), values[1:].max()), abs=0.3)
+    assert len({panel.data[0].uncertainty.range for panel in found}) == 1
+
+
+@pytest.mark.parametrize(
+    ("each", "says"),
+    [
+        ("station", "view, member, band, time"),
+        ("member=9", "no 9"),
+        ("member=2", "there is 1"),
+        ("time", "there are 0"),
+    ],
+)
+def test_panels_that_cannot_be_are_refused(ground, data, each, says):
+    with pytest.raises(UsageError) as told:
+        panels_of((data,), each, ground)
+    assert says in f"{told.value.what} {told.value.remedy}"
+    with pytest.raises(UsageError, match="there are none"):
+        panels_of((), "member", ground)
+    with pytest.raises(UsageError, match="no value="):
+        panels_of((data.but(exceeds=1.0),), "member", ground)

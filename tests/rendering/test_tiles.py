@@ -1,0 +1,169 @@
+"""Pictures drawn by workers, tile by tile: the bytes of one process, whatever tiles there are; tiles of equal cost."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import hills, holes, terrain
+
+from orograph.errors import StoreError, UsageError
+from orograph.progress import SILENT
+from orograph.rendering import large, tiles
+from orograph.rendering.large import draw_large
+from orograph.rendering.tiles import coarse_costs, cut, draw_by_workers
+from orograph.scene import camera
+from orograph.scene.scene import Scene
+
+SIZE = (417, 250)
+
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+def ground():
+    heights = holes(hills(140, 180))
+    heights[90:125, 60:110] = 640.0  # a lake
+    return terrain(heights)
+
+
+class Workers:
+    """Stands for a cluster: its tasks are done by a shop that knows nothing but the recipe, the last ones first."""
+
+    def __init__(self, client, recipe):
+        self.recipe, self.left = recipe, client
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def imbalance(self):
+        return 1.25
+
+    def run(self, stage, progress):
+        shop = self.recipe.open()
+        for spot in reversed(stage.tasks()):
+            own = shop.stage(stage.name, stage.number)
+            if own.found(spot) is None:
+                if self.left[0] == 0:
+                    raise StoreError("stopped")
+                self.left[0] -= 1
+                own.make(spot)
+            stage.add(spot, stage.found(spot, proof=False))
+        stage.finish()
+
+
+@pytest.fixture
+def by_workers(monkeypatch):
+    """How many tiles workers draw before they stop."""
+    left = [-1]
+
+    @contextlib.contextmanager
+    def workforce(*_):
+        yield left
+
+    monkeypatch.setattr(tiles, "workforce", workforce)
+    monkeypatch.setattr(tiles, "Cluster", Workers)
+    monkeypatch.setattr(tiles, "threads_of", lambda client: 2)
+    return left
+
+
+@pytest.mark.parametrize("ending", ["png", "tif"])
+def test_the_bytes_of_one_process(tmp_path, ending, by_workers):
+    land = ground()
+    scene = Scene.of(land, camera.around(land, SIZE, azimuth=215, pitch=22, distance=3500), furniture=True, sky=True)
+    (tmp_path / "one").mkdir()
+    one, depth = tmp_path / f"one/a.{ending}", tmp_path / "one/depth.tif"
+    facts = draw_large(scene, one, depth=depth)
+    told = draw_by_workers(scene, tmp_path / f"a.{ending}", workers=2, depth=tmp_path / "depth.tif", progress=SILENT)
+    assert (tmp_path / f"a.{ending}").read_bytes() == one.read_bytes()
+    with rasterio.open(depth) as a, rasterio.open(tmp_path / "depth.tif") as b:
+        np.testing.assert_array_equal(a.read(1), b.read(1))
+    assert told["shown"] == facts["shown"] and told["imbalance"] == 1.25
+    assert sorted(f.name for f in tmp_path.iterdir()) == sorted([f"a.{ending}", "depth.tif", "one"])
+
+
+def test_what_is_drawn_is_not_drawn_again(tmp_path, by_workers):
+    land = ground()
+    scene = Scene.of(land, camera.whole(land, SIZE))
+    draw_large(scene, tmp_path / "one.png")
+    by_workers[0] = 5
+    with pytest.raises(StoreError, match="stopped"):
+        draw_by_workers(scene, tmp_path / "a.png", workers=2, progress=SILENT)
+    there = {p.name: p.stat().st_mtime_ns for p in (tmp_path / ".a.png.tiles").iterdir()}
+    assert len(there) == 6
+    by_workers[0] = 5
+    with pytest.raises(StoreError, match="stopped"):
+        draw_by_workers(scene, tmp_path / "a.png", workers=2, progress=SILENT)
+    now = {p.name: p.stat().st_mtime_ns for p in (tmp_path / ".a.png.tiles").iterdir()}
+    assert len(now) == 11 and there.items() <= now.items()
+    by_workers[0] = -1
+    draw_by_workers(scene, tmp_path / "a.png", workers=2, progress=SILENT)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "one.png").read_bytes()
+    by_workers[0] = 2
+    with pytest.raises(StoreError):  # another picture has nothing of the one that was begun
+        draw_by_workers(scene, tmp_path / "b.png", workers=2, progress=SILENT)
+    by_workers[0] = -1
+    other = scene.but(exaggeration=2.0)
+    draw_by_workers(other, tmp_path / "b.png", workers=2, progress=SILENT)
+    draw_large(other, tmp_path / "two.png")
+    assert (tmp_path / "b.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_a_real_cluster(tmp_path):
+    pytest.importorskip("distributed")
+    land = ground()
+    scene = Scene.of(land, camera.whole(land, SIZE), furniture=True)
+    draw_large(scene, tmp_path / "one.png")
+    facts = draw_by_workers(scene, tmp_path / "a.png", workers=2, progress=SILENT)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "one.png").read_bytes()
+    assert 1.0 <= facts["imbalance"] <= 2.0
+
+
+@given(
+    st.integers(1, 3000), st.integers(1, 2000), st.integers(1, 7), st.integers(1, 9), st.integers(1, 60),
+    st.integers(1 << 12, 1 << 18), st.integers(16, 600), st.randoms(use_true_random=False),
+)  # fmt: skip
+def test_tiles_cover_a_picture_once(width, height, r, c, count, most, rows, random):
+    costs = np.array([[random.uniform(1e-6, 1) for _ in range(c)] for _ in range(r)])
+    row = 0
+    for band in cut(width, height, costs, count, most, rows):
+        assert {(t, h) for _, t, _, h in band} == {(row, band[0][3])} and row % large.ROWS == 0
+        assert band[0][3] <= max(rows, large.ROWS)
+        column = 0
+        for left, _, wide, tall in band:
+            assert left == column and left % large.COLUMNS == 0 and wide > 0
+            assert wide * tall <= max(most, large.COLUMNS * tall)
+            column += wide
+        assert column == width
+        row += band[0][3]
+    assert row == height
+
+
+def test_tiles_are_small_where_it_takes_long():
+    costs = np.ones((4, 8))
+    costs[:, 5] = 40.0
+    band = cut(8192, 4096, costs, 40, 1 << 30, 4096)[0]
+    narrow = [wide for left, _, wide, _ in band if left >= 5 * 1024 and left + wide <= 6 * 1024]
+    assert len(narrow) >= 4 and max(narrow) < 512
+    assert max(wide for left, _, wide, _ in band if left < 4096) > 1024
+
+
+def test_the_coarse_pass_knows_sky_from_ground():
+    """Half of the picture shows nothing: that half costs less."""
+    land = ground()
+    low = camera.around(land, (1024, 1024), azimuth=180, pitch=-10, distance=9000)
+    costs = coarse_costs(Scene.of(land, low), large.session(), SILENT)
+    assert costs.shape == (8, 4) and (costs > 0).all()
+
+
+def test_wireframes_are_one_process_work(tmp_path):
+    land = ground()
+    scene = Scene.of(land, camera.whole(land, SIZE), method="soar", wireframe=True)
+    with pytest.raises(UsageError, match="wireframe"):
+        draw_by_workers(scene, tmp_path / "a.png", workers=2, progress=SILENT)

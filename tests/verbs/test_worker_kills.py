@@ -1,0 +1,107 @@
+"""Light and films whose workers are killed at random moments, again and again, have the same bytes in the end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import shutil
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+from affine import Affine
+from pyproj import CRS
+
+import orograph
+from orograph import store
+from orograph.errors import StoreError
+from orograph.geo.grid import Grid
+from orograph.lighting.context import Options
+from orograph.store.clusters import workforce
+from orograph.store.source import ArraySource
+
+pytestmark = pytest.mark.stress
+
+KILLS = 30
+
+
+@pytest.fixture
+def terrain(tmp_path):
+    y, x = np.mgrid[:500, :640]
+    heights = (300 * np.sin(x / 21) * np.cos(y / 17) + 20 * np.sin(x / 2.3 + y / 3.1)).astype(np.float32)
+    heights[90:140, 200:300] = np.nan
+    grid = Grid(heights.shape, Affine(20, 0, 500_000, 0, -20, 4_000_000), CRS.from_epsg(32611))
+    store.build(ArraySource(heights, grid, "hills"), tmp_path / "hills.oro", shard=64, chunk=16, jobs=1).close()
+    return tmp_path / "hills.oro"
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@contextlib.contextmanager
+def killed(seed):
+    """A cluster of two workers, of which one is killed after every random time; and how many were."""
+    pytest.importorskip("distributed")
+    rng, kills, ended, began = random.Random(seed), [0], threading.Event(), time.monotonic()
+
+    def killer(local, longest):
+        while not ended.wait(rng.uniform(0.1, 1.0) * longest):
+            pids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
+            if pids:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(rng.choice(pids), signal.SIGKILL)
+                    kills[0] += 1
+
+    with workforce(2, None, 1, 4 << 30, 0) as client:
+        start = time.monotonic() - began  # on a busy machine workers take long to come back
+        thread = threading.Thread(target=killer, args=(client.cluster, 1.5 * start))
+        thread.start()
+        try:
+            yield client, kills
+        finally:
+            ended.set()
+            thread.join()
+
+
+def until_done(work):
+    """Run it again as long as tasks are given up."""
+    while True:
+        try:
+            return work()
+        except StoreError as error:
+            assert "given up" in str(error)
+
+
+def test_a_bake(terrain, tmp_path):
+    names, options = ["sky-view-factor", "aperture"], Options(azimuths=8)
+    shutil.copytree(terrain, tmp_path / "whole.oro")
+    orograph.bake(tmp_path / "whole.oro", names, options, jobs=1, progress=False).close()
+    expected = files(tmp_path / "whole.oro")
+    with killed(7) as (client, kills):
+        for trial in range(40):
+            target = tmp_path / f"{trial}.oro"
+            shutil.copytree(terrain, target)
+            until_done(lambda at=target: orograph.bake(at, names, options, dask=client, progress=False).close())
+            assert files(target) == expected
+            shutil.rmtree(target)
+            if kills[0] >= KILLS:
+                break
+    assert kills[0] >= KILLS
+
+
+def test_a_film(terrain, tmp_path):
+    how = {"size": (320, 200), "orbit": True, "seconds": 4.0, "fps": 10, "progress": False}
+    orograph.movie(terrain, tmp_path / "whole" / "%03d.png", **how)
+    expected = files(tmp_path / "whole")
+    with killed(8) as (client, kills):
+        for trial in range(40):
+            out = tmp_path / f"{trial}"
+            until_done(lambda at=out: orograph.movie(terrain, at / "%03d.png", dask=client, **how))
+            assert files(out) == expected
+            if kills[0] >= KILLS:
+                break
+    assert kills[0] >= KILLS
