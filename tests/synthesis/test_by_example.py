@@ -32,12 +32,13 @@ def lidar(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_file_is_what_python_makes_whatever_the_jobs(lidar: Path, tmp_path: Path) -> None:
-    made = orograph.synth(size=(700, 530), seed=4, exemplar=lidar, progress=False)
+    made = orograph.synth(size=(700, 530), seed=4, exemplar=lidar, jitter=[0.5, 0.4], progress=False)
     assert isinstance(made, orograph.Dem)
     files = []
     for jobs in ("1", "3"):
         files.append(tmp_path / f"{jobs}.tif")
         said = ["-o", str(files[-1]), "--size", "700x530", "--seed", "4", "--exemplar", str(lidar), "-j", jobs]
+        said += ["--jitter", "0.5,0.4"]
         ran = CliRunner().invoke(command, said, obj=None)
         assert ran.exit_code == 0, ran.output
         assert "1 × 2 m apart" in ran.output

@@ -134,6 +134,8 @@ def _option(one: Described, name: str = "") -> Callable[[F], F]:
             more["metavar"] = one.metavar
     if one.name == "data":
         more["cls"] = DataOption
+    if one.name == "detail":
+        more |= {"is_flag": False, "flag_value": "fractal"}
     return click.option(flag, name or one.name, **more)
 
 
@@ -188,6 +190,7 @@ def inputs_of(paths: Sequence[str], options: Mapping[str, Any]) -> dict[str, Seq
     return {
         "the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]],
         "the data of --data": [str(one.source) for one in options["data"]],
+        "the example of --detail": [getattr(options.get("detail"), "exemplar", None)],
         "the camera of --mesh-view": [options["mesh_view"]], "the grid of --geoid": [options["geoid"]],
     }  # fmt: skip
 

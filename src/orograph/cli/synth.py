@@ -11,6 +11,11 @@ from orograph.cli.options import Float, FloatRange, Numbers, jobs_option, progre
 from orograph.errors import UsageError
 
 
+def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, ...] | None:
+    """As many numbers as there are, separated by commas."""
+    return None if value is None else Numbers(",".join("R" * (value.count(",") + 1))).convert(value, param, ctx)
+
+
 @click.command("synth")
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), required=True, help="The GeoTIFF to write."
@@ -39,7 +44,7 @@ from orograph.errors import UsageError
 )
 @click.option(
     "--jitter",
-    type=Numbers(",".join("R" * 12), optional=11),
+    callback=_numbers,
     metavar="R[,R…]",
     help="How much the pieces of the example vary, 0 to 1: one number, or one for each level from the coarsest on.  "
     "[default: 0.5, and 0 on the three finest]",

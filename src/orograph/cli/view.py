@@ -30,6 +30,7 @@ NOT_HERE = (
     "triangles",
     "wireframe",
     "mesh_view",
+    "detail",
     "focus",
     "flight",
     "ghosts",

@@ -24,6 +24,8 @@ def describe(scene: Scene) -> str:
         parts.append(f"The light comes from the {come}, {light.sun.altitude:.0f}° high.")
     if scene.annotations.contours is not None:
         parts.append("Contour lines show the heights.")
+    if scene.surface.detail is not None:
+        parts.append(f"{scene.surface.detail.words.capitalize()}.")
     for key in scene.keys:
         parts += [_scale(scale) for scale in key.scales]
         for both in key.squares:

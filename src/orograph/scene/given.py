@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
 from orograph.scene.contours import Contours
+from orograph.scene.detail import Detail, detail_of
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
@@ -285,6 +286,11 @@ def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Li
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:
     """Takes "auto", metres from line to line, or a `Contours`, which without an interval finds one itself."""
     return value if value is None or isinstance(value, Contours) else Contours(float(value))
+
+
+def detail(value: Detail | str | bool | None, terrain: Terrain) -> Detail | None:
+    """Takes True for fractal detail, a text (`exemplar=lidar.tif`), or a `Detail`."""
+    return detail_of(value)
 
 
 def silhouettes(value: Silhouettes | bool | None, terrain: Terrain) -> Silhouettes | None:

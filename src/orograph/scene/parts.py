@@ -19,6 +19,7 @@ from orograph.lod.options import Described, check, described, option
 from orograph.lod.registry import AUTO
 from orograph.scene import given
 from orograph.scene.contours import Contours
+from orograph.scene.detail import Detail, detail_of
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
@@ -269,9 +270,22 @@ class Surface:
         read=str, metavar="VIEW.json", shown="the picture's",
     )  # fmt: skip
 
+    detail: Detail | None = option(
+        None,
+        "Invent detail where samples are coarser than pixels: fractal, as rough as the data, or after fine terrain "
+        "(exemplar=lidar.tif). The samples stay as they are; nothing that is measured has it (CPU).",
+        read=Detail.parse, given=given.detail, metavar="fractal|exemplar=FILE[,seed=N]", shown="none",
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
+        object.__setattr__(self, "detail", detail_of(self.detail))
         check(self, CALLED)
         check_exaggeration(self.exaggeration)
+        if self.detail and self.method.partition(",")[0] not in ("auto", AUTO["cpu"]):
+            raise UsageError(
+                "`detail` is drawn by rays; a method's mesh is of the terrain itself.",
+                remedy="Leave out the method, or the detail.",
+            )
         if self.triangles is not None and self.tolerance is not None:
             raise UsageError("Give one goal: `tolerance` or `triangles`.")
         if self.method.partition(",")[0] in ("auto", AUTO["cpu"]):

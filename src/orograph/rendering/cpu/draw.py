@@ -81,6 +81,10 @@ def draw(
     facts: dict[str, Any] = {"warnings": diagnose(scene), "description": describe(scene)}
     for warning in facts["warnings"]:
         progress.warn(warning)
+    if scene.surface.detail is not None:
+        from orograph.rendering.cpu.detail import detailed
+
+        scene, facts["detail"] = detailed(scene, memo, progress)
     subject = _Subject(scene)
     meshed = mesh is not None or mesh_choice(scene.surface.method, "cpu") is not None
     usual = "faces" if meshed and not scene.surface.wireframe else "computed"

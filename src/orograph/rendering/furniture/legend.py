@@ -74,6 +74,8 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         parts.append(f"Light from {round(sun.azimuth, 1):g}°, {round(sun.altitude, 1):g}° high")
     if scene.surface.exaggeration != 1:
         parts.append(f"heights ×{scene.surface.exaggeration:g}")
+    if scene.surface.detail is not None:
+        parts.append(scene.surface.detail.words)
     if scene.annotations.contours is not None:
         interval = scene.annotations.contours.fitted(terrain, view, Memo()).interval
         parts.append(f"contours every {interval:g} m")

@@ -62,6 +62,8 @@ def draw(
         UsageError: the picture is larger than the device can draw, or the scene's method is unknown.
     """
     begun = time.perf_counter()
+    if scene.surface.detail is not None:
+        raise UsageError("The GPU draws no `detail` beyond the data.", remedy='Use `backend="cpu"`.')
     device = device or open_device()
     view, whole = scene.view, scene.view.part is None
     if not whole and scene.annotations.furniture:

@@ -1,0 +1,167 @@
+"""Detail by example: the fine part of real lidar on coarse ground, where its slope and curvature are alike.
+
+The lattice of the data stands on the exemplar's level of the same spacing. Each of its places begins at the best of
+some random places of the exemplar, by slopes and curvature; from there on coordinates are corrected and doubled as
+those of ``windows``, with the guide as a part of the distance. What a doubling adds is what the exemplar has beyond its
+own doubling by the same 4-point rule: one piece of it goes over into another through samples they share, and where
+neighbours come from one piece its own forms come out.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.synthesis.exemplar import Exemplar
+from orograph.synthesis.kernels import MARGIN, ORDER, corrected, upsampled
+from orograph.synthesis.reference import folded, hashed
+from orograph.synthesis.refining import Floats, Lattice, Tiled, roughness, spread
+from orograph.synthesis.windows import Range
+
+TRIES = 64
+"""Places of the exemplar that each sample of the data begins with."""
+
+Guide = NDArray[np.int16]
+
+
+class Steering:
+    """An exemplar on a lattice of data.
+
+    Args:
+        doublings: by which the data's spacing becomes the exemplar's, at least 1, at most ``exemplar.top``.
+        stretch: heights of the data in heights of the exemplar: by how much its spacing is larger than the exemplar's.
+    """
+
+    def __init__(self, exemplar: Exemplar, data: Lattice, doublings: int, stretch: float, seed: int) -> None:
+        self.exemplar, self.data, self.doublings, self.seed = exemplar, data, doublings, seed & 0x7FFFFFFF
+        self.metres = exemplar.quantum * stretch
+        step = 1 << doublings
+        self.smooth = np.asarray(exemplar.stack[exemplar.top - doublings] * self.metres, np.float64)
+        shape = _shape(self.smooth, step, "symmetric")
+        self._scale = np.array([341 / max(np.sqrt((one**2).mean()), 1e-12)
+                                for one in (np.stack(shape[:2]), np.stack(shape[:2]), shape[2])])  # fmt: skip
+        self.guides = self._guide(shape)
+        fine = exemplar.stack[-1] * self.metres
+        rest = fine - (np.roll(fine, step, 1) + np.roll(fine, -step, 1)) / 2
+        self._tiles = [Tiled(partial(self._made, level)) for level in range(doublings + 1)]
+        self.rough = float(np.sqrt((rest[:, step:-step] ** 2).mean()))
+
+    def _guide(self, shape: tuple[Floats, Floats, Floats]) -> Guide:
+        known = [np.nan_to_num(one * scale) for one, scale in zip(shape, self._scale)]
+        return np.asarray(np.rint(np.clip(np.stack(known, -1), -1023, 1023)), np.int16)
+
+    def guide(self, r: Range) -> Guide:
+        """What the data are like at places of their lattice: slopes along columns and rows, and curvature."""
+        heights = self.data.read(r.wider(2))
+        smooth = heights
+        for axis in (0, 1):
+            a, b, c = (np.take(smooth, range(k, smooth.shape[axis] - 2 + k), axis) for k in range(3))
+            smooth = (a + 2 * b + c) / 4
+        return self._guide(_shape(smooth, 1, None))
+
+    def coordinates(self, level: int, r: Range) -> NDArray[np.int32]:
+        """Coordinates of a window of the lattice that is ``level`` doublings finer than the data."""
+        found: NDArray[np.int32] = self._tiles[level].read(r)
+        return found
+
+    def _made(self, level: int, r: Range) -> NDArray[np.int32]:
+        e, wide = self.exemplar, r.wider(MARGIN)
+        rows, cols = e.shape
+        if level == 0:
+            guide = self.guide(wide)
+            chosen = self._begun(wide, guide)
+        else:
+            parents = wide.parents()
+            chosen = np.empty((*wide.shape, 2), np.int32)
+            upsampled(
+                self.coordinates(level - 1, parents), parents.row0, parents.col0, wide.row0, wide.col0,
+                1 << (self.doublings - level), 0, level, self.seed, rows, cols, chosen,
+            )  # fmt: skip
+            own = Range(wide.row0 >> level, ((wide.row1 - 1) >> level) + 2, wide.col0 >> level,
+                        ((wide.col1 - 1) >> level) + 2)  # fmt: skip
+            at, coarse = (np.arange(*wide[:2]), np.arange(*wide[2:])), self.guide(own).astype(float)
+            guide = np.stack([np.rint(spread(coarse[..., n], at, own, level)) for n in range(3)], -1).astype(np.int16)
+        other, n = np.empty_like(chosen), e.top - self.doublings + level
+        for k, (row, col) in enumerate(ORDER):
+            corrected(
+                chosen, e.features[n], e.similar[n], e.step(n), 1, guide, self.guides, (row + wide.row0) & 1,
+                (col + wide.col0) & 1, 2 * (k + 1), other,
+            )  # fmt: skip
+            chosen, other = other, chosen
+        return np.ascontiguousarray(chosen[r.within(wide)])
+
+    def _begun(self, r: Range, guide: Guide) -> NDArray[np.int32]:
+        """For each place the best of some random places of the exemplar's plane."""
+        rows, cols = self.exemplar.shape
+        row, col = (a.ravel() for a in np.meshgrid(np.arange(*r[:2]), np.arange(*r[2:]), indexing="ij"))
+        wanted = guide.reshape(-1, 3).astype(np.int64)
+        best, least = np.zeros((len(row), 2), np.int32), np.full(len(row), 1 << 40)
+        for n in range(TRIES):
+            h = hashed(col, row, self.seed + 104729 * (n + 1))
+            x, y = (h & 0xFFFF) * (2 * cols) >> 16, (h >> 16) * (2 * rows) >> 16
+            there = self.guides[folded(y, rows), folded(x, cols)].astype(np.int64)
+            there[..., 0] *= np.where(x < cols, 1, -1)
+            there[..., 1] *= np.where(y < rows, 1, -1)
+            far = ((wanted - there) ** 2).sum(-1)
+            better = far < least
+            least[better], best[better, 0], best[better, 1] = far[better], x[better], y[better]
+        return best.reshape(*r.shape, 2)
+
+    def gate(self, r: Range, level: int) -> Floats:
+        """From 1 to 0 where the data are much smoother than the exemplar: level ground, such as water, stays level."""
+        own = Range(r.row0 >> level, ((r.row1 - 1) >> level) + 2, r.col0 >> level, ((r.col1 - 1) >> level) + 2)
+        sigma, _ = roughness(self.data, own)
+        at = np.arange(r.row0, r.row1), np.arange(r.col0, r.col1)
+        return spread(np.clip(8 * sigma / max(self.rough, 1e-12), 0, 1), at, own, level)
+
+
+class Steered:
+    """The residual of one doubling, ``level`` doublings finer than the data."""
+
+    def __init__(self, steering: Steering, level: int) -> None:
+        self.steering, self.level = steering, level
+
+    def read(self, r: Range) -> Floats:
+        s = self.steering
+        chosen = s.coordinates(self.level, r).astype(np.int64)
+        step, fine = 1 << (s.doublings - self.level), s.exemplar.stack[-1]
+        out = np.zeros(r.shape)
+        rows, cols = fine.shape
+
+        def at(part: NDArray[np.int64], dx: int, dy: int) -> NDArray[Any]:
+            found: NDArray[Any] = (
+                fine[folded(part[..., 1] + dy * step, rows), folded(part[..., 0] + dx * step, cols)] * 1.0
+            )
+            return found
+
+        def between(part: NDArray[np.int64], odd: bool, dy: int) -> NDArray[Any]:
+            if not odd:
+                return at(part, 0, dy)
+            return np.asarray(9 * (at(part, -1, dy) + at(part, 1, dy)) - at(part, -3, dy) - at(part, 3, dy)) / 16
+
+        for down, across in ((0, 1), (1, 0), (1, 1)):
+            turn = slice((down + r.row0) & 1, None, 2), slice((across + r.col0) & 1, None, 2)
+            part = chosen[turn]
+            own = between(part, bool(across), 0)
+            if down:
+                near = between(part, bool(across), -1) + between(part, bool(across), 1)
+                own = (9 * near - between(part, bool(across), -3) - between(part, bool(across), 3)) / 16
+            out[turn] = (at(part, 0, 0) - own) * s.metres
+        return out * s.gate(r, self.level)
+
+
+def _shape(heights: Floats, step: int, mode: str | None) -> tuple[Floats, Floats, Floats]:
+    """Slopes along columns and rows and the curvature of heights, by differences over ``step`` samples.
+
+    Args:
+        mode: of ``np.pad`` at the borders; None: the outermost samples only serve those within.
+    """
+    h = heights if mode is None else np.pad(heights, step, mode=mode)  # type: ignore[call-overload]
+    inner = h[step:-step, step:-step]
+    west, east, north, south = (
+        h[step:-step, : -2 * step], h[step:-step, 2 * step :], h[: -2 * step, step:-step], h[2 * step :, step:-step]
+    )  # fmt: skip
+    return (east - west) / 2, (south - north) / 2, west + east + north + south - 4 * inner
