@@ -35,7 +35,10 @@ OF_AREAS = ("bbox", "clip")
 OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS)
 """What the grid of the terrain is to be (``Mosaic.open``)."""
 
-READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_ARRAYS)))
+OF_MANY = ("skip_damaged",)
+"""What is done where some of many files cannot be read (``Mosaic.open``)."""
+
+READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_ARRAYS, *OF_MANY)))
 """All that can be said of how heights are read."""
 
 
@@ -83,7 +86,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     if files is not None:
         from orograph.dem.mosaic import Mosaic
 
-        return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES), "files"))
+        return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files"))
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
         return _part(source, _fitting(said, OF_AREAS, "a Terrain, which was read already"))
