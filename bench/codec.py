@@ -2,8 +2,8 @@
 
     python bench/codec.py [--data ../shared/data] [--quick]
 
-*portable* and *compact* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with zstd at
-level 1 or 5, whichever is smaller, as a store could have it without a codec of its own; LERC and JPEG XL are
+*portable*, *compact* and *smallest* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with
+zstd at level 1 or 5, whichever is smaller, as a store could have it without a codec of its own; LERC and JPEG XL are
 imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds.
 """
 
@@ -20,7 +20,7 @@ import rasterio
 
 from orograph._blosc import blosc
 from orograph.store.arrays import ArraySpec
-from orograph.store.coding import Packing, floored
+from orograph.store.coding import CODECS, Packing, floored
 
 SIDE = 256
 TERRAIN = {
@@ -49,7 +49,7 @@ def chunks(path: Path, step: float) -> Iterator[np.ndarray]:
 def coders(step: float) -> dict[str, Coder]:
     """(Encode, decode) by name: of heights."""
     found: dict[str, Coder] = {}
-    for codec in ("portable", "compact"):
+    for codec in CODECS:
         spec = ArraySpec("heights/0/height", (SIDE, SIDE), SIDE, SIDE, packing=Packing(step, codec))
         found[codec] = (spec._compressed, spec.decompressed)
     packing = Packing(step, "portable")
@@ -72,11 +72,14 @@ def coders(step: float) -> dict[str, Coder]:
         return found
     found["LERC"] = (lambda h: imagecodecs.lerc_encode(h, level=step / 2), imagecodecs.lerc_decode)
 
-    def jxl(heights: np.ndarray) -> bytes:
-        numbers = packing.numbers(heights)
-        return imagecodecs.jpegxl_encode((numbers - numbers.min()).astype(np.uint16), lossless=True, effort=3)
+    for effort in (3, 7):
 
-    found["JPEG XL, effort 3"] = (jxl, imagecodecs.jpegxl_decode)
+        def jxl(heights: np.ndarray, effort: int = effort) -> bytes:
+            numbers = packing.numbers(heights)
+            images = (numbers - numbers.min()).astype(np.uint16)
+            return imagecodecs.jpegxl_encode(images, lossless=True, effort=effort, numthreads=1)
+
+        found[f"JPEG XL, effort {effort}"] = (jxl, lambda data: imagecodecs.jpegxl_decode(data, numthreads=1))
     return found
 
 

@@ -1,6 +1,6 @@
 """Data on the ground: what each style, sign and kind of thing costs beside the bare picture, and the manual's pictures.
 
-    python bench/geovis.py [--pictures FOLDER] [--quick]
+    python bench/geovis.py [--pictures FOLDER] [--quick | --uncertain]
 
 The terrain is 2 km orography of the western United Kingdom; its data are ERA5's temperature at noon on the days of
 March 2019 (their mean, and how the days differ) where that file is at hand, else a made field of 13 members. Each time
@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 
 import orograph
+from horizon import fractal
+from orograph import measuring
 from orograph.geovis.data.dataset import Sign, Standing, Style
 from orograph.rendering.picture import Picture
 
@@ -29,7 +31,9 @@ STRETCH = 40.0
 
 def ground() -> Any:
     path = SHARED / "ukv-theta-over-orography" / "uk_orography_2km.tif"
-    return orograph.terrain(path, vertical_unit="metre") if path.exists() else orograph.terrain(orograph.synth(257))
+    return (
+        orograph.terrain(path, vertical_unit="metre") if path.exists() else orograph.terrain(fractal(257), spacing=30.0)
+    )
 
 
 def members() -> orograph.Dataset:
@@ -117,6 +121,30 @@ def tracks() -> dict[str, dict[str, Any]]:
     }
 
 
+def uncertain() -> None:
+    """What a draw of an uncertain terrain costs, seconds for a million samples, on all processors."""
+    land = orograph.terrain(fractal(1025), spacing=30.0)
+    low, high = land.height_range
+    middle = land.grid.xy(512, 512)
+    level = 0.5 * (low + high)
+    measures: dict[str, Any] = {
+        "slope": lambda error, draws: measuring.probable_slope(land, error, [20.0], draws=draws),
+        "contours": lambda error, draws: measuring.probable_contours(land, error, interval=50.0, draws=draws),
+        "flood": lambda error, draws: measuring.flood(land, level, [middle], error, draws=draws),
+        "viewshed": lambda error, draws: measuring.probable_viewshed(land, middle, error, 100.0, draws=draws),
+    }
+    print("| a draw of | errors independent | correlated over 100 m | over 2 km |\n|---|---:|---:|---:|")
+    for name, measure in measures.items():
+        took = []
+        for reach in (0.0, 100.0, 2000.0):
+            error = measuring.HeightError(3.0, reach)
+            measure(error, 2).values()
+            began = time.perf_counter()
+            measure(error, 10).values()
+            took.append((time.perf_counter() - began) / 10 / (land.grid.rows * land.grid.cols / 1e6))
+        print(f"| {name} | " + " | ".join(f"{seconds:.3f}" for seconds in took) + " |", flush=True)
+
+
 def timed(times: int, **options: Any) -> tuple[Picture, float]:
     """A picture, and the median of the seconds that it takes."""
     orograph.render(**options)
@@ -132,7 +160,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--pictures", type=Path, help="write the manual's pictures there")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--uncertain", action="store_true", help="only what draws of uncertain terrain cost")
     given = parser.parse_args()
+    if given.uncertain:
+        uncertain()
+        return
     terrain, data, times = ground(), members(), 1 if given.quick else 3
     view = orograph.camera.whole(terrain, SIZE, exaggeration=STRETCH)
     common: dict[str, Any] = {"terrain": terrain, "view": view, "exaggeration": STRETCH, "progress": False}

@@ -22,7 +22,6 @@ import rasterio
 
 from orograph.folders import parse_bytes
 
-HERE = "where the limit goes"
 OROGRAPH = [sys.executable, "-m", "orograph", "--quiet"]
 
 
@@ -61,9 +60,8 @@ def verbs(dem: str, store: str, work: Path, size: int, picture: str) -> dict[str
         "tin": ["tin", store, "-o", str(work / "t.npz"), "--max-error", "10"],
         "viewshed": [
             "measure",
-            HERE,
-            store,
             "viewshed",
+            store,
             f"{x:.0f},{y:.0f}",
             "-o",
             str(work / "v.tif"),
@@ -112,8 +110,7 @@ def main() -> None:
                 continue
             most = max(allowed, 704) if "gpu" in name else allowed
             limit = ["--max-memory", f"{most:.0f}MiB"]
-            at = command.index(HERE) if HERE in command else len(command)
-            code, seconds, mib = peak([*OROGRAPH, *command[:at], *limit, *command[at + 1 :]], work / "cache")
+            code, seconds, mib = peak([*OROGRAPH, *command, *limit], work / "cache")
             failed += code != 0
             print(
                 f"| {name} | {seconds:.1f} | {mib:.0f} | {most:.0f} | {mib / most:.2f} |"

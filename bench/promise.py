@@ -52,7 +52,8 @@ TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)
 METHODS = (
     "top-down", "top-down,metric=wedgie", "stateless,queue=fifo", "soar", "soar,metric=anisotropic",
     "threshold-spheres", "threshold-spheres,metric=isotropic", "roam", "roam,metric=wedgie", "soar,error=midpoint",
-    "restricted-quadtree", "restricted-quadtree,triangulation=restricted", "seamless-patches",
+    "restricted-quadtree", "restricted-quadtree,triangulation=restricted", "smart", "smart,cells=16",
+    "seamless-patches",
     "soar,metric=isotropic-published", "top-down,metric=anisotropic-published",
 )  # fmt: skip
 FEW = 200

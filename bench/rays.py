@@ -1,11 +1,13 @@
-"""Ground by rays beside ground by patches: what drawing it alone takes a GPU, without light, in turns.
+"""Ground by rays beside ground by patches, and by both: what drawing it alone takes a GPU, without light, in turns.
 
     python bench/rays.py [--terrain california|synthetic-16385|PATH…] [--tolerance 2] [--size 1280x720] [--views 3]
         [--times 12] [--folder FOLDER]
 
-Of each flight of ``bench/view.py`` some views, with all that they want there: patches and rays are drawn in turns, so
-that other programs hold up both. Told are the fastest and the median of ``--times``, ms, until the GPU is done; of
-patches how many, of rays the windows, their samples, and the levels of the coarsest and the finest.
+Of each flight of ``bench/view.py`` some views, with all that they want there: patches, rays and the hybrid of both are
+drawn in turns, so that other programs hold up all. Told are the fastest and the median of ``--times``, ms, until the
+GPU is done; of patches how many, of rays the windows, their samples, and the levels of the coarsest and the finest; of
+the hybrid the part of the blocks that rays draw, its patches, and its time over that of the better of the two; so,
+too, by the time of the processors, which on software does not depend on how busy the machine is.
 """
 
 from __future__ import annotations
@@ -26,14 +28,14 @@ from orograph.scene.scene import Scene
 from view import FLIGHTS, terrain_of
 
 
-def drawn(device: Device, ground: Any, targets: Targets, chosen: Any) -> float:
-    """Milliseconds of a draw of the ground alone."""
-    begun = time.perf_counter()
+def drawn(device: Device, ground: Any, targets: Targets, chosen: Any) -> tuple[float, float]:
+    """Milliseconds of a draw of the ground alone: by the clock, and of the processors."""
+    begun, worked = time.perf_counter(), time.process_time()
     encoder = device.handle.create_command_encoder()
     ground.draw(encoder, targets, chosen)
     device.queue.submit([encoder.finish()])
     device.wait()
-    return (time.perf_counter() - begun) * 1e3
+    return (time.perf_counter() - begun) * 1e3, (time.process_time() - worked) * 1e3
 
 
 def main() -> None:
@@ -60,18 +62,24 @@ def main() -> None:
             plain = scene.but(method="auto")
             ground.choose(plain, None, options.tolerance, wait=True)
             patches = ground.choose(plain, None, options.tolerance, wait=False)  # as a frame has them
-            ways = {"patches": patches, "rays": rays}
-            took: dict[str, list[float]] = {method: [] for method in ways}
+            both = scene.but(method="hybrid")
+            for wait in (True, False):  # (the first reads, the second decides by what the device takes)
+                hybrid = ground.choose(both, None, options.tolerance, wait=wait)
+            ways = {"patches": patches, "rays": rays, "hybrid": hybrid}
+            took: dict[str, list[tuple[float, float]]] = {method: [] for method in ways}
             for k in range(options.times + 1):
                 for method, chosen in ways.items():
                     ms = drawn(device, ground, targets, chosen)
                     took[method] += [ms] if k else []  # the first compiles
-            (least, middle), (fastest, usual) = ((min(v), np.median(v)) for v in took.values())
-            windows = rays.rays.windows
+            windows, by_rays = rays.rays.windows, hybrid.selection.cast.by_rays
+            least = {method: np.min(times, 0) for method, times in took.items()}
+            over, worked = least["hybrid"] / np.minimum(least["patches"], least["rays"])
+            ms = {m: f"{least[m][0]:6.1f} ms ({np.median(took[m], 0)[0]:.0f}; cpu {least[m][1]:.0f})" for m in ways}
             print(
-                f"  {name:5}  {len(patches.patches.instances):6,} patches {least:7.1f} ({middle:.1f}) ms   rays "
-                f"{fastest:7.1f} ({usual:.1f}) ms, {len(windows)} windows, {windows.samples:10,} samples, levels "
-                f"{windows[0].level} to {windows[-1].level}",
+                f"  {name:5}  {len(patches.patches.instances):6,} patches {ms['patches']}   rays {ms['rays']}, "
+                f"{len(windows)} windows, {windows.samples:,} samples, levels {windows[0].level} to "
+                f"{windows[-1].level}   hybrid {ms['hybrid']}, {by_rays.mean():.0%} by rays, "
+                f"{len(hybrid.selection.instances):,} patches, × {over:.2f} (cpu × {worked:.2f})",
                 flush=True,
             )
     renderer.close()

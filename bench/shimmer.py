@@ -1,6 +1,7 @@
 """Shimmer, measured: how much more a slow flight changes from frame to frame than a finely sampled one does.
 
     python bench/shimmer.py [--terrain NAME]… [--size 480x270] [--frames 12] [--samples 1]… [--data FOLDER]
+        [--method auto]… [--tolerance 1]
 
 A flight of a third of a pixel's worth of parallax a frame over rough ground; every frame is drawn as the window does
 and with 16 samples per pixel, the reference r. What changes from frame to frame and the reference does not show is
@@ -10,16 +11,18 @@ shimmer, and so is, the other way round, what should change and does not. In lin
 
 C above 1 flickers; S of a picture that changed as r does is 0, of one that did not change at all 1. (16 samples against
 64 have S = 0.45: so much is the reference's own.) Over all pixels, over those within 12 pixels below the horizon, and
-over the ground in front. ``--samples n`` draws n samples per pixel instead of what the window does while it moves (0:
-after a lead-in of 32 frames, as it gathers samples from frame to frame); 1, 4 and 8 tell what nothing and supersampling
-would give. Terrains: bigtujunga (30 m), *noise* (every sample 3 m up or down: detail of one sample's size), *contours*
-(bigtujunga with contour lines), *imagery* (Fort Bragg with its orthophoto), *raster* (bigtujunga under a coloured
-raster in degrees, of cells of one sample's size with holes of no data).
+over the ground in front. The reference is always drawn by what is streamed. ``--samples n`` draws n samples per pixel
+instead of what the window does while it moves (0: after a lead-in of 32 frames, as it gathers samples from frame to
+frame); 1, 4 and 8 tell what nothing and supersampling would give. Terrains: bigtujunga (30 m), *noise* (every sample
+3 m up or down: detail of one sample's size), *contours* (bigtujunga with contour lines), *imagery* (Fort Bragg with
+its orthophoto), *raster* (bigtujunga under a coloured raster in degrees, of cells of one sample's size with holes of
+no data).
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -165,6 +168,8 @@ def main() -> None:
     parser.add_argument("--terrain", action="append", choices=TERRAINS)
     parser.add_argument("--size", default="480x270")
     parser.add_argument("--frames", type=int, default=12)
+    parser.add_argument("--method", action="append", help="as --method has it; default: auto, what is streamed")
+    parser.add_argument("--tolerance", type=float, default=1.0)
     parser.add_argument("--samples", type=int, action="append", help="0: as the window draws while it moves (default)")
     options = parser.parse_args()
     width, height = (int(v) for v in options.size.split("x"))
@@ -178,17 +183,19 @@ def main() -> None:
             continue
         views = flight(scene.terrain, (width, height), options.frames)
         led, views = views, views[LEAD:]
-        camera = Camera(device, scene, (width, height))
+        camera = Camera(device, scene.but(tolerance=options.tolerance), (width, height))
         reference = camera.frames(views, REFERENCE)
         top = camera.horizon()
         row = np.arange(height)[:, None]
         masks = [
             np.ones((height, width), bool), (row >= top - 2) & (row < top + BAND), row >= top + BAND,
         ]  # fmt: skip
-        for samples in options.samples or [0]:
+        for method, samples in itertools.product(options.method or ["auto"], options.samples or [0]):
+            camera.scene = camera.scene.but(method=method)
             frames = camera.frames(views if samples else led, samples)[-len(views) :]
             cells = ["{:.2f}, {:.2f}".format(*shimmer(frames, reference, mask)) for mask in masks]
-            print(f"{name:14}{samples or 'window':>9}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
+            told = name if method == "auto" else f"{name}, {method}"
+            print(f"{told:14}{samples or 'window':>9}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
         camera.renderer.close()
 
 

@@ -20,7 +20,9 @@ submit*: until the frame is handed over, what the GPU waits for; *all*: with wha
 (with what the driver does when it is given the work), ms of selection, patches, triangles, tiles loaded and lacking, MB
 uploaded, the bound of the largest error in pixels with the tiles that were there; and of ``--judge`` views, with all
 their tiles, the largest error that the referee finds among all full-resolution samples in view (of other methods, in
-the picture: of all that its pixels show).
+the picture: of all that its pixels show). Of a tree that lives on the GPU (``cbt``), also what it takes: triangles in
+its pool and their bytes, ms of an update, updates until nothing changes any more, from two triangles and from frame to
+frame, and the error of what was drawn in flight, read back.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ import itertools
 import math
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +44,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.lod.patches.expand import expand
 from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.surface.tree import Tree
 from orograph.scene.camera import around
 from orograph.scene.scene import Scene
 from orograph.store.prepare import prepare
@@ -140,8 +143,11 @@ def terrain_of(names: list[str], options: argparse.Namespace) -> Terrain:
     return prepare(names)
 
 
-def fly(renderer: Renderer, device: Device, views: list[View], scene: Scene, waited: bool) -> list[Frame]:
-    """Draw them all, one after the other, none before its time."""
+def fly(
+    renderer: Renderer, device: Device, views: list[View], scene: Scene, waited: bool, judge: int
+) -> tuple[list[Frame], list[tuple[View, Tessellation]]]:  # fmt: skip
+    """Draw them all, one after the other, none before its time; of a tree, what ``judge`` of them drew."""
+    meshes: list[tuple[View, Tessellation]] = []
     clock = Clock(device)
     texture = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     target = texture.create_view()
@@ -159,10 +165,45 @@ def fly(renderer: Renderer, device: Device, views: list[View], scene: Scene, wai
         done = time.perf_counter()
         clock.end()
         seconds = clock.seconds()
+        if renderer.tree is not None:  # no frame knows how many it has
+            stats = replace(stats, triangles=renderer.tree.tree.counts().triangles)
+            if (k + 1) * judge // len(views) > k * judge // len(views):
+                meshes.append((view, renderer.tree.tessellation()))
         frames.append(
             Frame((python - begun) * 1e3, (done - begun) * 1e3, None if seconds is None else seconds * 1e3, stats)
         )
-    return frames
+    return frames, meshes
+
+
+def grown(renderer: Renderer, device: Device, views: list[View], tolerance: float) -> str:
+    """What the tree of a renderer takes, with the pages that it has."""
+    tree = renderer.tree.tree
+
+    def settle(of: Tree, view: View) -> tuple[int, list[tuple[float, float]]]:
+        count, before, took = 0, of.counts().changes, []
+        while True:
+            begun = time.perf_counter(), time.process_time()
+            of.update(view, tolerance, 1.0, 1)
+            device.wait()
+            took.append(((time.perf_counter() - begun[0]) * 1e3, (time.process_time() - begun[1]) * 1e3))
+            changes = of.counts().changes
+            if changes == before:
+                return count, took
+            count, before = count + 1, changes
+
+    settle(tree, views[0])
+    steps = [settle(tree, view) for view in views[1:21]]
+    counts = tree.counts()
+    new = Tree(device, tree.terrain, renderer.method.field.corners, tree.pages, tree.slots)
+    cold, _ = settle(new, views[20 if len(views) > 20 else -1])
+    lines = [
+        f"  the pool: {counts.triangles:,} of {tree.slots:,} triangles, {tree.bytes / 1e6:.0f} MB; pages: "
+        f"{tree.pages.atlas.count} of {tree.pages.atlas.capacity}, {tree.pages.atlas.bytes / 1e6:.0f} MB",
+        row("ms of an update", [ms for _, took in steps for ms, _ in took], "{:.2f}"),
+        row("… of this process's threads", [ms for _, took in steps for _, ms in took], "{:.2f}"),
+        row("updates until nothing changes", [count for count, _ in steps], "{:.0f}") + f"   from two triangles {cold}",
+    ]
+    return "\n".join(lines)
 
 
 def judged(renderer: Renderer, terrain: Terrain, views: list[View], tolerance: float) -> list[float]:
@@ -249,9 +290,14 @@ def main() -> None:
         opened = time.perf_counter() - begun
         renderer.tiles.look_ahead = not options.no_look_ahead
         scene = Scene.of(terrain, views[0], sky=True, tolerance=options.tolerance, method=method)
-        frames = fly(renderer, device, views, scene, options.waited)
+        frames, meshes = fly(renderer, device, views, scene, options.waited, options.judge)
         print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
         print(told(frames), flush=True)
+        if renderer.tree is not None:
+            print(grown(renderer, device, views, options.tolerance), flush=True)
+        if meshes:
+            errors = [verify.judge_mesh(mesh, terrain, view).largest_at_samples for view, mesh in meshes]
+            print("  px of error, in flight          " + ", ".join(f"{e:.2f}" for e in errors), flush=True)
         if options.judge:
             some = views[:: max(1, len(views) // options.judge)][: options.judge]
             if method == "auto":

@@ -111,3 +111,27 @@ def test_only_python_itself_is_started(monkeypatch, executable, wanted, expected
     assert compiling._worthwhile() is expected
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0}, raising=False)
     assert not compiling._worthwhile()
+
+
+@pytest.mark.parametrize(("seconds", "starts"), [(0.5, False), (30.0, True)])
+def test_a_long_first_run_has_the_rest_compiled(monkeypatch, seconds, starts):
+    found = []
+
+    def start(program, **how):
+        found.append((program, how))
+        compiling._STARTED[program] = None
+
+    monkeypatch.setattr(compiling, "_STARTED", {})
+    monkeypatch.setattr(compiling, "_start", start)
+    monkeypatch.setattr(compiling, "_worthwhile", lambda: True)
+    monkeypatch.setattr(COMPILING, "seconds", seconds)
+    assert compiling.compile_rest("a.program") is starts
+    assert found == [("a.program", {"start_new_session": True})] * starts
+
+
+def test_nothing_is_left_behind_where_nobody_sits(monkeypatch, capsys):
+    from orograph import cli
+
+    monkeypatch.setattr(compiling, "compile_rest", lambda program: pytest.fail("started"))
+    cli._compile_rest(quiet=False)  # (pytest's standard error is no terminal)
+    assert capsys.readouterr().err == ""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from orograph.fetching import fetch
     from orograph.geo import Grid
     from orograph.geovis.data.dataset import Dataset, Uncertainty
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.layers import Layer, basemap
     from orograph.lighting import make as light
     from orograph.lighting.bake import bake
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from orograph.rendering.picture import Picture
     from orograph.scene import camera
     from orograph.scene.contours import Contours
+    from orograph.scene.ghosts import Ghost
     from orograph.scene.silhouettes import Silhouettes
     from orograph.store import Terrain, build, open, terrain
     from orograph.tessellation import Tessellation
@@ -56,6 +58,8 @@ __all__ = [
     "Contours",
     "Dataset",
     "Dem",
+    "Focus",
+    "Ghost",
     "Grid",
     "Layer",
     "Picture",
@@ -97,6 +101,8 @@ _HOMES = {
     "Contours": "orograph.scene.contours",
     "Dataset": "orograph.geovis.data.dataset",
     "Dem": "orograph.dem",
+    "Focus": "orograph.geovis.data.focus",
+    "Ghost": "orograph.scene.ghosts",
     "Grid": "orograph.geo",
     "Layer": "orograph.geovis.layers",
     "Picture": "orograph.rendering.picture",

@@ -4,7 +4,8 @@ Compiling happens within whatever needs a kernel first, once on a machine: witho
 that work. It imports nothing of its own, so that whoever only wants to show it need not load the compiler.
 
 Numba compiles one kernel at a time in a process. Long work therefore has a second one compile what it needs last, while
-it compiles what it needs first (``while_compiling``); each finds the other's kernels in Numba's cache.
+it compiles what it needs first (``while_compiling``); each finds the other's kernels in Numba's cache. And a command
+that had to compile for long leaves a process behind that compiles what the other verbs need (``compile_rest``).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 
 class Compiling:
@@ -49,6 +51,9 @@ class Compiling:
             self.seconds += time.perf_counter() - self._here.began  # (compilers take turns: no two times overlap)
 
 
+LONG = 4.0
+"""Seconds of compiling that tell of a machine's first run."""
+
 COMPILING = Compiling()
 """Of this process."""
 
@@ -76,17 +81,28 @@ def while_compiling(program: str, *arguments: str) -> Iterator[None]:
             COMPILING.changed.remove(start)
 
 
+def compile_rest(program: str) -> bool:
+    """Start ``python -m program`` if this process had to compile for long; whether it was started.
+
+    It goes on when this process ends, and is not stopped by what stops this one.
+    """
+    if COMPILING.seconds < LONG or not _worthwhile():
+        return False
+    _start(program, start_new_session=True)
+    return program in _STARTED
+
+
 def _worthwhile() -> bool:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     wanted = os.environ.get("OROGRAPH_COMPILE_AHEAD", "1") != "0"
     return wanted and cores > 1 and Path(sys.executable or "").stem.startswith("python")
 
 
-def _start(program: str, *arguments: str) -> None:
+def _start(program: str, *arguments: str, **how: Any) -> None:
     command = [sys.executable, "-P", "-m", program, *arguments]  # -P: modules of the folder one is in are not ours
     silent, alone = subprocess.DEVNULL, os.environ | {"OROGRAPH_COMPILE_AHEAD": "0"}
     with contextlib.suppress(OSError):  # one process compiles all, then
-        _STARTED[program] = subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent, env=alone)
+        _STARTED[program] = subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent, env=alone, **how)
 
 
 _STARTED: dict[str, subprocess.Popen[bytes]] = {}

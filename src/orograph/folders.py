@@ -1,13 +1,25 @@
-"""Where what was made of a user's files is kept from one run to the next, and how much of it. Units: bytes."""
+"""Where what was made of a user's files is kept, for the next run or only for this one, and how much of it. Bytes."""
 
 from __future__ import annotations
 
+import contextlib
+import mmap
 import os
 import re
 import sys
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from orograph.errors import UsageError
+from orograph.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+HELD = 1 << 26
+"""Bytes of a table that memory holds; larger ones lie in a scratch file."""
 
 CACHE_SIZE = "20GiB"
 """Of the cache folder, unless ``$OROGRAPH_CACHE_SIZE`` says otherwise."""
@@ -52,3 +64,40 @@ def parse_bytes(text: str) -> int:
     if size < 1:
         raise ValueError(f"{text!r} is not an amount of memory (write it like 1GiB, 512MiB or 2G)")
     return size
+
+
+def held(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
+    """``scratch``, but in memory where it is little."""
+    import numpy as np
+
+    return scratch(length) if length > HELD else (np.zeros(length, np.uint8), lambda: None)
+
+
+def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
+    """So many zero bytes in a scratch file, as an array, and a function that lets go of their memory.
+
+    Raises:
+        OutputError: the temporary folder has no room.
+    """
+    import numpy as np  # (the command line begins without it)
+
+    try:
+        with tempfile.TemporaryFile(prefix="orograph-") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, length)  # a full disk is an error here, not a signal later
+            else:
+                file.truncate(length)
+            mapped = mmap.mmap(file.fileno(), length)
+    except OSError as error:
+        raise OutputError(
+            f"There is no room for {length >> 20} MiB of scratch: {error.strerror}.",
+            path=tempfile.gettempdir(),
+            remedy="Set TMPDIR to a folder with room, or allow more memory.",
+        ) from error
+
+    def release() -> None:
+        if hasattr(mapped, "madvise"):
+            with contextlib.suppress(OSError):
+                mapped.madvise(mmap.MADV_DONTNEED)  # of a shared mapping: the file keeps what was written
+
+    return np.frombuffer(mapped, np.uint8), release

@@ -83,7 +83,7 @@ def test_degrees_become_metres(tmp_path):
 
 def test_whether_the_source_is_kept(tmp_path):
     dem, area = write(tmp_path / "dem.tif", HEIGHTS * 90, crs="EPSG:4326"), tmp_path / "area.oro"
-    runner, place = CliRunner(), ["measure", str(area), "pick", "--lonlat", "8.504,46.503"]
+    runner, place = CliRunner(), ["measure", "pick", str(area), "--lonlat", "8.504,46.503"]
     ran = runner.invoke(cli, ["build", str(dem), "-o", str(area)], catch_exceptions=False)
     assert "resampled: " in ran.output and "m rms from the source's samples, at most" in ran.output
     assert "(resampled" not in runner.invoke(cli, place, catch_exceptions=False).output

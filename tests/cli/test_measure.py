@@ -18,8 +18,8 @@ A, B, C = "500300,3999700", "501500,3998200", "500400,3998000"
 def measured(run, hilly):
     """A measure's JSON."""
 
-    def call(*args):
-        code, said, err = run("measure", hilly, *args, "--json", "--quiet")
+    def call(verb, *args):
+        code, said, err = run("measure", verb, hilly, *args, "--json", "--quiet")
         assert code == 0, err
         return json.loads(said)
 
@@ -34,7 +34,7 @@ def test_a_place(run, hilly, measured):
         h = file.read(1)
     assert (hit["column"], hit["row"]) == pytest.approx((9.5, 9.5))
     assert h[9:11, 9:11].min() <= hit["height"] <= h[9:11, 9:11].max() and hit["depth"] is None
-    code, said, err = run("measure", hilly, "pick", A, B, "--quiet")
+    code, said, err = run("measure", "pick", hilly, A, B, "--quiet")
     assert code == 0, err
     assert said.count("height") == 2 and "lon -116." in said and "true" in said and "slope" in said
 
@@ -56,7 +56,7 @@ def test_under_a_pixel_is_what_render_shows_there(run, hilly, measured, tmp_path
     hits = measured("pick", *more, *camera)["places"]
     for (x, y), hit in zip(pixels, hits):
         assert hit["depth"] == pytest.approx(float(depth[int(y), int(x)]), rel=1e-5)
-    code, _, err = run("measure", hilly, "pick", "--pixel", "0,0", *camera, "--quiet")
+    code, _, err = run("measure", "pick", hilly, "--pixel", "0,0", *camera, "--quiet")
     assert code == 2 and "no ground at pixel" in err
 
 
@@ -100,7 +100,7 @@ def test_an_area(run, hilly, measured):
     assert told["plan_grid_m2"] == pytest.approx(0.5 * abs(1200 * -1700 - 100 * -1500))
     assert told["surface_m2"] > told["plan_m2"] > told["plan_grid_m2"] and told["above_m3"] is None
     assert told["missing_grid_m2"] > 0
-    code, said, err = run("measure", hilly, "area", A, B, C, "--level", 400, "--quiet")
+    code, said, err = run("measure", "area", hilly, A, B, C, "--level", 400, "--quiet")
     assert code == 0 and "km²" in said and "above 400 m" in said and "without data" in said, err
 
 
@@ -110,7 +110,7 @@ def test_a_line_of_sight(run, hilly, measured, tmp_path):
     assert told["target_needed_m"] > 0 and (tmp_path / "s.svg").is_file() and (tmp_path / "s.csv").is_file()
     assert measured("los", A, B, "--target", told["target_needed_m"] + 0.01, "--eye", 2)["visible"] is True
     assert measured("los", A, B, "--flat")["bend_per_m"] == 0
-    code, said, err = run("measure", hilly, "los", A, B, "--quiet")
+    code, said, err = run("measure", "los", hilly, A, B, "--quiet")
     assert code == 0 and "obstructed at" in said and "target needs" in said, err
 
 
@@ -127,13 +127,30 @@ def test_a_viewshed(run, hilly, measured, tmp_path):
     assert measured("viewshed", A, "--heights", "-o", needed)["seen"] > 0
     with rasterio.open(needed) as file:
         assert np.nanmin(file.read(1)) == 0 and file.units == ("m",)
-    code, said, err = run("measure", hilly, "viewshed", A, "-o", seen, "--quiet")
+    code, said, err = run("measure", "viewshed", hilly, A, "-o", seen, "--quiet")
     assert code == 0 and "samples (" in said, err
+
+
+def test_what_is_probable(run, measured, tmp_path):
+    out, picture = tmp_path / "p.tif", tmp_path / "p.png"
+    how = ("--sigma", 3, "--range", 90, "--draws", 6, "--seed", 2)
+    for verb in (("viewshed", A, "--radius", 1200), ("slope", "--exceeds", 10), ("contours", "--interval", 50)):
+        told = measured(*verb, *how, "-o", out, "--picture", picture, "--size", "320x200")
+        with rasterio.open(out) as file:
+            values = file.read()
+        assert told["samples"] == np.isfinite(values[0]).sum() and told["draws"] == 6
+        np.testing.assert_allclose(list(told["means"].values()), np.nanmean(values, (1, 2), dtype=float), rtol=1e-6)
+        assert np.nanmin(values[-1]) >= 0 and np.nanmax(values[-1]) <= 1 and values[-1].mean(where=values[-1] >= 0) > 0
+        assert picture.stat().st_size > 1000
+        again = measured(*verb, *how, "-o", tmp_path / "again.tif")
+        assert again["means"] == told["means"]
+    flooded = measured("flood", A, "--level", 600, "--picture", picture, "--size", "320x200")
+    assert flooded["draws"] == 0 and set(flooded["outputs"]) == {str(picture)}
 
 
 def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
     assert run("build", hilly, "-o", tmp_path / "hilly.oro", "--quiet")[0] == 0
-    code, said, err = run("measure", tmp_path / "hilly.oro", "profile", A, B, "--json", "--quiet")
+    code, said, err = run("measure", "profile", tmp_path / "hilly.oro", A, B, "--json", "--quiet")
     assert code == 0, err
     assert json.loads(said) == measured("profile", A, B)
 
@@ -157,32 +174,45 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
         (("viewshed", A), 2, "where to write"),
         (("viewshed", A, "-o", "a.png"), 2, ".tif"),
         (("viewshed", A, "-o", "a.tif", "--radius", "-5"), 2, "radius"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--heights"), 2, "contradict"),
+        (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma says"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "-1"), 2, "standard deviation"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--draws", "0"), 2, "1 to 65,535 draws"),
+        (("slope", "-o", "a.tif"), 2, "how uncertain heights are"),
+        (("slope", "-o", "a.tif", "--sigma", "no.tif"), 3, "no.tif"),
+        (("contours", "-o", "a.tif", "--sigma", "1"), 2, "give one of the two"),
+        (("flood", A, "--level", "5"), 2, "where to write"),
+        (("flood", "1,2", "--level", "5", "-o", "a.tif"), 2, "km south of hilly"),
         (("length", A, B), 2, "no measure 'length'"),
     ],
 )
 def test_what_is_wrong_is_said(run, hilly, tmp_path, monkeypatch, args, code, says):
     monkeypatch.chdir(tmp_path)
-    found, _, err = run("measure", hilly, *args, "--quiet")
+    found, _, err = run("measure", args[0], hilly, *args[1:], "--quiet")
     assert (found, says in err) == (code, True), err
     assert not list(tmp_path.iterdir())
 
 
 def test_the_order_is_told(run, hilly):
-    code, _, err = run("measure", "profile", hilly, A, B)
-    assert code == 2 and "The DEM or store comes first" in err
-    code, _, err = run("measure", hilly, "--max-memory", "1GiB", "pick", A)
-    assert code == 2 and "--max-memory comes before the DEM or store" in err
-    code, _, err = run("measure", hilly, "--lonlat", "pick", A)
-    assert code == 2 and "--lonlat comes after what is measured" in err
+    code, _, err = run("measure", hilly, "profile", A, B)
+    assert code == 2 and f"What to measure comes first: orograph measure profile {hilly}" in err
+    code, _, err = run("measure", "--max-memory", "1GiB", "pick", hilly, A)
+    assert code == 2 and "options after it" in err
+
+
+def test_options_of_the_terrain_stand_anywhere_after_what_is_measured(run, hilly):
+    for args in (("--max-memory", "1GiB", hilly, A), (hilly, A, "--max-memory", "1GiB", "--jobs", "1")):
+        code, said, err = run("measure", "pick", *args, "--quiet")
+        assert code == 0 and said, err
 
 
 def test_the_input_is_not_overwritten(run, hilly):
-    code, _, err = run("measure", hilly, "viewshed", A, "-o", hilly)
+    code, _, err = run("measure", "viewshed", hilly, A, "-o", hilly)
     assert code == 2 and "overwrite" in err
 
 
 def test_every_measure_has_its_help(run):
-    for verb in ("pick", "profile", "area", "los", "viewshed"):
-        code, said, _ = run("measure", "dem.tif", verb, "--help")
-        assert code == 0 and "--lonlat" in said and "Usage" in said
+    for verb in ("pick", "profile", "area", "los", "viewshed", "flood", "slope", "contours"):
+        code, said, _ = run("measure", verb, "--help")
+        assert code == 0 and all(option in said for option in ("Usage", "--json", "--nodata", "--max-memory"))
     assert "viewshed" in run("measure", "--help")[1]

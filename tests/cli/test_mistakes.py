@@ -61,7 +61,7 @@ def test_json_nested_too_deeply(run, hilly, tmp_path, text):
     path = tmp_path / "deep.json"
     path.write_text(text)
     for options in (["render", hilly, "-o", tmp_path / "a.png", "--view", path],
-                    ["measure", hilly, "area", "--geojson", path]):  # fmt: skip
+                    ["measure", "area", hilly, "--geojson", path]):  # fmt: skip
         code, _, err = run(*options)
         assert code == 3 and "nested too deeply" in err and "deep.json" in err, err
 

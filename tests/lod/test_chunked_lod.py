@@ -350,6 +350,65 @@ def test_the_same_bytes_whatever_else_is_stored_and_damage_is_mended(tmp_path):
     assert open_store(tmp_path / "a.oro").check() == []
 
 
+def test_a_build_out_of_core_makes_the_same(tmp_path, monkeypatch):
+    """With its table of vertices in a file, and hardly a corner remembered."""
+    from orograph import folders
+    from orograph.store import chunked_build
+
+    z = plain.rough(np.random.default_rng(7), (400, 611), gaps=0.02)
+    dem = Dem(z, plain.terrain(z).grid)
+    build(dem, tmp_path / "a.oro", chunked=(16, 0), jobs=1, progress=False).close()
+    monkeypatch.setattr(folders, "HELD", 0)
+    monkeypatch.setattr(chunked_build, "CORNERS", 3)
+    build(dem, tmp_path / "b.oro", chunked=(16, 0), jobs=3, progress=False).close()
+    shards = sorted(p.relative_to(tmp_path / "a.oro") for p in (tmp_path / "a.oro" / "chunked").rglob("c/*/*"))
+    assert shards and all(
+        (tmp_path / "b.oro" / s).read_bytes() == (tmp_path / "a.oro" / s).read_bytes() for s in shards
+    )
+    told = open_store(tmp_path / "b.oro").derived("chunked", cells=16, finest=0.0)
+    whole = make(plain.terrain(z)).chunks
+    for level in range(told.layout.top + 1):
+        for name in names_of(told.layout, level):
+            one, other = told.chunk(*name), whole.chunk(*name)
+            assert np.array_equal(one.vertices, other.vertices, equal_nan=True)
+            assert np.array_equal(one.triangles, other.triangles)
+
+
+GROUND = {
+    "oblong, 30 m": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
+    "city, 1 m": "nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif",
+    "hills, 1 m": "lsd-topo/gabilan.tif",
+    "voids, 90 m": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
+    "synthetic": "",
+}
+
+
+@pytest.mark.stress
+@pytest.mark.parametrize("name", GROUND)
+def test_what_the_referee_finds(shared_data, name):
+    """42 views of each of five terrains: it promises nothing, but leaves no ground out and folds nothing."""
+    from orograph.dem.mosaic import Mosaic
+    from orograph.store import terrain
+
+    if GROUND[name]:
+        t = terrain(Mosaic.open([shared_data / GROUND[name]]))
+    else:
+        t = plain.terrain(plain.rough(np.random.default_rng(7), (1500, 1100), amplitude=1500.0))
+    rng, method, ratios = np.random.default_rng(1), make(t, cells=32, skirts=False), []
+    for _ in range(42):
+        view = plain.random_view(rng, t, width=1280, height=720)
+        tolerance = float(2 ** rng.uniform(-1, 3))
+        mesh = method.select(Camera.over(t.grid, view), Goal(tolerance)).tessellation()
+        report = verify.judge_mesh(mesh, t, view)
+        assert not set(report.defects) & {"holes", "overlaps", "reversed", "flat"}, (view, tolerance, report)
+        ratios.append(report.largest / tolerance)
+    over = sum(ratio > 1 for ratio in ratios)
+    print(
+        f"{name}: {over} of 42 over; of the tolerance {np.median(ratios):.2f} in the median, {max(ratios):.2f} at most"
+    )
+    assert max(ratios) < 6
+
+
 def test_sizes_that_make_no_sense_are_refused():
     t = plain.terrain(plain.rough(np.random.default_rng(7), (33, 33)))
     for sizes in ((7, 0), (32, -1.0), (32, float("nan")), 32, (32,)):

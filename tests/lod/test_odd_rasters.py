@@ -8,6 +8,7 @@ import pytest
 
 from orograph import verify
 from orograph.lod.restricted_quadtree import RestrictedQuadtree
+from orograph.lod.smart import Smart
 from orograph.lod.stateless import Stateless
 from orograph.lod.threshold_spheres import ThresholdSpheres
 from orograph.lod.top_down import TopDown
@@ -39,6 +40,7 @@ def test_promise_and_no_defect(seed):
             plain.refiner(ThresholdSpheres, t, exaggeration=exaggeration),
             plain.refiner(RestrictedQuadtree, t, exaggeration=exaggeration),
             plain.refiner(RestrictedQuadtree, t, exaggeration=exaggeration, triangulation="restricted"),
+            plain.refiner(Smart, t, exaggeration=exaggeration, cells=16),
         ]
         for _ in range(2):
             near, far = float(rng.choice([0, 0, 50])), float(rng.choice([np.inf, np.inf, 3000]))
@@ -60,7 +62,7 @@ def test_ground_at_a_squeezed_corner_is_covered(shape):
     x, y = t.grid.xy(shape[1] - 1, shape[0] - 1)
     view = plain.View((float(x) + 500, float(y) - 500, 3000.0), (float(x) - 2000, float(y) + 2000, 0.0), fov_y=70.0)
     for tolerance in (2.0, 8.0, 32.0, 128.0):
-        for kind in (TopDown, Stateless, ThresholdSpheres, RestrictedQuadtree):
+        for kind in (TopDown, Stateless, ThresholdSpheres, RestrictedQuadtree, Smart):
             method = plain.refiner(kind, t)
             report = verify.judge_mesh(method.refine(view, tolerance=tolerance), t, view)
             assert report.ok(tolerance), (method.info.name, report)

@@ -149,7 +149,7 @@ def test_tiles_are_small_where_it_takes_long():
     costs = np.ones((4, 8))
     costs[:, 5] = 40.0
     band = cut(8192, 4096, costs, 40, 1 << 30, 4096)[0]
-    narrow = [wide for left, _, wide, _ in band if 5 * 1024 <= left and left + wide <= 6 * 1024]
+    narrow = [wide for left, _, wide, _ in band if left >= 5 * 1024 and left + wide <= 6 * 1024]
     assert len(narrow) >= 4 and max(narrow) < 512
     assert max(wide for left, _, wide, _ in band if left < 4096) > 1024
 

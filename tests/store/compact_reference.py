@@ -53,11 +53,11 @@ def mask(data, at, mode, shape):
 
 
 class Stream:
-    """Four states, and the words that feed them."""
+    """States, and the words that feed them."""
 
-    def __init__(self, data):
-        self.states = list(struct.unpack_from("<4I", data))
-        self.words = list(struct.unpack(f"<{(len(data) - 16) // 2}H", data[16:]))[::-1]
+    def __init__(self, data, lanes=4):
+        self.states = list(struct.unpack_from(f"<{lanes}I", data))
+        self.words = list(struct.unpack(f"<{(len(data) - 4 * lanes) // 2}H", data[4 * lanes :]))[::-1]
 
     def feed(self, lane):
         if self.states[lane] < 1 << 16:

@@ -132,8 +132,11 @@ def test_the_old_store_is_kept_until_a_new_one_is_complete(tmp_path, cut):
 def test_every_verb_names_the_folders(tmp_path, cut, words, monkeypatch):
     path = between(tmp_path, cut)
     monkeypatch.chdir(tmp_path)
-    more = ["pick", "500000,4000000"] if words[0] == "measure" else words[1:]
-    told = CliRunner().invoke(cli, ["-q", words[0], str(path), *more])
+    if words[0] == "measure":
+        line = ["measure", "pick", str(path), "500000,4000000"]
+    else:
+        line = [words[0], str(path), *words[1:]]
+    told = CliRunner().invoke(cli, ["-q", *line])
     assert isinstance(told.exception, StoreError) and told.exception.exit_code == 4, told.output
     assert "s.oro.partial holds the new store" in str(told.exception)
     assert folders(tmp_path) == ["s.oro.partial", "s.oro.replaced"]

@@ -26,7 +26,7 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
     "check": "Read all of a store, and tell what is damaged.",
-    "export": "Write the heights of a store or a DEM as a GeoTIFF.",
+    "export": "Write heights, or data on the ground, for other tools.",
     "bake": "Put light into a store: sky, occlusion, apertures.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "movie": "Film a tour of a DEM or a store.",
@@ -119,6 +119,7 @@ def main(argv: list[str] | None = None) -> None:
         code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
         code = code if isinstance(code, int) else 0
         if argv is None:
+            _compile_rest(quiet="--quiet" in args or "-q" in args)
             _leave(code)  # taking the interpreter and its libraries down in order takes a quarter of a second
         sys.exit(code)
     except click.exceptions.Exit as stop:
@@ -201,6 +202,15 @@ def _asked_by(*packages: str) -> bool:
     while frame is not None and frame.f_globals.get("__name__", "").startswith(("importlib", "_frozen_importlib")):
         frame = frame.f_back  # type: ignore[assignment]
     return frame is not None and frame.f_globals.get("__name__", "").split(".")[0] in packages
+
+
+def _compile_rest(quiet: bool) -> None:
+    """After a machine's first run at a terminal: have the kernels of the other verbs compiled in the background."""
+    compiling = sys.modules.get("orograph.compiling")
+    if compiling is None or not sys.stderr.isatty():
+        return
+    if compiling.compile_rest("orograph.verbs.ahead") and not quiet:
+        click.echo("The other verbs' kernels are being compiled in the background, once on this machine.", err=True)
 
 
 def _leave(code: int) -> NoReturn:

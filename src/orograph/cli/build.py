@@ -16,11 +16,13 @@ from orograph.cli.options import (
     cluster_options,
     jobs_option,
     memory_option,
+    points_options,
     progress_of,
     source_options,
     vertical_options,
 )
 from orograph.cli.products import Names
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -66,7 +68,7 @@ class MaxError(click.ParamType[str | float]):
             self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)
 
 
-@click.command("build", short_help="Build a terrain store from DEM files.")
+@click.command("build", cls=Verb, short_help="Build a terrain store from DEM files, or from points.")
 @click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
 @area_options
@@ -112,11 +114,11 @@ class MaxError(click.ParamType[str | float]):
 )
 @click.option(
     "--codec",
-    type=click.Choice(["portable", "compact"]),
+    type=click.Choice(["portable", "compact", "smallest"]),
     default="portable",
     show_default=True,
-    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, "
-    "0.2 to 0.7 of the size, is read by Orograph (and zarr-python beside it).",
+    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 of "
+    "the size, and smallest, smaller still and slower, are read by Orograph (and zarr-python beside it).",
 )
 @click.option(
     "--max-error",
@@ -129,8 +131,10 @@ class MaxError(click.ParamType[str | float]):
 @click.option(
     "--skip-damaged",
     is_flag=True,
+    default=None,
     help="Leave out files that cannot be opened; they are named.",
 )
+@points_options
 @vertical_options
 @memory_option
 @jobs_option
@@ -188,6 +192,10 @@ def command(
     from the grid, the height of a place comes from the samples. The store is a Zarr v3
     hierarchy that other tools read as well.
 
+    A file of points (CSV with x, y, z or longitude, latitude, height; LAS, LAZ; GeoPackage, GeoJSON and what else OGR
+    reads) is gridded by linear interpolation over its Delaunay triangulation, and the points are kept: --resolution is
+    how far samples are apart (by default as far as the points are on average), --max-edge leaves long triangles out.
+
     A build that is interrupted (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the
     same bytes. Nothing that is incomplete opens as a store.
 
@@ -204,6 +212,7 @@ def command(
       orograph build tiles/*.tif -o area.oro --part 3/64
       orograph build tiles/*.tif -o area.oro --finish
       orograph build tiles/*.tif -o area.oro --workers 4 --jobs 1 --max-memory 4GiB
+      orograph build points.laz -o area.oro --resolution 1 --max-edge 50
       orograph build -o area.oro --repair
     """
     if repair:

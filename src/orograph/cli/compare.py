@@ -14,6 +14,7 @@ import click
 from orograph.cli import refining
 from orograph.cli.camera import SIZES, Size, dpi_of
 from orograph.cli.options import FILE, progress_of, source_of
+from orograph.cli.sections import Verb
 from orograph.errors import OrographError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from orograph.verify.measure import Measurement
 
 
-@click.command("compare")
+@click.command("compare", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
     "--views",

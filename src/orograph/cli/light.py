@@ -33,6 +33,7 @@ from orograph.cli.products import (
     ray_options,
 )
 from orograph.cli.scenes import scene_option
+from orograph.cli.sections import Verb
 from orograph.scene import given
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
 """Products of which nothing is worth keeping."""
 
 
-@click.command("light", short_help="Make maps of light: slope, hillshade, horizons, sky, openness…")
+@click.command("light", cls=Verb, short_help="Make maps of light: slope, hillshade, horizons, sky, openness…")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
     "--product",

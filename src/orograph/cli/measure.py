@@ -1,4 +1,4 @@
-"""``orograph measure``: pick, profile, area, line of sight and viewshed on the true surface."""
+"""``orograph measure``: pick, profile, area, line of sight, viewshed and what is probable, on the true surface."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.files import check_ending
+from orograph.cli.measure_probable import check_files, contours, error_options, flood, height_error, slope
+from orograph.cli.measure_probable import viewshed as probable_viewshed
 from orograph.cli.measuring import (
     POINTS,
     Point,
     check_points,
     kinds,
+    of_terrain,
     on_terrain,
     opened,
     output_option,
@@ -22,22 +24,16 @@ from orograph.cli.measuring import (
     tell,
     without,
 )
-from orograph.cli.options import (
-    FILE,
-    Float,
-    grid_options,
-    jobs_option,
-    memory_option,
-    progress_of,
-    source_options,
-    vertical_options,
-)
+from orograph.cli.options import FILE, Float, progress_of
 from orograph.cli.scenes import scene_option
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 
 class Measures(click.Group):
     """The measures, in the order of their use, and what to say where one is not found."""
+
+    command_class = Verb
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -46,46 +42,38 @@ class Measures(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] not in self.commands:
-            known, option = ", ".join(self.commands), args[0].partition("=")[0]
-            if option in {name for p in self.params for name in p.opts}:
-                ctx.fail(f"{option} comes before the DEM or store.")
-            if option.startswith("-"):
-                ctx.fail(f"{option} comes after what is measured; that is one of {known}.")
-            swapped = ctx.params.get("path") in self.commands
-            hint = " The DEM or store comes first, then what to measure." if swapped else ""
-            ctx.fail(f"There is no measure {args[0]!r}; there are {known}.{hint}")
+            known, first = ", ".join(self.commands), args[0]
+            if args[0].startswith("-"):
+                ctx.fail(f"Say what to measure first, options after it: one of {known}.")
+            turned = next((name for name in args[1:] if name in self.commands), None)
+            if turned is not None:
+                ctx.fail(f"What to measure comes first: orograph measure {turned} {first} …")
+            ctx.fail(f"There is no measure {first!r}; there are {known}.")
         return super().resolve_command(ctx, args)
 
 
-@click.group("measure", cls=Measures, context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("path", metavar="PATH")
-@grid_options("measure")
-@source_options
-@vertical_options
-@memory_option
-@jobs_option
-@click.pass_context
-def command(ctx: click.Context, /, path: str, max_memory: int, jobs: int | None, **options: Any) -> None:
+@click.group("measure", cls=Measures, context_settings=POINTS)
+def command() -> None:
     """Measure on the surface of a DEM or a store: at full resolution, in true metres.
 
     Points are E,N (easting, northing in the terrain's CRS, metres) or, with --lonlat, LON,LAT in degrees. Lengths and
-    areas are corrected for what the map projection stretches and for the height above the ellipsoid; what they are on
-    the grid is told beside them. The options below come before what is measured, its own after it.
+    areas are corrected for what the map projection stretches and for the height above the ellipsoid; their values on
+    the grid are shown beside them.
 
     \b
     Examples:
-      orograph measure dem.tif pick 512000,4180000
-      orograph measure dem.tif profile --lonlat -71.38,44.22 -71.30,44.27 -o profile.png
-      orograph measure dem.tif area --geojson lake.geojson --level 850
-      orograph measure dem.tif los 512000,4180000 515000,4182000 --eye 1.7 -o sight.png
-      orograph measure area.oro viewshed 512000,4180000 -o seen.tif --picture seen.png
+      orograph measure pick dem.tif 512000,4180000
+      orograph measure profile dem.tif --lonlat -71.38,44.22 -71.30,44.27 -o profile.png
+      orograph measure area dem.tif --geojson lake.geojson --level 850
+      orograph measure los dem.tif 512000,4180000 515000,4182000 --eye 1.7 -o sight.png
+      orograph measure viewshed area.oro 512000,4180000 -o seen.tif --picture seen.png
+      orograph measure viewshed area.oro 512000,4180000 --sigma 4 --range 150 -o probable.tif
+      orograph measure flood coast.tif 512000,4180000 --level 2.5 --sigma 0.5 --range 300 -o flood.tif
     """
-    if options["band"] == 1:
-        options["band"] = None
-    ctx.obj.update(path=path, source=options, max_memory=max_memory, jobs=jobs)
 
 
 @command.command("pick", context_settings=POINTS, short_help="Height, coordinates, slope and aspect of places.")
+@of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="[POINT]...")
 @click.option("--pixel", "pixels", type=Point(), multiple=True, metavar="X,Y",
               help="The ground at a pixel of the picture that orograph render draws with this camera; 0,0 is its upper "
@@ -128,6 +116,7 @@ def pick(
 
 
 @command.command("profile", context_settings=POINTS, short_help="Lengths, climb and descent along a line.")
+@of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The line in a GeoJSON file, instead of points.")
 @click.option("--every", type=Float(), metavar="M", help="Rows of the table this far apart.  [default: at every edge]")
@@ -169,6 +158,7 @@ def profile(
 
 
 @command.command("area", context_settings=POINTS)
+@of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The polygon in a GeoJSON file; it may have holes.")
 @click.option(
@@ -200,6 +190,7 @@ def area(
 
 
 @command.command("los", context_settings=POINTS)
+@of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="FROM TO")
 @sight_options
 @output_option("A plot (.png, .svg, .pdf) or the ground under it as a table (.csv).")
@@ -231,12 +222,14 @@ def los(
 
 
 @command.command("viewshed", context_settings=POINTS, short_help="What is seen of the terrain from a point.")
+@of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT")
 @sight_options
 @click.option(
     "--radius", type=Float(), metavar="M", help="How far to look, true metres.  [default: all of the terrain]"
 )
 @click.option("--heights", is_flag=True, help="How high a target must be to be seen, instead of 1 (seen) and 0.")
+@error_options
 @click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
 @click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the seen ground painted.")
 @without("lonlat", "look_at")
@@ -245,25 +238,21 @@ def los(
 @click.pass_context
 def viewshed(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], eye: float, target: float, flat: bool,
-    refraction: float, radius: float | None, heights: bool, output: str | None, picture: str | None, degrees: bool,
-    as_json: bool, **camera: Any,
+    refraction: float, radius: float | None, heights: bool, sigma: str | None, reach: float, horizontal: float,
+    draws: int, seed: int, output: str | None, picture: str | None, degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
     """What is seen of the terrain from a point, sample by sample; as a raster, or painted on a picture.
 
     Each sample has its own line of sight over the full-resolution surface. What does not fit in a third of --max-memory
-    is in a scratch file in the temporary folder.
+    is in a scratch file in the temporary folder. With --sigma (or --horizontal) heights are uncertain, and the result
+    is how probable it is that a sample is seen.
     """
     check_points(points, 1, "A viewshed", 1)
-    if output is None and picture is None:
-        raise UsageError("Say where to write: --output seen.tif, --picture seen.png, or both.")
-    camera = {**camera, "lonlat": None, "look_at": None, "exaggeration": 1.0}
-    check_camera({k: camera[k] for k in CAMERA})
-    if output is not None:
-        check_ending("--output", output)
-    if picture is not None:
-        from orograph.rendering.picture import picture_format
-
-        picture_format(Path(picture))
+    camera = check_files(output, picture, camera)
+    error = height_error(sigma, reach, horizontal)
+    uncertain = sigma is not None or horizontal > 0
+    if uncertain and heights:
+        raise UsageError("--heights and --sigma contradict each other: of uncertain heights a probability is told.")
     outputs = () if output is None else (output,)
     terrain = opened(ctx, outputs, (picture,))
     from orograph import measuring
@@ -271,6 +260,12 @@ def viewshed(
 
     progress = progress_of(ctx)
     place = on_terrain(measuring.Places(terrain), points, degrees)[0]
+    if uncertain:
+        probable_viewshed(
+            ctx, terrain, place, error, draws, seed, output, picture, camera, as_json, eye_height=eye,
+            target_height=target, radius=radius, curvature=not flat, refraction=refraction,
+        )  # fmt: skip
+        return
     shed = measuring.viewshed(
         terrain, place, eye, target, radius=radius, curvature=not flat, refraction=refraction, heights=heights,
         max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
@@ -288,3 +283,7 @@ def viewshed(
         ("seen", f"{told['seen']:,} of {told['samples']:,} samples ({told['seen_fraction']:.1%})", ""),
     ]  # fmt: skip
     tell(ctx, terrain, told, lines, as_json, tuple(filter(None, (output, picture))))
+
+
+for measure in (slope, contours, flood):
+    command.add_command(measure)

@@ -5,12 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, F, Float, Numbers, progress_of, with_options
+from orograph.cli.options import (
+    FILE,
+    F,
+    Float,
+    Numbers,
+    grid_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_of,
+    source_options,
+    vertical_options,
+    with_options,
+)
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,7 +34,7 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 POINTS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
-"""A point may begin with a minus."""
+"""A point may begin with a minus; what begins so and is none is told by the measures themselves."""
 
 
 class Point(Numbers):
@@ -35,6 +48,30 @@ class Point(Numbers):
         if text.startswith("-") and text[1:2] not in "0123456789.":
             self.fail(f"there is no option {text!r}.", param, ctx)
         return super().convert(value, param, ctx)
+
+
+def of_terrain(function: F) -> F:
+    """Give a measure the path of a terrain, and after its own options those that say how the terrain is read.
+
+    They go to ``ctx.obj``, where ``opened`` finds them, and not to the measure.
+    """
+
+    def run(**options: Any) -> Any:
+        ctx = click.get_current_context()
+        obj = {name: options.pop(name) for name in ("path", "max_memory", "jobs")}
+        source = source_of({name: options.pop(name) for name in names}, ())
+        ctx.obj.update(obj, source=source)
+        return function(**options)
+
+    for more in (jobs_option, memory_option, vertical_options, source_options, grid_options("measure")):
+        more(run)
+    common: list[click.Parameter] = run.__click_params__  # type: ignore[attr-defined]
+    names = [str(p.name) for p in common if p.name not in ("max_memory", "jobs")]
+    path = click.Argument(["path"], metavar="PATH")
+    # Click lists parameters from the last to the first.
+    run.__click_params__ = [*common, *function.__click_params__, path]  # type: ignore[attr-defined]
+    run.__doc__ = function.__doc__
+    return cast(F, run)
 
 
 def points_option(function: F) -> F:

@@ -23,6 +23,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
@@ -32,7 +33,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """What is said about the film; all other options are about reading."""
 
 
-@click.command("movie")
+@click.command("movie", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
     "--output",

@@ -99,6 +99,22 @@ def _number(kind: click.ParamType[Any], value: Any, param: click.Parameter | Non
     return value
 
 
+class Classes(click.ParamType[tuple[int, ...]]):
+    """Whole numbers from 0 to 255, separated by commas."""
+
+    name = "N[,N…]"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, ...]:  # fmt: skip
+        if isinstance(value, tuple):
+            return value
+        words = str(value).split(",")
+        if not all(word.strip().isdigit() and int(word) < 256 for word in words):
+            self.fail(f"{value!r} are no classes: give whole numbers from 0 to 255, such as 2,9.", param, ctx)
+        return tuple(map(int, words))
+
+
 class Numbers(ParamType):
     """Numbers separated by commas, so many of them."""
 
@@ -174,6 +190,32 @@ def source_options(function: F) -> F:
             "--assume-vertical",
             metavar="DATUM",
             help="The vertical datum of files that name none: EGM96, EGM2008, ellipsoidal, EPSG:5703…",
+        ),
+    )
+
+
+def points_options(function: F) -> F:
+    """Give a verb the options that say how files of points are to be understood."""
+    return with_options(
+        function,
+        click.option(
+            "--max-edge",
+            type=Float(),
+            metavar="METRES",
+            help="Of points: leave triangles with a longer side out, as missing ground.  [default: all count]",
+        ),
+        click.option(
+            "--height-column",
+            metavar="NAME",
+            help="Of points: the column or attribute that holds the heights.  [default: z, height, elevation…]",
+        ),
+        click.option("--point-layer", metavar="NAME", help="Of points: which of several layers of a file."),
+        click.option(
+            "--point-classes",
+            type=Classes(),
+            metavar="N[,N…]",
+            help="Of LAS and LAZ: the classes that are taken.  [default: 2, the ground; where there is none, "
+            "all but noise]",
         ),
     )
 

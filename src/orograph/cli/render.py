@@ -23,12 +23,13 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.sections import Verb
 
 OWN = {*DRAWING, *CAMERA}
 """What is said about the picture; all other options are about reading."""
 
 
-@click.command("render")
+@click.command("render", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The picture: .png, .jpg, .webp or .tif.")
 @camera_options

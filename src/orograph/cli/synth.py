@@ -1,4 +1,4 @@
-"""``orograph synth``: make a fractal terrain of any size."""
+"""``orograph synth``: make a fractal terrain, or one by example, of any size."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from orograph.cli.files import check_ending
-from orograph.cli.options import Float, FloatRange, jobs_option, progress_of
+from orograph.cli.files import check_ending, check_outputs
+from orograph.cli.options import Float, FloatRange, Numbers, jobs_option, progress_of
 from orograph.errors import UsageError
 
 
@@ -19,8 +19,8 @@ from orograph.errors import UsageError
     "--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples: of a side, or rows × columns."
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Which terrain: another number, another world.")
-@click.option("--spacing", type=Float(), default=30.0, show_default=True, help="Metres between samples.")
-@click.option("--crs", default="EPSG:32633", show_default=True, help="A projected CRS.")
+@click.option("--spacing", type=Float(), help="Metres between samples.  [default: 30, or the example's]")
+@click.option("--crs", help="A projected CRS.  [default: EPSG:32633, or the example's]")
 @click.option(
     "--relief",
     type=Float(),
@@ -29,9 +29,20 @@ from orograph.errors import UsageError
 @click.option(
     "--roughness",
     type=FloatRange(0, 3),
-    default=1.0,
-    show_default=True,
-    help="Depth of the finer furrows: 0 smooth, 1 natural.",
+    help="Depth of the finer furrows: 0 smooth, 1 natural.  [default: 1]",
+)
+@click.option(
+    "--exemplar",
+    metavar="FILE",
+    help="Terrain to take after, e.g. lidar: at most 4 million samples, none missing. It says the spacing, the relief "
+    "and the roughness.",
+)
+@click.option(
+    "--jitter",
+    type=Numbers(",".join("R" * 12), optional=11),
+    metavar="R[,R…]",
+    help="How much the pieces of the example vary, 0 to 1: one number, or one for each level from the coarsest on.  "
+    "[default: 0.5, and 0 on the three finest]",
 )
 @click.option(
     "--compress",
@@ -48,15 +59,17 @@ def command(
     output: Path,
     size: str,
     seed: int,
-    spacing: float,
-    crs: str,
+    spacing: float | None,
+    crs: str | None,
     relief: float | None,
-    roughness: float,
+    roughness: float | None,
+    exemplar: str | None,
+    jitter: tuple[float, ...] | None,
     compress: str,
     overwrite: bool,
     jobs: int | None,
 ) -> None:
-    """Make a fractal terrain of any size: plains, and ranges carved by rivers.
+    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example.
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
     blocks, so any size works in some hundred MiB of memory; the file appears under its name only when it is whole.
@@ -66,14 +79,16 @@ def command(
       orograph synth -o hills.tif                              1025 × 1025 samples, 31 km a side
       orograph synth -o large.tif --size 16385 --seed 7        1 GiB: 35 s on two processors
       orograph synth -o strip.tif --size 2049x8193 --relief 800 --spacing 10
+      orograph synth -o like.tif --exemplar lidar.tif --size 8193
     """
     check_ending("--output", str(output))
     if output.exists() and not overwrite:
         raise UsageError("Something is there already.", path=output, remedy="Replace it with --overwrite.")
-    from orograph.dem.synth import Synth, parse_size
-    from orograph.dem.target import parse_crs
+    check_outputs({"--output": str(output)}, {"--exemplar": [exemplar]})
+    from orograph.verbs.synth import maker, write
 
-    terrain = Synth(parse_size(size), seed, spacing=spacing, crs=parse_crs(crs), relief=relief, roughness=roughness)
-    terrain.write(output, compress=compress, jobs=jobs, progress=progress_of(ctx))
-    rows, cols = terrain.grid.shape
-    click.echo(f"{output}: {rows} × {cols} samples, {spacing:g} m apart, seed {seed}")
+    made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, progress_of(ctx))
+    write(made, output, compress=compress, jobs=jobs, progress=progress_of(ctx))
+    rows, cols = made.grid.shape
+    apart = " × ".join(f"{metres:g}" for metres in dict.fromkeys(made.grid.spacing))
+    click.echo(f"{output}: {rows} × {cols} samples, {apart} m apart, {made.name if exemplar else f'seed {seed}'}")

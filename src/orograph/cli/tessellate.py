@@ -11,6 +11,7 @@ import click
 from orograph.cli import refining
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
 from orograph.cli.options import FILE, Float, progress_of, source_of
+from orograph.cli.sections import Verb
 from orograph.errors import OrographError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ OWN = (*CAMERA, "seconds")
 """What is said about the mesh besides the method and its goal; all other options are about reading."""
 
 
-@click.command("tessellate")
+@click.command("tessellate", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj or .glb.")
 @refining.method_option("What makes the triangles.", default="soar", show_default=True)

@@ -10,6 +10,7 @@ import click
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
 from orograph.cli.options import Bytes, jobs_option, progress_of, source_of, source_options, vertical_options
 from orograph.cli.scenes import DRAWING, check_scene, given_of, scene_options
+from orograph.cli.sections import Verb
 from orograph.scene.parts import check_options
 
 if TYPE_CHECKING:
@@ -20,7 +21,19 @@ WINDOW = (1280, 800)
 OWN = {*DRAWING, *CAMERA, "adapter"}
 """What is said about the window; all other options are about reading."""
 
-NOT_HERE = ("relief", "sky", "furniture", "title", "samples", "triangles", "wireframe", "mesh_view")
+NOT_HERE = (
+    "relief",
+    "sky",
+    "furniture",
+    "title",
+    "samples",
+    "triangles",
+    "wireframe",
+    "mesh_view",
+    "focus",
+    "flight",
+    "ghosts",
+)
 """Options of pictures that the window's panels have, or that are not for a window."""
 
 
@@ -28,7 +41,7 @@ TOLERANCE = {"help": "Pixels by which the ground may be displaced on the screen.
 """What a window says otherwise of this option."""
 
 
-@click.command("view")
+@click.command("view", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @camera_options
 @scene_options(NOT_HERE, backend=False, tolerance=TOLERANCE)

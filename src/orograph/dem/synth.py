@@ -17,6 +17,7 @@ import os
 import re
 import threading
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from affine import Affine
@@ -220,31 +221,63 @@ class Synth:
         Raises:
             OutputError: the file cannot be written.
         """
-        import rasterio
-        from rasterio.windows import Window
-
-        from orograph.dem.writing import raster_file
-
-        goal = Path(path)
-        rows, cols = self.grid.shape
-        assert self.grid.crs is not None
-        profile = {"driver": "GTiff", "height": rows, "width": cols, "count": 1, "dtype": "float32"}
-        profile |= {"bigtiff": "if_safer", "crs": self.grid.crs.to_wkt(), "transform": self.grid.transform}
-        if min(rows, cols) >= 16:
-            profile |= {"tiled": True, "blockxsize": TILE, "blockysize": TILE}
-        if compress != "none":
-            profile |= {"compress": compress, "predictor": 3, "zstd_level" if compress == "zstd" else "zlevel": 1}
-        # Rows of tiles, one after the other: the order in which GDAL lays them down must not depend on its cache.
-        tops, lefts = range(0, rows, TILE), range(0, cols, 4 * TILE)
-        windows = [(r, min(r + TILE, rows), c, min(c + 4 * TILE, cols)) for r in tops for c in lefts]
         self.prepare(progress)
-        with raster_file(goal) as part, rasterio.open(part, "w", **profile) as file:
-            file.update_tags(1, UNITTYPE="m")
-            with progress.task(f"Writing {goal.name}", total=len(windows)) as task:
-                blocks = map_ordered(lambda w: self.read(*w), windows, jobs)
-                for (r0, r1, c0, c1), block in zip(windows, blocks):
-                    file.write(block, 1, window=Window(c0, r0, c1 - c0, r1 - r0))
-                    task.advance()
+        write_windows(self, path, compress=compress, jobs=jobs, progress=progress)
+
+
+class Windows(Protocol):
+    """Heights that are made by windows."""
+
+    @property
+    def grid(self) -> Grid: ...
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Heights of a half-open window inside the grid, float32 metres. Safe from any thread."""
+
+
+def write_windows(
+    made: Windows,
+    path: str | os.PathLike[str],
+    *,
+    compress: str = "zstd",
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    tags: dict[str, str] | None = None,
+) -> None:
+    """Write heights as a tiled GeoTIFF, as ``Synth.write`` does.
+
+    Args:
+        tags: of the file.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    import rasterio
+    from rasterio.windows import Window
+
+    from orograph.dem.writing import raster_file
+
+    goal = Path(path)
+    rows, cols = made.grid.shape
+    profile = {"driver": "GTiff", "height": rows, "width": cols, "count": 1, "dtype": "float32"}
+    profile |= {"bigtiff": "if_safer", "transform": made.grid.transform}
+    if made.grid.crs is not None:
+        profile["crs"] = made.grid.crs.to_wkt()
+    if min(rows, cols) >= 16:
+        profile |= {"tiled": True, "blockxsize": TILE, "blockysize": TILE}
+    if compress != "none":
+        profile |= {"compress": compress, "predictor": 3, "zstd_level" if compress == "zstd" else "zlevel": 1}
+    # Rows of tiles, one after the other: the order in which GDAL lays them down must not depend on its cache.
+    tops, lefts = range(0, rows, TILE), range(0, cols, 4 * TILE)
+    windows = [(r, min(r + TILE, rows), c, min(c + 4 * TILE, cols)) for r in tops for c in lefts]
+    with raster_file(goal) as part, rasterio.open(part, "w", **profile) as file:
+        file.update_tags(1, UNITTYPE="m")
+        file.update_tags(**(tags or {}))
+        with progress.task(f"Writing {goal.name}", total=len(windows)) as task:
+            blocks = map_ordered(lambda w: made.read(*w), windows, jobs)
+            for (r0, r1, c0, c1), block in zip(windows, blocks):
+                file.write(block, 1, window=Window(c0, r0, c1 - c0, r1 - r0))
+                task.advance()
 
 
 def parse_size(text: str) -> tuple[int, int]:

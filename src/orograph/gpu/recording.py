@@ -131,8 +131,9 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
         lib.wgpuRenderPassEncoderSetIndexBuffer, lib.wgpuRenderPassEncoderSetScissorRect,
         lib.wgpuRenderPassEncoderSetBlendConstant,
     )  # fmt: skip
-    draw, draw_indexed, let_go = (
-        lib.wgpuRenderPassEncoderDraw, lib.wgpuRenderPassEncoderDrawIndexed, lib.wgpuRenderPassEncoderRelease
+    draw, draw_indexed, draw_indirect, let_go = (
+        lib.wgpuRenderPassEncoderDraw, lib.wgpuRenderPassEncoderDrawIndexed, lib.wgpuRenderPassEncoderDrawIndirect,
+        lib.wgpuRenderPassEncoderRelease,
     )  # fmt: skip
     end, null, whole = checked.wgpuRenderPassEncoderEnd, ffi.NULL, lib.WGPU_WHOLE_SIZE
     widths = {"uint16": lib.WGPUIndexFormat_Uint16, "uint32": lib.WGPUIndexFormat_Uint32}
@@ -168,6 +169,9 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
 
         def draw_indexed(self, count: int, instances: int = 1) -> None:
             draw_indexed(self._internal, count, instances, 0, 0, 0)
+
+        def draw_indirect(self, buffer: Any, offset: int) -> None:
+            draw_indirect(self._internal, buffer._internal, offset)
 
         def end(self) -> None:
             internal, self._internal = self._internal, None

@@ -7,13 +7,10 @@ nothing is left of it however the process ends.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import math
-import mmap
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.dem.writing import check_written, raster_file
-from orograph.errors import OutputError
+from orograph.folders import scratch
 from orograph.geo.grid import Grid
 from orograph.output import check_folder, check_room, remove
 from orograph.parallel import cpu_count
@@ -68,34 +65,6 @@ class Canvas:
         """Let go of the memory of a canvas on disk; what was written stays."""
         if self._release is not None:
             self._release()
-
-
-def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
-    """So many zero bytes in a scratch file, as an array, and a function that lets go of their memory.
-
-    Raises:
-        OutputError: the temporary folder has no room.
-    """
-    try:
-        with tempfile.TemporaryFile(prefix="orograph-") as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, length)  # a full disk is an error here, not a signal later
-            else:
-                file.truncate(length)
-            mapped = mmap.mmap(file.fileno(), length)
-    except OSError as error:
-        raise OutputError(
-            f"There is no room for {length >> 20} MiB of scratch: {error.strerror}.",
-            path=tempfile.gettempdir(),
-            remedy="Set TMPDIR to a folder with room, or allow more memory.",
-        ) from error
-
-    def release() -> None:
-        if hasattr(mapped, "madvise"):
-            with contextlib.suppress(OSError):
-                mapped.madvise(mmap.MADV_DONTNEED)  # of a shared mapping: the file keeps what was written
-
-    return np.frombuffer(mapped, np.uint8), release
 
 
 def trim() -> None:

@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.folders import scratch
 from orograph.lighting.own_cell import OwnCell
-from orograph.lighting.raster import scratch
 from orograph.lighting.sweep_kernels import PAGE
 
 T = TypeVar("T")

@@ -26,9 +26,76 @@ from orograph.slots import Slots
 from orograph.store.diamond_table import DiamondTable
 from orograph.store.terrain import Terrain, level_shape
 
-__all__ = ["ColorErrors", "Field", "Pages", "check_surface", "find"]
+__all__ = ["ColorErrors", "Field", "Pages", "Vertices", "check_surface", "find"]
 
 ColorErrors = Callable[[int, int, int, int, int], NDArray[np.float32]]
+
+
+class Vertices:
+    """The vertices of a terrain by pages, as they are read.
+
+    Args:
+        terrain: whose. kind, color: as for ``Field``.
+
+    Attributes:
+        shapes: (rows, cols) of every level; the top level is a padded square. counts: of its pages.
+        corners: float32 (2, 2), heights of the square's corners (NaN where missing).
+
+    Raises:
+        UsageError: the terrain has no surface.
+        StoreError: the store lacks the errors of diamonds.
+    """
+
+    def __init__(self, terrain: Terrain, kind: str = "exact", color: ColorErrors | None = None) -> None:
+        check_surface(terrain)
+        self.terrain, self.color = terrain, color
+        self.diamonds: DiamondTable = terrain.derived("diamonds", error=cast(ErrorKind, kind))
+        self.top = terrain.levels - 1
+        self.shapes = [level_shape(terrain.grid.shape, level) for level in range(self.top)]
+        side = (1 << (terrain.n - self.top)) + 1
+        self.shapes.append((side, side))
+        self.counts = [(-(-r // SIDE), -(-c // SIDE)) for r, c in self.shapes]
+        tiles = terrain.tiles(0)
+        lowest = terrain.height_range[0]
+        self._fill = np.where(np.isnan(tiles.minimum), np.float32(0.0 if np.isnan(lowest) else lowest), tiles.minimum)
+        rows, cols = terrain.shape(self.top)
+        top = terrain.read(self.top, 0, rows, 0, cols)
+        self.corners = np.array([[top[0, 0], top[0, -1]], [top[-1, 0], top[-1, -1]]], np.float32)
+
+    def page(self, level: int, i: int, j: int, side: int = SIDE) -> NDArray[np.float32]:
+        """Height, error, radius and color error (side, side, 4) of page (i, j) of a level, from 256 times (i, j) on.
+
+        Raises:
+            StoreError, DamagedChunkError: as ``terrain.read``.
+        """
+        rows, cols = self.shapes[level]
+        row0, col0 = i * SIDE, j * SIDE
+        row1, col1 = min(row0 + side, rows), min(col0 + side, cols)
+        have = self.terrain.shape(level)
+        # The top level is a padded square: beyond the raster its last samples are repeated.
+        r0, c0 = min(row0, have[0] - 1), min(col0, have[1] - 1)
+        heights = self.terrain.read(level, r0, min(row1, have[0]), c0, min(col1, have[1]))
+        i_at = np.minimum(np.arange(row0, row1), have[0] - 1) - r0
+        j_at = np.minimum(np.arange(col0, col1), have[1] - 1) - c0
+        heights = heights[np.ix_(i_at, j_at)]
+        missing = np.isnan(heights)
+        if missing.any():
+            y, x = np.nonzero(missing)
+            shape = self.terrain.grid.shape
+            y_tile = np.minimum((y + row0) << level, shape[0] - 1) >> SHIFT
+            x_tile = np.minimum((x + col0) << level, shape[1] - 1) >> SHIFT
+            heights = heights.copy()
+            heights[y, x] = self._fill[
+                np.minimum(y_tile, self._fill.shape[0] - 1), np.minimum(x_tile, self._fill.shape[1] - 1)
+            ]
+        data = np.zeros((side, side, 4), np.float32)
+        data[..., 2] = -1.0  # empty, where the level has nothing
+        here = data[: row1 - row0, : col1 - col0]
+        here[..., 0] = heights
+        here[..., 1], here[..., 2] = self.diamonds.read(level, row0, row1, col0, col1)
+        color = 0.0 if self.color is None else self.color(level, row0, row1, col0, col1)
+        here[..., 3] = np.where(missing, -1.0 - color, color)
+        return data
 
 
 class Field:
@@ -59,15 +126,11 @@ class Field:
         max_memory: int = 1 << 30,
         jobs: int | None = None,
     ) -> None:
-        check_surface(terrain)
+        self.vertices = Vertices(terrain, kind, color)
         rows, cols = terrain.grid.shape
-        self.terrain, self.kind, self.color, self.jobs = terrain, cast(ErrorKind, kind), color, jobs
-        self.diamonds: DiamondTable = terrain.derived("diamonds", error=self.kind)
-        self.n, self.top = terrain.n, terrain.levels - 1
-        self.shapes = [level_shape(terrain.grid.shape, level) for level in range(self.top)]
-        side = (1 << (self.n - self.top)) + 1
-        self.shapes.append((side, side))
-        counts = [(-(-r // SIDE), -(-c // SIDE)) for r, c in self.shapes]
+        self.terrain, self.jobs = terrain, jobs
+        self.n, self.top = terrain.n, self.vertices.top
+        counts = self.vertices.counts
         width = [((1 << (self.n - level)) >> SHIFT) + 1 for level in range(self.top + 1)]
         base = np.concatenate([[0], np.cumsum(np.square(width))])
         table = np.full(base[-1], BEYOND, np.int32)
@@ -88,11 +151,7 @@ class Field:
         self.slots: Slots[int] = Slots(slots)
         self._round = 0
         self.tiles_read = 0
-        tiles = terrain.tiles(0)
-        lowest = terrain.height_range[0]
-        self._fill = np.where(np.isnan(tiles.minimum), np.float32(0.0 if np.isnan(lowest) else lowest), tiles.minimum)
-        top = terrain.read(self.top, 0, *terrain.shape(self.top)[:1], 0, terrain.shape(self.top)[1])
-        self.corners = np.array([[top[0, 0], top[0, -1]], [top[-1, 0], top[-1, -1]]], np.float32)
+        self.corners = self.vertices.corners
 
     @property
     def resident(self) -> int:
@@ -165,35 +224,8 @@ class Field:
         page, slot = what
         level = int(np.searchsorted(self.pages.base, page, side="right")) - 1
         i, j = divmod(page - int(self.pages.base[level]), int(self.pages.width[level]))
-        rows, cols = self.shapes[level]
-        row0, col0 = i * SIDE, j * SIDE
-        row1, col1 = min(row0 + SIDE, rows), min(col0 + SIDE, cols)
-        have = self.terrain.shape(level)
-        # The top level is a padded square: beyond the raster its last samples are repeated.
-        r0, c0 = min(row0, have[0] - 1), min(col0, have[1] - 1)
-        heights = self.terrain.read(level, r0, min(row1, have[0]), c0, min(col1, have[1]))
-        i_at = np.minimum(np.arange(row0, row1), have[0] - 1) - r0
-        j_at = np.minimum(np.arange(col0, col1), have[1] - 1) - c0
-        heights = heights[np.ix_(i_at, j_at)]
-        missing = np.isnan(heights)
-        if missing.any():
-            y, x = np.nonzero(missing)
-            shape = self.terrain.grid.shape
-            y_tile = np.minimum((y + row0) << level, shape[0] - 1) >> SHIFT
-            x_tile = np.minimum((x + col0) << level, shape[1] - 1) >> SHIFT
-            heights = heights.copy()
-            heights[y, x] = self._fill[
-                np.minimum(y_tile, self._fill.shape[0] - 1), np.minimum(x_tile, self._fill.shape[1] - 1)
-            ]
-        data = np.zeros((SIDE, SIDE, 4), np.float32)
-        data[..., 2] = -1.0  # empty, where the level has nothing
-        here = data[: row1 - row0, : col1 - col0]
-        here[..., 0] = heights
-        here[..., 1], here[..., 2] = self.diamonds.read(level, row0, row1, col0, col1)
-        color = 0.0 if self.color is None else self.color(level, row0, row1, col0, col1)
-        here[..., 3] = np.where(missing, -1.0 - color, color)
         place = self.pages.down[:, None] + self.pages.across >> 2
-        self.pages.data[slot].reshape(-1, 4)[place] = data
+        self.pages.data[slot].reshape(-1, 4)[place] = self.vertices.page(level, i, j)
 
 
 def check_surface(terrain: Terrain) -> None:

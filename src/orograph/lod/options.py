@@ -131,17 +131,30 @@ class Described:
         except ValueError as error:
             raise UsageError(f"{self.key} is {self.span}, not {text!r}." if self.read is None else str(error)) from None
 
+    def worded(self, value: Any) -> Any:
+        """A value, which where the command line reads a text for it may be that text.
+
+        Raises:
+            UsageError: the text cannot be read.
+        """
+        if self.read is None or self.kind is str or self.multiple or not isinstance(value, str):
+            return value
+        try:
+            return self.value(value)
+        except UsageError as error:
+            raise UsageError(f"`{self.name}`: {error.what}", remedy=error.remedy) from error
+
     def check(self, value: Any, called: str = "") -> None:
         """Raise UsageError unless the option may have that value; ``called``: what the error calls it."""
         called = called or self.key
         if value is None and self.optional:
             return
         if self.choices:
-            if value not in self.choices:
+            if not any(isinstance(value, type(one)) and value == one for one in self.choices):
                 raise UsageError(f"There is no {called} {value!r}; there are {', '.join(map(str, self.choices))}.")
             return
         wanted = {bool: bool, int: Integral, float: Real, str: str}.get(self.kind, object)
-        fits = isinstance(value, wanted) and (self.kind is bool or not isinstance(value, bool))
+        fits = isinstance(value, wanted) and (self.kind not in (int, float) or not isinstance(value, bool))
         if fits and self.kind in (int, float):
             # (Comparisons with NaN are false.)
             fits = (self.least is None or value >= self.least) and (self.most is None or value <= self.most)

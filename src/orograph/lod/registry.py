@@ -25,16 +25,19 @@ if TYPE_CHECKING:  # the command line lists names before anything is loaded
 METHODS: dict[str, str | type[Method]] = {
     "raycast": "orograph.lod.raycast:RayCast",
     "triangle-patches": "orograph.lod.triangle_patches:TrianglePatches",
+    "hybrid": "orograph.lod.hybrid:Hybrid",
     "top-down": "orograph.lod.top_down:TopDown",
     "roam": "orograph.lod.roam:Roam",
     "threshold-spheres": "orograph.lod.threshold_spheres:ThresholdSpheres",
     "stateless": "orograph.lod.stateless:Stateless",
     "soar": "orograph.lod.soar:Soar",
     "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
+    "smart": "orograph.lod.smart:Smart",
     "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
     "cdlod": "orograph.lod.cdlod:Cdlod",
     "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
+    "cbt": "orograph.lod.cbt:Cbt",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }
 """Name to MODULE:CLASS, or to the class."""

@@ -7,7 +7,7 @@ its triangles. Positions are sample coordinates: column, row and height in true 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.hierarchy.clip_stack import ClipStack
 from orograph.tessellation import Tessellation
+from orograph.viewpoint import Camera
 
 Kind = Literal["triangles", "patches", "batches", "rings", "rays"]
 """The kinds of selections, by the word that ``MethodInfo.kind`` has for them."""
@@ -196,3 +197,20 @@ class RayWindows(Selection):
         raise UsageError(
             f"The method {self.method} casts rays: it makes no triangles.", remedy="Choose another, such as soar."
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PatchesAndRays(RayWindows):
+    """Patches, and windows for rays, of which each block of the screen takes one.
+
+    Attributes:
+        camera: whose. block: pixels along a block's side. shares: who draws a block, as ``hybrid``'s option has it.
+        hysteresis: how much cheaper than what drew a block the other has to be, a part.
+        select_patches: makes the patches, for those who do not have them already.
+    """
+
+    camera: Camera
+    block: int
+    shares: str
+    hysteresis: float
+    select_patches: Callable[[], PatchSet]

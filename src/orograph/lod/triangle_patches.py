@@ -91,7 +91,8 @@ class Patches:
     """What a view needs.
 
     Attributes:
-        instances: (k,) of ``INSTANCE``, coarse patches first; good until the next selection.
+        instances: (k,) of ``INSTANCE``, coarse patches first; spans: float32 (k, 2), metres between which all heights
+            of each lie, infinite where that is not known; both good until the next selection.
         tiles: int64 (t,), all tiles that the view would use if every tile was there, as places in ``tiling``;
             pixels: float32 (t,), the errors that patches out of them take away.
         stats: patches, triangles, split, nodes, blocked (diamonds that wait for tiles), pixels (the largest bound of a
@@ -100,6 +101,7 @@ class Patches:
     """
 
     instances: NDArray[Any]
+    spans: NDArray[np.float32]
     tiles: NDArray[np.int64]
     pixels: NDArray[np.float32]
     tiling: Tiling
@@ -114,7 +116,7 @@ class Patches:
 
     def kept(self) -> Self:
         """A copy that is good after the next selection."""
-        return replace(self, instances=self.instances.copy())
+        return replace(self, instances=self.instances.copy(), spans=self.spans.copy())
 
     @property
     def wanted(self) -> NDArray[Any]:
@@ -194,6 +196,7 @@ class TrianglePatches(RightTriangles):
         self._instances = np.zeros(2 * size, INSTANCE)
         raw = self._instances.view(np.int32).reshape(-1, 8)
         self._words, self._floats = raw, raw.view(np.float32)
+        self._spans = np.zeros((2 * size, 2), np.float32)
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
         """The patches of a view; edges of missing ground are kept to the sample.
@@ -302,7 +305,7 @@ class TrianglePatches(RightTriangles):
             self.field.begin()
             full = select_patches(
                 self.field.pages, bounds, self.field.n, self._q, tiling, Front(self._table, *self._queue),
-                Instances(self._words, self._floats), counts,
+                Instances(self._words, self._floats, self._spans), counts,
             )  # fmt: skip
             tiles = self._touched[: counts[TOUCHED]].copy()
             pixels = self._priorities[tiles]
@@ -321,7 +324,7 @@ class TrianglePatches(RightTriangles):
             "nodes": int(counts[NODES]), "blocked": int(counts[BLOCKED]), "absent": int(counts[ABSENT]),
             "pixels": float(made["pixels"].max()) if len(made) else 0.0,
         }  # fmt: skip
-        return Patches(made, tiles, pixels, self.tiling, stats)
+        return Patches(made, self._spans[: len(made)], tiles, pixels, self.tiling, stats)
 
     def _planes(self, frustum: NDArray[np.float64], stretch: float) -> NDArray[np.float64]:
         """Planes in stretched space as kernels see them: (24,), over column, row and height."""

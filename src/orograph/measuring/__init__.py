@@ -13,24 +13,33 @@ Points are (easting, northing) in the terrain's CRS; ``Places(terrain).of_lonlat
 from __future__ import annotations
 
 from orograph.measuring.area import Area, area
+from orograph.measuring.flood import flood
+from orograph.measuring.height_error import HeightError
 from orograph.measuring.pick import Hit, pick, place, slope_aspect
 from orograph.measuring.places import Places
+from orograph.measuring.probable import Probable, probable_contours, probable_slope, probable_viewshed
 from orograph.measuring.profile import Profile, profile
 from orograph.measuring.sight import Mark, Sight, line_of_sight
 from orograph.measuring.viewshed import Viewshed, viewshed
 
 __all__ = [
     "Area",
+    "HeightError",
     "Hit",
     "Mark",
     "Places",
+    "Probable",
     "Profile",
     "Sight",
     "Viewshed",
     "area",
+    "flood",
     "line_of_sight",
     "pick",
     "place",
+    "probable_contours",
+    "probable_slope",
+    "probable_viewshed",
     "profile",
     "slope_aspect",
     "viewshed",

@@ -31,8 +31,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.folders import scratch
 from orograph.geo.grid import Grid
-from orograph.lighting.raster import Band, rectangles, scratch, write
+from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places
 from orograph.measuring.sight import LEAST, REFRACTION, bend_of, check_heights
@@ -129,6 +130,13 @@ class Viewshed:
               progress=progress)  # fmt: skip
         return told.result()
 
+    def beyond(self, row: int, col: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Which samples of a block of ``grid`` lie beyond the radius."""
+        if self.radius is None:
+            return np.zeros(shape, np.bool_)
+        r, c = row + self.row - self._scene.row, col + self.col - self._scene.col
+        return np.asarray(self._scene.distance2(r, r + shape[0], c, c + shape[1]) > self.radius**2)
+
     def _block(self, window: tuple[int, int, int, int]) -> tuple[int, int, Values]:
         from orograph.measuring.viewshed_kernels import look
 
@@ -140,7 +148,7 @@ class Viewshed:
         per = 1.0 / self.quantum
         far = None
         if self.radius is not None:
-            far = s.distance2(*window) > self.radius**2
+            far = self.beyond(row, col, out.shape)
             if far.all():
                 out[:] = np.nan
                 return row, col, out

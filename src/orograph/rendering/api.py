@@ -89,10 +89,10 @@ def render(
         raise UsageError(f"There is no backend {backend!r}; there are {', '.join(BACKENDS)}.")
     if conservative:
         check_promise(options.get("method", "auto"), backend)
-    max_memory, jobs = options.get("max_memory"), options.get("jobs")
+    check_options(options)
+    max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     check_size(size)
     check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
-    check_options(options)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets
 

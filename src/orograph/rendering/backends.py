@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from orograph.errors import OrographError, UsageError
 from orograph.progress import SILENT, Progress
+from orograph.rendering.blending import blended
 from orograph.rendering.picture import Picture
 from orograph.scene.scene import Scene
 
@@ -44,6 +45,12 @@ def draw(scene: Scene, progress: Progress = SILENT, *, backend: str = "cpu") -> 
 
     Raises: as the backend's ``draw``.
     """
+    if scene.variants:
+
+        def plain(one: Scene) -> Picture:
+            return draw(one, progress, backend=backend)
+
+        return blended(scene, plain, lambda _: plain)
     try:
         return backend_of(backend)(scene, progress)
     except OrographError as error:
@@ -62,10 +69,18 @@ def session(progress: Progress = SILENT, *, backend: str = "cpu") -> Session:
     """
     backend_of(backend)
     try:
-        found: Session = importlib.import_module(BACKENDS[backend]).session()
-        return found
+        make: Callable[[], Session] = importlib.import_module(BACKENDS[backend]).session
+        first = make()
     except OrographError as error:
         if backend == "cpu" or error.exit_code != NO_GPU:
             raise
         progress.warn(f"{error} The CPU draws the pictures instead.")
         return session(progress)
+    more: dict[int, Session] = {}  # of variants: what frames have in common is made once for each
+
+    def other(number: int) -> Session:
+        if number not in more:
+            more[number] = make()
+        return more[number]
+
+    return lambda scene: blended(scene, first, other) if scene.variants else first(scene)

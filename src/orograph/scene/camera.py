@@ -93,6 +93,10 @@ def direction(azimuth: float, pitch: float) -> Array:
     return np.array([-math.sin(a) * math.cos(p), -math.cos(a) * math.cos(p), -math.sin(p)])
 
 
+NEAREST = 1e-3
+"""How near the eye may come to what it is to see, as a part of how large that is."""
+
+
 def fit(
     points: Array,
     forward: Array,
@@ -140,7 +144,7 @@ def fit(
         depth.append((most - least) / (less + more))
     back = min(depth)
     span = max(float(np.ptp(a)), float(np.ptp(b)), float(np.ptp(c)), 1.0)
-    back = min(back, float(c.min()) - 1e-3 * span)
+    back = min(back, float(c.min()) - NEAREST * span)
     eye = [
         _centred(across, c - back, least + more * back, most - less * back, more - less)
         for across, (least, most, less, more) in zip((a, b), bounds)

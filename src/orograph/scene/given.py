@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
@@ -20,13 +20,18 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Moment, Placed, Sun
+    from orograph.scene.flying import Flight
+    from orograph.scene.ghosts import Ghost
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
+
+T = TypeVar("T")
 
 Disc = tuple["Sun", tuple[float, float, float]]
 
@@ -61,7 +66,10 @@ def read_span(text: str) -> tuple[float, float]:
     Raises:
         ValueError: the text is not that.
     """
-    low, high = numbers(text.replace(":", ","), "LOW:HIGH".replace(":", ","))
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        raise ValueError(f"{text!r} is not LOW:HIGH, two numbers with a colon between.") from None
     return low, high
 
 
@@ -105,6 +113,41 @@ def read_priority(text: str) -> Priority:
         return Priority.parse(text)
     except UsageError as error:
         raise ValueError(str(error)) from None
+
+
+def read_focus(text: str) -> Focus:
+    from orograph.geovis.data.focus import LENS, NEAR, Focus
+
+    try:
+        found = Focus.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    if found.source not in (LENS, NEAR):
+        from orograph.dem.handles import locate
+
+        assert locate(found.source)
+    return found
+
+
+def read_flight(text: str) -> Flight:
+    from orograph.scene.flying import Flight
+
+    try:
+        return Flight.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
+def read_ghost(text: str) -> Ghost:
+    from orograph.dem.handles import locate
+    from orograph.scene.ghosts import Ghost
+
+    try:
+        found = Ghost.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+    assert locate(found.source)
+    return found
 
 
 def read_water(text: str) -> str | float:
@@ -198,19 +241,56 @@ def priority(value: Priority | str | None, terrain: Terrain) -> Priority | None:
     """Takes such a text."""
     from orograph.geovis.data.priority import Priority
 
-    return Priority.parse(value) if isinstance(value, str) else value
+    return _parsed(Priority, value)
+
+
+def focus(value: Focus | str | None, terrain: Terrain) -> Focus | None:
+    """Takes such a text, or an `orograph.Focus`."""
+    from orograph.geovis.data.focus import Focus
+
+    return _parsed(Focus, value)
+
+
+def flight(value: Flight | str | None, terrain: Terrain) -> Flight | None:
+    """Takes such a text, or a `Flight`."""
+    from orograph.scene.flying import Flight
+
+    return _parsed(Flight, value)
+
+
+def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
+    """Takes one or several: what `orograph.terrain` takes, arrays of the terrain's samples, or an `orograph.Ghost` of
+    each, which says what keys say."""
+    from orograph.scene.ghosts import Ghost
+
+    several = value if isinstance(value, list | tuple) else (value,)
+    return tuple(one if isinstance(one, Ghost) else Ghost(one) for one in several)
+
+
+def _parsed(kind: type[T], value: Any) -> T | None:
+    """A value of a kind, or the text of one."""
+    if value is None or isinstance(value, kind):
+        return value
+    if not isinstance(value, str):
+        raise TypeError(f"it is a text, or a {kind.__name__}")
+    found: T = kind.parse(value)  # type: ignore[attr-defined]
+    return found
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
     """None: there is none."""
-    return None if value == "none" else value
+    return value if value is None or value == "auto" else float(value)
 
 
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:
-    """Takes metres from line to line, or a `Contours`: without an interval it finds one itself."""
+    """Takes "auto", metres from line to line, or a `Contours`, which without an interval finds one itself."""
     return value if value is None or isinstance(value, Contours) else Contours(float(value))
 
 
 def silhouettes(value: Silhouettes | bool | None, terrain: Terrain) -> Silhouettes | None:
     """Takes True, or a `Silhouettes`."""
-    return Silhouettes() if value is True else value or None
+    if value is None or isinstance(value, Silhouettes):
+        return value
+    if not isinstance(value, bool):
+        raise TypeError("it is True, False or a Silhouettes")
+    return Silhouettes() if value else None

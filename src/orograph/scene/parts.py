@@ -8,11 +8,13 @@ for the command line's help. Units: metres, pixels, degrees; colours are sRGB fr
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from orograph.errors import UsageError
+from orograph.folders import parse_bytes
 from orograph.lod.options import Described, check, described, option
 from orograph.lod.registry import AUTO
 from orograph.scene import given
@@ -21,12 +23,16 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.focus import Focus
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Sun
+    from orograph.scene.flying import Flight
+    from orograph.scene.ghosts import Ghost
+    from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
 Light = Literal["relief", "ao", "aperture", "raytraced", "none"]
@@ -44,6 +50,20 @@ CALLED = "`{0.name}`"
 
 STEEPEST = 1e9
 """By how much heights can be stretched."""
+
+
+def _ends(pair: Any) -> tuple[float, float]:
+    """Two finite numbers; else two that are NaN, which no comparison is true of."""
+    try:
+        low, high = map(float, pair)
+    except (TypeError, ValueError):
+        return math.nan, math.nan
+    return (low, high) if math.isfinite(low) and math.isfinite(high) else (math.nan, math.nan)
+
+
+def _some(value: Any) -> bool:
+    """Whether an option says something: not None, False or an empty list. (Arrays have no truth of their own.)"""
+    return value is not None and value is not False and not (isinstance(value, tuple | list) and not value)
 
 
 def check_exaggeration(factor: float) -> None:
@@ -99,13 +119,18 @@ class Lighting:
 
     def __post_init__(self) -> None:
         check(self, CALLED)
-        if (self.lamps or self.discs) and self.light not in SHINING:
+        more = [name for name in ("lamps", "discs") if _some(getattr(self, name))]
+        if more and self.light not in SHINING:
             raise UsageError(
-                f"`light={self.light!r}` knows no `{'lamps' if self.lamps else 'discs'}`.",
+                f"`light={self.light!r}` knows no `{more[0]}`.",
                 remedy=f"Use {' or '.join(f'`light={one!r}`' for one in SHINING)}.",
             )
-        if self.depths is not None and not 0 <= self.depths[0] <= self.depths[1] < math.inf:
-            raise UsageError(f"The depths are those of the nearest and the farthest ground, metres, not {self.depths}.")
+        if self.depths is not None:
+            nearest, farthest = _ends(self.depths)
+            if not 0 <= nearest <= farthest:
+                raise UsageError(
+                    f"The depths are those of the nearest and the farthest ground, metres, not {self.depths!r}."
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +164,10 @@ class Data:
     def __post_init__(self) -> None:
         if isinstance(self.water, float) and not math.isfinite(self.water):
             raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
-        if self.range is not None and not -math.inf < self.range[0] < self.range[1] < math.inf:
-            raise UsageError(f"A `range` of heights goes from a lower to a higher one, not {self.range}.")
+        if self.range is not None:
+            low, high = _ends(self.range)
+            if not low < high:
+                raise UsageError(f"A `range` of heights goes from a lower to a higher one, not {self.range!r}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +181,8 @@ class Theme:
     data: tuple[Dataset, ...] = option(
         (),
         "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
-        "variable, band, time, member, layer, geometry (which of several), style "
+        "variable, band, time, member, value (of several: median, min, max, spread, p90), exceeds (how probably), "
+        "layer, geometry (which of several), style "
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
         "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
         "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
@@ -166,6 +194,25 @@ class Theme:
         "What comes first: T+ shaded relief, T- a line drawing; D+ a continuous scale, D- classes; U+ glyphs of "
         "uncertainty, U- transparency or noise. Or overview, approach, overflight, replanning.",
         read=given.read_priority, given=given.priority, metavar="T±D±U±", shown="T+D+U- with data",
+    )  # fmt: skip
+    focus: Focus | None = option(
+        None,
+        "Another priority in a part of the picture: lens (a disc: at=0.5:0.5, radius=0.25, parts of the picture), near "
+        "(distance=METRES from the eye), a file of polygons, or of lines with width=METRES. Keys: priority, blend "
+        "(metres; of a lens, parts of the height): route.geojson,width=4000,priority=T+D+U+.",
+        read=given.read_focus, given=given.focus, metavar="lens|near|FILE[,KEY=VALUE…]",
+    )  # fmt: skip
+    flight: Flight | None = option(
+        None,
+        "Change the priority by degrees with the camera's height above ground: approach below LOW metres, above HIGH "
+        "overflight, or in films slower than SLOW metres a second (not faster than FAST) replanning.",
+        read=given.read_flight, given=given.flight, metavar="auto|LOW:HIGH[:SLOW:FAST]",
+    )  # fmt: skip
+    ghosts: tuple[Ghost, ...] = option(
+        (),
+        "Another surface over or under the ground, seen through: a DEM in any CRS, a water table. Keys: color, opacity "
+        "(before the ground), hidden (behind it), name, band, vertical_unit: table.tif,color=#2f7fd1,hidden=0.4.",
+        read=given.read_ghost, given=given.ghosts, flag="ghost", metavar="DEM[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     things: Things | None = None
 
@@ -183,6 +230,9 @@ class Annotations:
     )
     furniture: bool = option(False, "Add a title, a legend, a north arrow and a scale bar.")
     title: str | None = option(None, "The title (with `furniture`).", shown="the file's name")
+
+    def __post_init__(self) -> None:
+        check(self, CALLED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +276,7 @@ class Surface:
             raise UsageError("Give one goal: `tolerance` or `triangles`.")
         if self.method.partition(",")[0] in ("auto", AUTO["cpu"]):
             for name in ("triangles", "wireframe", "mesh_view"):
-                if getattr(self, name):
+                if _some(getattr(self, name)):
                     raise UsageError(
                         f"`{name}` is about the mesh that a method makes.",
                         remedy='Choose one, such as `method="soar"`.',
@@ -237,8 +287,14 @@ class Surface:
 class Budget:
     """What drawing may take."""
 
-    max_memory: int | None = option(None, "Bytes that heights and pictures may take.", least=1, shown="no limit")
+    max_memory: int | None = option(
+        None, 'Bytes that heights and pictures may take: a number, or "1GiB".', least=1, read=parse_bytes,
+        shown="no limit",
+    )  # fmt: skip
     jobs: int | None = option(None, "Threads.", least=1, shown="all processors")
+
+    def __post_init__(self) -> None:
+        check(self, CALLED)
 
 
 PARTS: dict[str, type] = {
@@ -255,17 +311,33 @@ HOMES = {one.name: part for part, kind in PARTS.items() for one in described(kin
 
 
 def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Options by the part that they belong to.
+    """Options by the part that they belong to; texts are read as the command line reads them.
 
     Raises:
-        UsageError: there is no such option.
+        UsageError: there is no such option, or a text cannot be read.
     """
     parts: dict[str, dict[str, Any]] = {}
     for name, value in options.items():
         if name not in HOMES:
             raise UsageError(f"A scene has no option {name!r}; there are {', '.join(HOMES)}.")
-        parts.setdefault(HOMES[name], {})[name] = value
+        parts.setdefault(HOMES[name], {})[name] = OPTIONS[name].worded(value)
     return parts
+
+
+def made_of(name: str, value: Any, terrain: Terrain) -> Any:
+    """What a user gave for an option, made what it is over a terrain.
+
+    Raises:
+        UsageError: it cannot be that option's value.
+    """
+    one = OPTIONS[name]
+    try:
+        return value if one.given is None else one.given(value, terrain)
+    except (TypeError, ValueError, AttributeError, LookupError) as error:
+        raise UsageError(
+            f"`{name}` cannot be {reprlib.repr(value)}: {error}.",
+            remedy=f"It is {one.metavar.replace('|', ', ') or one.annotation}: see help(orograph.render).",
+        ) from error
 
 
 def check_options(options: Mapping[str, Any]) -> None:

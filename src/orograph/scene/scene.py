@@ -4,18 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from orograph.errors import ReadError
+import numpy as np
+
+from orograph.errors import ReadError, UsageError
 from orograph.geovis.keys import Legend
 from orograph.geovis.layers import attributed, drawn
-from orograph.scene.parts import HOMES, OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, Theme, by_part
+from orograph.scene.parts import (
+    HOMES,
+    PARTS,
+    Annotations,
+    Budget,
+    Data,
+    Lighting,
+    Surface,
+    Theme,
+    by_part,
+    made_of,
+)
 from orograph.scene.theming import themed
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.viewpoint import View
 
+if TYPE_CHECKING:
+    from orograph.geovis.data.focus import Weight
+    from orograph.scene.ghosts import Ghost
+
 DEFAULT_TOLERANCE = 0.5
 """Pixels: what larger terrains may be displaced by on the screen."""
+
+
+BY_PRIORITY = ("light", "contours", "silhouettes", "colormap", "water", "layers", "data", "priority", "focus",
+               "flight", "ghosts")  # fmt: skip
+"""Options in which variants of a scene differ."""
+
+
+OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "title")
+"""Options that ghosted surfaces share with their scene."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variant:
+    """A scene that shows instead of another one, where, and what its legend says beside names."""
+
+    scene: Scene
+    weight: Weight
+    name: str = "focus"
+    rgb: tuple[int, int, int] | None = None
+    """Of a ghost, its colour."""
+
+    def but(self, terrain: Terrain | None, view: View | None, options: Mapping[str, Any]) -> Variant:
+        """The same in another scene; a ghost has its own terrain, and takes the light and the exaggeration."""
+        if self.rgb is None:
+            return replace(self, scene=self.scene.but(terrain=terrain, view=view, **options))
+        own = {name: options[name] for name in OF_GHOSTS if name in options}
+        return replace(self, scene=self.scene.but(view=view, **own))
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +69,7 @@ class Scene:
     Attributes:
         terrain, view: what is looked at, and from where.
         surface, lighting, annotations, data, theme, budget: see ``scene.parts``.
+        variants: scenes that show instead of this one, each by its weight at a pixel, the later over the earlier.
 
     Raises:
         ReadError: the terrain has fewer than two rows or columns.
@@ -38,6 +83,7 @@ class Scene:
     data: Data = field(default_factory=Data)
     theme: Theme = field(default_factory=Theme)
     budget: Budget = field(default_factory=Budget)
+    variants: tuple[Variant, ...] = ()
 
     def __post_init__(self) -> None:
         if min(self.terrain.grid.shape) < 2:
@@ -57,7 +103,47 @@ class Scene:
         theme = themed(options, terrain, (view.whole.width, view.whole.height))
         things, parts = theme.things, _sorted(theme.options, terrain)
         made = cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
-        return made if things is None else replace(made, theme=replace(made.theme, things=things))
+        if things is not None:
+            made = replace(made, theme=replace(made.theme, things=things))
+        focus = made.theme.focus
+        bare = {**options, "ghosts": ()}
+        if made.theme.flight is not None:
+            made = cls._flying(made, bare)
+        elif focus is not None:
+            there = cls.of(terrain, view, **{**bare, "focus": None, "priority": focus.priority})
+            made = replace(made, variants=(Variant(there, focus.over(terrain.grid)),))
+        ghosts = tuple(cls._ghost(made, one) for one in made.theme.ghosts)
+        return replace(made, variants=(*made.variants, *ghosts)) if ghosts else made
+
+    @classmethod
+    def _ghost(cls, scene: Self, ghost: Ghost) -> Variant:
+        """Another surface that is seen through."""
+        from orograph.scene.ghosts import Seen
+
+        surface = ghost.over(scene.terrain)
+        alone = cls.of(
+            surface, scene.view, sun=scene.lighting.sun, relief=scene.lighting.relief, water="none",
+            colormap=ghost.table, exaggeration=scene.surface.exaggeration, samples=scene.surface.samples,
+            max_memory=scene.budget.max_memory, jobs=scene.budget.jobs,
+        )  # fmt: skip
+        named = ghost.name or surface.name.replace("_", " ")
+        return Variant(alone, Seen(scene.terrain.grid, ghost.opacity, ghost.hidden), named, ghost.rgb)
+
+    @classmethod
+    def _flying(cls, scene: Self, options: Mapping[str, Any]) -> Self:
+        """A scene whose scenarios change with its camera."""
+        from orograph.scene.flying import BASE, OTHERS, Flown
+
+        terrain, flight = scene.terrain, scene.theme.flight
+        assert flight is not None
+        for name in ("priority", "focus"):
+            if options.get(name) is not None:
+                raise UsageError(f"`flight` says which priority holds, and so does `{name}`.", remedy="Give one.")
+        bare = {**options, "flight": None}
+        first, *rest = (cls.of(terrain, scene.view, **{**bare, "priority": name}) for name in (BASE, *OTHERS))
+        whole = flight.over(terrain)
+        variants = tuple(Variant(one, Flown(terrain, whole, k), OTHERS[k]) for k, one in enumerate(rest))
+        return replace(first, theme=replace(first.theme, flight=flight), variants=variants)
 
     def but(self, *, terrain: Terrain | None = None, view: View | None = None, **options: Any) -> Self:
         """The same scene with another terrain, another view or other options.
@@ -72,6 +158,9 @@ class Scene:
             parts["terrain"] = terrain
         if view is not None:
             parts["view"] = view
+        if self.variants:
+            common = {name: value for name, value in options.items() if name not in BY_PRIORITY}
+            parts["variants"] = tuple(one.but(terrain, view, common) for one in self.variants)
         return replace(self, **parts)
 
     def told(self) -> dict[str, Any]:
@@ -96,7 +185,13 @@ class Scene:
         """What the colours and signs of its data mean: of what stands, then of painted data, the uppermost first."""
         things = self.theme.things
         painted = [layer.key for layer in reversed(drawn(self.data.layers)) if layer.key is not None]
-        return (*((things.legend,) if things is not None else ()), *painted)
+        own = (*((things.legend,) if things is not None else ()), *painted)
+        eye = np.asarray(self.view.eye, np.float64)
+        shown = [one for one in self.variants if one.weight.shows(eye)]
+        more = (beyond(own, key, one.name) for one in shown for key in one.scene.keys)
+        ghosts = tuple((one.name, one.rgb) for one in self.variants if one.rgb is not None)
+        seen = (Legend(classes=ghosts),) if ghosts else ()
+        return (*own, *(key for key in more if key is not None), *seen)
 
     @property
     def pixel_tolerance(self) -> float:
@@ -107,12 +202,27 @@ class Scene:
         return 0.0 if rows * cols <= EXACT_SAMPLES else DEFAULT_TOLERANCE
 
 
+def beyond(own: tuple[Legend, ...], key: Legend, name: str) -> Legend | None:
+    """What a legend says that others do not say yet; None: nothing."""
+    scales = {(one.words, one.low, one.high, one.colors.tobytes()) for legend in own for one in legend.scales}
+    words = {word for legend in own for word, _ in (*legend.swatches, *legend.classes)}
+    notes = {legend.note for legend in own}
+    new = replace(
+        key,
+        scales=tuple(
+            replace(one, label=f"{one.label}, {name}") for one in key.scales
+            if (one.words, one.low, one.high, one.colors.tobytes()) not in scales
+        ),
+        swatches=tuple((f"{word}, {name}" if word in words else word, look) for word, look in key.swatches),
+        classes=tuple(one for one in key.classes if one[0] not in words), note="" if key.note in notes else key.note,
+        squares=tuple(one for one in key.squares if not any(legend.squares for legend in own)),
+    )  # fmt: skip
+    return new if new.scales or new.swatches or new.classes or new.note or new.squares else None
+
+
 def _sorted(options: Mapping[str, Any], terrain: Terrain) -> dict[str, dict[str, Any]]:
     """Options by the part that they belong to, each made what it is over a terrain."""
     return {
-        part: {
-            name: value if (made := OPTIONS[name].given) is None else made(value, terrain)
-            for name, value in own.items()
-        }
+        part: {name: made_of(name, value, terrain) for name, value in own.items()}
         for part, own in by_part(options).items()
     }

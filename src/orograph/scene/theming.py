@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orograph.errors import UsageError
 from orograph.scene.contours import Contours
+from orograph.scene.parts import made_of
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
@@ -53,18 +55,17 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
     from orograph.geovis.data.bivariate import pairs
-    from orograph.geovis.data.dataset import datasets_of
     from orograph.geovis.data.painting import painted
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import layers_of
 
     made = dict(options)
-    data = datasets_of(options.get("data"))
-    given = options.get("priority")
+    data = made_of("data", options.get("data"), terrain)
+    given = made_of("priority", options.get("priority"), terrain)
     if not data and given is None:
         return Themed(made)
-    priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
+    priority = given or Priority(data=True)
     found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
     standing = [one for one in found if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
@@ -95,6 +96,11 @@ def _read(
     if isinstance(dataset, tuple):
         return shown_pair(*dataset, grid, texels)
     features = read_features(dataset, grid) if has_features(dataset.source) else None
+    if dataset.derived and (features is not None or is_table(dataset.source)):
+        raise UsageError(
+            "value= and exceeds= are of rasters with several members or times.", path=str(dataset.source),
+            remedy="Leave them away.",
+        )  # fmt: skip
     if features is not None and features.kind != "points" and stands(dataset):
         return things_of_lines(dataset, features, grid, priority)
     if features is not None and features.kind != "points":
@@ -122,20 +128,20 @@ def _heights(terrain: Terrain, over: Grid) -> Any:
 
 def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
     """What stands for a raster's values, on a lattice."""
+    from orograph.geovis.data.derived import deviations, read_data
+    from orograph.geovis.data.painting import as_shown
     from orograph.geovis.data.points import Points
-    from orograph.geovis.data.reading import read
     from orograph.geovis.data.sampling import values_at
     from orograph.geovis.data.standing import lattice_points, things_of
 
-    field = read(dataset, grid)
+    field = read_data(dataset, grid)
+    dataset = as_shown(dataset)
+    if dataset.derived:
+        dataset = dataset.but(name=field.name, unit=field.unit)
     x, y = lattice_points(grid, dataset.size)
-    values = values_at(field.mean, field, grid, x, y)
-    doubt, sigma = dataset.uncertainty, None
-    if doubt is not None and doubt.of_members:
-        sigma = values_at(field.uncertainty(doubt.source), field, grid, x, y)
-    elif doubt is not None:
-        other = read(doubt, grid)
-        sigma = values_at(other.mean, other, grid, x, y)
+    values = values_at(field.shown, field, grid, x, y)
+    found = deviations(dataset, field, grid)
+    sigma = None if found is None else values_at(found[1], found[0], grid, x, y)
     known = np.isfinite(values) & (np.isfinite(sigma) if sigma is not None else True)
     points = Points(x[known], y[known], values[known], None if sigma is None else sigma[known], field.name)
     return things_of(dataset, points, grid, priority, dataset.unit or field.unit, field.chosen)

@@ -3,7 +3,7 @@
 Zarr's ``sharding_indexed`` layout is simple enough to keep in one file, and doing so buys what a general library does
 not give: a reader that starts in milliseconds and fetches one chunk with one ``pread``, bytes that depend on nothing
 but the samples, and a checksum failure that knows the name of its chunk. A shard is the chunks that hold anything, one
-after the other in C order, each ``bytes`` (little endian) → ``blosc``, or ``compact``, → ``crc32c``; then its label
+after the other in C order, each ``bytes`` (little endian) → ``blosc``, or one of ``OWN``, → ``crc32c``; then its label
 (``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill
 value, and the index's own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an
 empty one, so that a lost file is noticed.
@@ -17,6 +17,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import DamagedChunkError
 from orograph.parallel import cpu_count, map_ordered
-from orograph.store import compact
+from orograph.store import compact, smallest
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import MISSING, Packing
 from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed, tail_length, unsealed
@@ -40,6 +41,9 @@ Place = tuple[int, int, int]
 BULK = 16  # windows of more chunks than this are decoded by all processors, and do not push others out of the cache
 BATCH = 64  # chunks fetched together from remote storage
 INDICES = 4096  # shard indices kept
+
+OWN = {"compact": compact, "smallest": smallest}
+"""The project's own codecs, of chunks of int32 (docs/codec.md)."""
 
 CODEC = {"cname": "zstd", "clevel": 1, "blocksize": 1 << 18}
 """One blosc block per 256² chunk of float32. Warped SRTM packs 1.8:1 so (integers 5:1) and decodes at 2 GB/s a core.
@@ -91,8 +95,8 @@ class ArraySpec:
         shuffle = "shuffle" if size > 1 else "noshuffle"
         blosc = {"name": "blosc", "configuration": {**CODEC, "shuffle": shuffle, "typesize": size}}
         coded: list[dict[str, Any]] = [little if size > 1 else {"name": "bytes"}, blosc]
-        if self._compact:
-            coded = [{"name": compact.NAME, "configuration": {}}]
+        if self._own is not None:
+            coded = [{"name": self._own.NAME, "configuration": {}}]
         sharding = {
             "chunk_shape": [self.chunk, self.chunk],
             "codecs": [*coded, {"name": "crc32c"}],
@@ -148,12 +152,13 @@ class ArraySpec:
         return [*parts, end], digest
 
     @property
-    def _compact(self) -> bool:
-        return self.packing is not None and self.packing.codec == "compact"
+    def _own(self) -> ModuleType | None:
+        return None if self.packing is None else OWN.get(self.packing.codec)
 
     def _compressed(self, chunk: Array) -> bytes:
-        if self.packing is not None and self._compact:
-            return compact.compressed(self.packing.numbers(chunk))
+        if self.packing is not None and self._own is not None:
+            coded: bytes = self._own.compressed(self.packing.numbers(chunk))
+            return coded
         from orograph._blosc import blosc
 
         shuffle = blosc.SHUFFLE if chunk.itemsize > 1 else blosc.NOSHUFFLE
@@ -168,8 +173,8 @@ class ArraySpec:
         Raises:
             RuntimeError, ValueError: it is damaged.
         """
-        if self.packing is not None and self._compact:
-            return self.packing.heights(compact.decompressed(data, (self.chunk, self.chunk)))
+        if self.packing is not None and self._own is not None:
+            return self.packing.heights(self._own.decompressed(data, (self.chunk, self.chunk)))
         from orograph._blosc import blosc
 
         dtype = np.dtype(self.dtype if self.packing is None else "int32").newbyteorder("<")

@@ -123,14 +123,14 @@ def build(
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
             them; none for ().
-        tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``), which holds some
-            four bytes for each sample in memory besides; None: no TINs.
+        tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``); None: no TINs.
         chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
-            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes.
+            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes. They follow from ``midpoint`` errors,
+            which are stored, too.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
-        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, or "compact"
-            (docs/codec.md), smaller.
+        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
+            (docs/codec.md), smaller, or "smallest", which is decoded slower.
         max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
             twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
             feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
@@ -159,6 +159,7 @@ def build(
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
         chunked = checked_sizes(chunked)
+        kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # which chunks follow from
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
@@ -273,6 +274,7 @@ def _fill(
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
+    from orograph.store.points import put_points
     from orograph.store.pyramid import Finest, Pyramid
     from orograph.store.resampling import look_back
 
@@ -306,6 +308,8 @@ def _fill(
         digests=writer.digests,
         coding=coding,
     )
+    if (surface := getattr(raster, "surface", None)) is not None:
+        record = put_points(record, surface, writer)
     for make in MAKERS.values():
         record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins"), plan.get("chunked")))
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.folders import held
 from orograph.hierarchy import diamonds
 from orograph.parallel import map_ordered
 from orograph.store.chunked import APART, PER_WORD, Chunk, Layout, Words, on_sides, unpacked
@@ -24,6 +25,9 @@ SHARE = 1 / 2
 BAND = 256
 """Rows of diamonds that are read at once."""
 
+CORNERS = 1 << 16
+"""Corners of chunks whose heights in coarser meshes are remembered."""
+
 SEEN = 64
 """Bands of the finest vertices that the median is found from, at most."""
 
@@ -31,7 +35,9 @@ Integers = NDArray[np.int64]
 
 
 class MemoryChunks:
-    """The chunks of a terrain, each made when it is asked for; some 1.4 bytes a sample are held.
+    """The chunks of a terrain, each made when it is asked for.
+
+    Some 1.4 bytes a sample are held: of large terrains in a temporary file, of which memory holds what is at work.
 
     Args:
         terrain: the ground; its ``midpoint`` errors are needed. cells: along a finest chunk's side.
@@ -101,17 +107,17 @@ class MemoryChunks:
         if self._table is None:  # a raster of one cell, whose square has one diamond, squeezed onto it
             return np.full(9, 255, np.uint8), np.array([[0, 3, 3]], np.int64)
         reached = self.error * 2.0 ** np.append(0.0, np.arange(1, self.layout.top + 1) - 0.5)
-        found, places, begin = [], [], 0
-        for level in range(self.terrain.levels):
-            shape = self.terrain.diamond_shape(level)
-            places.append((begin, *shape))
-            begin += shape[0] * shape[1]
+        shapes = [self.terrain.diamond_shape(level) for level in range(self.terrain.levels)]
+        ends = np.cumsum([0, *(rows * cols for rows, cols in shapes)])
+        found, _ = held(int(ends[-1]))
+        for level, at in enumerate(ends[:-1].tolist()):
             for errors, radii in self._bands(level):
                 levels = (1 + np.searchsorted(reached, errors, side="right")).astype(np.uint8)
                 levels[np.isinf(errors)] = 255
                 levels[radii < 0] = 0
-                found.append(levels.reshape(-1))
-        return np.concatenate(found), np.array(places, np.int64)
+                found[at : at + levels.size] = levels.reshape(-1)
+                at += levels.size
+        return found, np.array([(at, *shape) for at, shape in zip(ends.tolist(), shapes)], np.int64)
 
     def _known(self, row: int, col: int) -> int:
         """The levels of one vertex."""
@@ -183,13 +189,17 @@ class MemoryChunks:
     def _corner(self, level: int, row: int, col: int) -> float:
         """The height of a corner of chunks in the mesh of a coarser level (its own above the last)."""
         key = level, row, col
-        if key not in self._corners:
-            own = float(self._heights(np.array([[row, col]]))[0])
-            whole = (row | col) % self.layout.side(min(level, self.layout.top)) == 0  # a corner of chunks of that level
-            if level <= self.layout.top and not whole and self._known(row, col) < level + 2:
-                (lr, lc), (rr, rc) = ends = [tuple(map(int, diamonds.end(row, col, k))) for k in (0, 1)]
-                left, right = (self._corner(level, *end) for end in ends)
-                last_row, last_col = (size - 1 for size in self.terrain.grid.shape)
-                own = float(middle(lr, lc, rr, rc, left, right, own, last_row, last_col))
-            self._corners[key] = own
-        return self._corners[key]
+        found = self._corners.get(key)
+        if found is not None:
+            return found
+        if len(self._corners) >= CORNERS:
+            self._corners = {}
+        own = float(self._heights(np.array([[row, col]]))[0])
+        whole = (row | col) % self.layout.side(min(level, self.layout.top)) == 0  # a corner of chunks of that level
+        if level <= self.layout.top and not whole and self._known(row, col) < level + 2:
+            (lr, lc), (rr, rc) = ends = [tuple(map(int, diamonds.end(row, col, k))) for k in (0, 1)]
+            left, right = (self._corner(level, *end) for end in ends)
+            last_row, last_col = (size - 1 for size in self.terrain.grid.shape)
+            own = float(middle(lr, lc, rr, rc, left, right, own, last_row, last_col))
+        self._corners[key] = own
+        return own

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import tempfile
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING, Any
 
-import numpy as np
-
-from orograph.errors import StoreError
+from orograph.errors import OutputError, StoreError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
-from orograph.store.chunked import Layout, StoredChunks, lengths_spec, words_spec
+from orograph.store.chunked import Layout, StoredChunks, Words, lengths_spec, words_spec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 
 if TYPE_CHECKING:
@@ -75,8 +76,26 @@ def rows_of(words: int, chunk: int) -> int:
     return max(1, -(-words // chunk))
 
 
-def block_of(words: np.ndarray[Any, np.dtype[np.uint32]], chunk: int) -> np.ndarray[Any, np.dtype[np.uint32]]:
-    """A level's words in rows, zeros after the last."""
-    whole = np.zeros(rows_of(len(words), chunk) * chunk, np.uint32)
-    whole[: len(words)] = words
-    return whole.reshape(-1, chunk)
+@contextmanager
+def spooled() -> Iterator[IO[bytes]]:
+    """A temporary file that has no name.
+
+    Raises:
+        OutputError: the disk that temporary files are on is full.
+    """
+    try:
+        with tempfile.TemporaryFile(prefix="orograph-") as file:
+            yield file
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        raise OutputError(
+            "No room for what is kept while chunks are made.", path=tempfile.gettempdir(),
+            remedy="Point the environment variable TMPDIR to a folder on a larger disk.",
+        ) from error  # fmt: skip
+
+
+def write(file: IO[bytes], words: Words) -> int:
+    """Append a chunk's words to a file; how many there are."""
+    file.write(words.tobytes())
+    return len(words)

@@ -32,8 +32,8 @@ from orograph.store.terrain import Heights
 if TYPE_CHECKING:
     from orograph.store.source import HeightSource
 
-Codec = Literal["portable", "compact"]
-CODECS: tuple[Codec, ...] = ("portable", "compact")
+Codec = Literal["portable", "compact", "smallest"]
+CODECS: tuple[Codec, ...] = ("portable", "compact", "smallest")
 
 MISSING = -(1 << 31)
 """The number of a missing sample."""

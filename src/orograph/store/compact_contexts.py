@@ -28,12 +28,13 @@ def length(value):
 
 @shared
 def _log2(value):
-    """The binary logarithm of a number of at least 1, to 0.01: by arithmetic that is the same everywhere."""
+    """The binary logarithm of a number of at least 1, to 0.0002: by arithmetic that is the same everywhere."""
     whole = 0
     while value >= 2.0:
         value *= 0.5
         whole += 1
-    return whole + (value - 1.0) * (1.3465 - 0.3465 * (value - 1.0))
+    f = value - 1.0
+    return whole + f * (1.43807 + f * (-0.67477 + f * (0.31700 + f * -0.08030)))
 
 
 @kernel
@@ -61,7 +62,7 @@ def shift_of(values):
 
 
 @shared
-def _token(value):
+def token(value):
     """What a value is counted as: itself, or a quarter of an octave."""
     if value < 64:
         return value
@@ -70,28 +71,33 @@ def _token(value):
 
 
 @kernel
-def _cost(counts):
-    """Bits of values so counted, table included."""
+def cost_of(counts, more, share):
+    """Bits of values so counted, ``share`` times ``more`` included, and of their table."""
     total, bits, kinds = 0, 0.0, 0
     for k in range(counts.size):
-        if counts[k]:
-            total += counts[k]
-            bits -= counts[k] * _log2(float(counts[k]))
+        count = counts[k] + share * more[k]
+        if count:
+            total += count
+            bits -= count * _log2(float(count))
             kinds += 1
     return bits + total * _log2(float(total)) + 16 + ENTRY * kinds if total else 0.0
 
 
 @kernel
-def _grouped(levels, group):
-    """Put levels of activity into at most ``GROUPS`` of about as many samples; how many there are."""
+def grouped(levels, group, most):
+    """Put levels of activity into at most ``most`` groups of about as many samples; how many there are.
+
+    Args:
+        levels: samples by level. group: becomes the group of each.
+    """
     total, so_far, groups = levels.sum(), 0, 0
-    for level in range(LEVELS):
+    for level in range(levels.size):
         group[level] = groups
         so_far += levels[level]
-        if so_far * GROUPS >= total * (groups + 1) and groups < GROUPS - 1:
-            groups = min(so_far * GROUPS // max(total, 1), GROUPS - 1)
+        if so_far * most >= total * (groups + 1) and groups < most - 1:
+            groups = min(so_far * most // max(total, 1), most - 1)
     last, count = -1, 0
-    for level in range(LEVELS):  # without gaps
+    for level in range(levels.size):  # without gaps
         if group[level] != last:
             last = group[level]
             count += 1
@@ -100,8 +106,8 @@ def _grouped(levels, group):
 
 
 @kernel
-def _joined(counts, groups, bounds):
-    """Join neighbours among groups while that costs nothing, or there are too many; how many are left.
+def joined(counts, groups, bounds, most):
+    """Join neighbours among groups while that costs nothing, or there are more than ``most``; how many are left.
 
     Args:
         counts: (groups, TOKENS). bounds: becomes the first group of each.
@@ -109,15 +115,15 @@ def _joined(counts, groups, bounds):
     left, costs, joint = groups, np.zeros(groups), np.zeros(groups)
     for k in range(groups):
         bounds[k] = k
-        costs[k] = _cost(counts[k])
+        costs[k] = cost_of(counts[k], counts[k], 0)
     for k in range(groups - 1):
-        joint[k] = _cost(counts[k] + counts[k + 1])
+        joint[k] = cost_of(counts[k], counts[k + 1], 1)
     while left > 1:
         best = 0
         for k in range(1, left - 1):
             if joint[k] - costs[k] - costs[k + 1] < joint[best] - costs[best] - costs[best + 1]:
                 best = k
-        if left <= CONTEXTS and joint[best] >= costs[best] + costs[best + 1]:
+        if left <= most and joint[best] >= costs[best] + costs[best + 1]:
             break
         counts[best] += counts[best + 1]
         costs[best] = joint[best]
@@ -126,9 +132,9 @@ def _joined(counts, groups, bounds):
             costs[k], bounds[k], joint[k] = costs[k + 1], bounds[k + 1], joint[k + 1]
         left -= 1
         if best > 0:
-            joint[best - 1] = _cost(counts[best - 1] + counts[best])
+            joint[best - 1] = cost_of(counts[best - 1], counts[best], 1)
         if best < left - 1:
-            joint[best] = _cost(counts[best] + counts[best + 1])
+            joint[best] = cost_of(counts[best], counts[best + 1], 1)
     return left
 
 
@@ -140,15 +146,15 @@ def divided(values, activity, bounds):
     levels, group = np.zeros(LEVELS, np.int64), np.empty(LEVELS, np.int64)
     for k in range(size):
         levels[flat[k]] += 1
-    groups = _grouped(levels, group)
-    counts, joined = np.zeros((groups, TOKENS), np.int64), np.empty(groups, np.int64)
+    groups = grouped(levels, group, GROUPS)
+    counts, firsts = np.zeros((groups, TOKENS), np.int64), np.empty(groups, np.int64)
     for k in range(size):
-        counts[group[flat[k]], _token(np.int64(of[k]))] += 1
-    contexts = _joined(counts, groups, joined)
+        counts[group[flat[k]], token(np.int64(of[k]))] += 1
+    contexts = joined(counts, groups, firsts, CONTEXTS)
     context = np.empty(LEVELS, np.int32)
     now = 0
     for level in range(LEVELS):
-        while now + 1 < contexts and group[level] >= joined[now + 1]:
+        while now + 1 < contexts and group[level] >= firsts[now + 1]:
             now += 1
             bounds[now] = level
         context[level] = now

@@ -34,12 +34,12 @@ CUT_OFF, UNKNOWN, TABLES, MASK, STREAM = 1, 2, 3, 4, 5
 
 
 @inlined
-def _u16(data, at):
+def u16(data, at):
     return np.int64(data[at]) | np.int64(data[at + 1]) << 8
 
 
 @inlined
-def _u32(data, at):
+def u32(data, at):
     return (
         np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24
     )
@@ -71,7 +71,7 @@ def frequencies(codes, count, out):
 
 
 @kernel
-def _tables(data, at, contexts, table, depths, direct):
+def read_tables(data, at, contexts, table, depths, direct):
     """Read the tables of all contexts from ``at``; where they end, or -1.
 
     Args:
@@ -116,7 +116,7 @@ def _tables(data, at, contexts, table, depths, direct):
 
 
 @kernel
-def _mask(data, at, mode, out):
+def read_mask(data, at, mode, out):
     """Put ``MISSING`` where the runs from ``at`` say so, and zeros elsewhere; where they end, or -1."""
     rows, cols = out.shape
     filled, missing, size = np.int64(0), False, rows * cols
@@ -145,7 +145,7 @@ def _mask(data, at, mode, out):
 
 
 @inlined
-def _symbol(x, p, words, table, base):
+def next_symbol(x, p, words, table, base):
     """(The state after a symbol, the next word, the symbol)."""
     entry = np.int64(table[np.uint64(base + (x & (TOTAL - 1)))])
     x = ((entry >> 20) + 1) * (x >> BITS) + (entry >> 8 & (TOTAL - 1))
@@ -155,7 +155,7 @@ def _symbol(x, p, words, table, base):
 
 
 @inlined
-def _raw(x, p, words, bits):
+def plain_bits(x, p, words, bits):
     """(The state after so many plain bits, at most 16, the next word, the bits)."""
     value = x & ((np.int64(1) << bits) - 1)
     x >>= bits
@@ -165,12 +165,12 @@ def _raw(x, p, words, bits):
 
 
 @kernel
-def _range(x, p, words, symbol, direct):
+def ranged(x, p, words, symbol, direct):
     """(The state, the next word, the value that a range and the bits behind it stand for)."""
     bits = symbol - DIRECT
-    x, p, value = _raw(x, p, words, min(bits, 16))
+    x, p, value = plain_bits(x, p, words, min(bits, 16))
     if bits > 16:
-        x, p, high = _raw(x, p, words, bits - 16)
+        x, p, high = plain_bits(x, p, words, bits - 16)
         value |= high << 16
     return x, p, (np.int64(1) << bits) + value + direct - 1
 
@@ -203,28 +203,28 @@ def _row(states, p, words, table, depths, direct, deep, begins, values, weights,
         j = np.uint64(4 * i)
         k, l, m = j + np.uint64(1), j + np.uint64(2), j + np.uint64(3)  # noqa: E741
         ca, cb, cc, cd = np.int64(begins[j]), np.int64(begins[k]), np.int64(begins[l]), np.int64(begins[m])
-        a, p, va = _symbol(a, p, words, table, ca)
-        b, p, vb = _symbol(b, p, words, table, cb)
-        c, p, vc = _symbol(c, p, words, table, cc)
-        d, p, vd = _symbol(d, p, words, table, cd)
+        a, p, va = next_symbol(a, p, words, table, ca)
+        b, p, vb = next_symbol(b, p, words, table, cb)
+        c, p, vc = next_symbol(c, p, words, table, cc)
+        d, p, vd = next_symbol(d, p, words, table, cd)
         if max(max(va, vb), max(vc, vd)) >= DIRECT:
             if va >= DIRECT:
-                a, p, va = _range(a, p, words, va, direct[ca >> BITS])
+                a, p, va = ranged(a, p, words, va, direct[ca >> BITS])
             if vb >= DIRECT:
-                b, p, vb = _range(b, p, words, vb, direct[cb >> BITS])
+                b, p, vb = ranged(b, p, words, vb, direct[cb >> BITS])
             if vc >= DIRECT:
-                c, p, vc = _range(c, p, words, vc, direct[cc >> BITS])
+                c, p, vc = ranged(c, p, words, vc, direct[cc >> BITS])
             if vd >= DIRECT:
-                d, p, vd = _range(d, p, words, vd, direct[cd >> BITS])
+                d, p, vd = ranged(d, p, words, vd, direct[cd >> BITS])
         if deep:
             da, db, dc, dd = depths[ca >> BITS], depths[cb >> BITS], depths[cc >> BITS], depths[cd >> BITS]
-            a, p, low = _raw(a, p, words, da)
+            a, p, low = plain_bits(a, p, words, da)
             va = va << da | low
-            b, p, low = _raw(b, p, words, db)
+            b, p, low = plain_bits(b, p, words, db)
             vb = vb << db | low
-            c, p, low = _raw(c, p, words, dc)
+            c, p, low = plain_bits(c, p, words, dc)
             vc = vc << dc | low
-            d, p, low = _raw(d, p, words, dd)
+            d, p, low = plain_bits(d, p, words, dd)
             vd = vd << dd | low
         values[j], values[k], values[l], values[m] = va, vb, vc, vd
         n, o = m + np.uint64(1), m + np.uint64(2)
@@ -297,10 +297,10 @@ def decode(data, out):
         return UNKNOWN
     if contexts < 1 or contexts > CONTEXTS or shift > 15:
         return TABLES
-    first = np.int32(_u32(data, 4))
+    first = np.int32(u32(data, 4))
     given, weights = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS + 1, np.int32)
     for k in range(NEIGHBOURS):
-        given[k] = np.int16(_u16(data, 8 + 2 * k))
+        given[k] = np.int16(u16(data, 8 + 2 * k))
     full_weights(given, weights)
     at: Any = HEADER
     if at + contexts - 1 > data.size:
@@ -312,19 +312,19 @@ def decode(data, out):
     at += contexts - 1
     table = np.empty(contexts * TOTAL, np.uint32)
     depths, direct = np.zeros(CONTEXTS, np.int64), np.zeros(CONTEXTS, np.int64)
-    at = _tables(data, at, contexts, table, depths, direct)
+    at = read_tables(data, at, contexts, table, depths, direct)
     if at < 0:
         return TABLES
     marks = np.empty((rows if mode else 0, cols), np.int32)
     if mode:
-        at = _mask(data, at, mode, marks)
+        at = read_mask(data, at, mode, marks)
         if at < 0:
             return MASK
     if at + 4 * LANES > data.size:
         return CUT_OFF
     states = np.empty(LANES, np.int64)
     for k in range(LANES):
-        states[k] = _u32(data, at + 4 * k)
+        states[k] = u32(data, at + 4 * k)
     at += 4 * LANES
     count = (data.size - at) // 2
     width = LANES * (-(-cols // LANES))

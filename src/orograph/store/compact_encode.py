@@ -127,15 +127,15 @@ def _values(numbers, weights, first, lowest, highest, values):
 
 
 @shared
-def _symbol(value, direct):
+def symbol_of(value, direct):
     """The symbol of a value without the bits below it."""
     return value if value < direct else direct - 1 + length(value - direct + 1)
 
 
 @kernel
-def _tables(values, contexts, number, depths, direct, found, codes):
-    """Decide the tables: ``depths`` by context, how many symbols are values (``direct``), the ``codes`` of the
-    ``found`` frequencies; symbols of each."""
+def decided_tables(values, contexts, number, rare, depths, direct, found, codes):
+    """Decide the tables: ``depths`` by context, how many symbols are values (``direct``: those that one in 2^``rare``
+    exceeds are ranges), the ``codes`` of the ``found`` frequencies; symbols of each."""
     sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64)
     size, sizes = values.size, np.zeros(number, np.int64)
     flat, of = values.reshape(size), contexts.reshape(size)
@@ -146,12 +146,12 @@ def _tables(values, contexts, number, depths, direct, found, codes):
         depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
         direct[c] = DIRECT
     for k in range(size):
-        found[of[k], _symbol(np.int64(flat[k]) >> depths[of[k]], DIRECT)] += 1
+        found[of[k], symbol_of(np.int64(flat[k]) >> depths[of[k]], DIRECT)] += 1
     for c in range(number):
-        rare, s = found[c, DIRECT:].sum(), DIRECT  # from here on ranges are as good
-        while s > 0 and rare + found[c, s - 1] <= counts[c] >> RARE:
+        beyond, s = found[c, DIRECT:].sum(), DIRECT  # from here on ranges are as good
+        while s > 0 and beyond + found[c, s - 1] <= counts[c] >> rare:
             s -= 1
-            rare += found[c, s]
+            beyond += found[c, s]
         direct[c] = s
         for s in range(direct[c], SYMBOLS):
             found[c, s] = 0
@@ -159,7 +159,7 @@ def _tables(values, contexts, number, depths, direct, found, codes):
         c = of[k]
         value = np.int64(flat[k]) >> depths[c]
         if value >= direct[c]:
-            found[c, _symbol(value, direct[c])] += 1
+            found[c, symbol_of(value, direct[c])] += 1
     for c in range(number):
         for s in range(SYMBOLS):
             if found[c, s]:
@@ -185,7 +185,7 @@ def _code(frequency):
 
 
 @kernel
-def _write_tables(out, at, number, depths, direct, sizes, codes):
+def write_tables(out, at, number, depths, direct, sizes, codes):
     """Write the tables at ``at`` of the chunk's bytes, zeros so far; where they end."""
     for c in range(number):
         out[at], out[at + 1], out[at + 2] = depths[c], direct[c], sizes[c] - direct[c]
@@ -205,7 +205,7 @@ def _write_tables(out, at, number, depths, direct, sizes, codes):
 
 
 @kernel
-def _write_mask(numbers, mode, out, at):
+def write_mask(numbers, mode, out, at):
     """Write the runs of samples that are there and that are missing at ``at``; where they end."""
     rows, cols = numbers.shape
     state, run = False, np.int64(0)
@@ -232,7 +232,7 @@ def _write_run(out, at, run):
 
 
 @inlined
-def _push(x, p, words, frequency, below):
+def push(x, p, words, frequency, below):
     """(The state before a symbol is read, the word before.)"""
     if x >= frequency << (32 - BITS):
         p -= 1
@@ -242,7 +242,7 @@ def _push(x, p, words, frequency, below):
 
 
 @inlined
-def _push_raw(x, p, words, bits, value):
+def push_plain(x, p, words, bits, value):
     """(The state before so many plain bits are read, the word before.)"""
     if x >= np.int64(1) << (32 - bits):
         p -= 1
@@ -267,7 +267,7 @@ def _stream(values, contexts, depths, direct, found, words, states):
                 col = LANES * i + lane
                 depth, value = depths[contexts[row, col]], np.int64(values[row, col])
                 if depth:
-                    states[lane], p = _push_raw(states[lane], p, words, depth, value & ((1 << depth) - 1))
+                    states[lane], p = push_plain(states[lane], p, words, depth, value & ((1 << depth) - 1))
             for lane in range(LANES - 1, -1, -1):
                 col = LANES * i + lane
                 c = contexts[row, col]
@@ -277,13 +277,13 @@ def _stream(values, contexts, depths, direct, found, words, states):
                     bits = length(beyond) - 1
                     beyond -= np.int64(1) << bits
                     if bits > 16:
-                        states[lane], p = _push_raw(states[lane], p, words, bits - 16, beyond >> 16)
-                    states[lane], p = _push_raw(states[lane], p, words, min(bits, 16), beyond & 0xFFFF)
+                        states[lane], p = push_plain(states[lane], p, words, bits - 16, beyond >> 16)
+                    states[lane], p = push_plain(states[lane], p, words, min(bits, 16), beyond & 0xFFFF)
             for lane in range(LANES - 1, -1, -1):
                 col = LANES * i + lane
                 c = contexts[row, col]
-                s = _symbol(np.int64(values[row, col]) >> depths[c], direct[c])
-                states[lane], p = _push(states[lane], p, words, found[c, s], below[c, s])
+                s = symbol_of(np.int64(values[row, col]) >> depths[c], direct[c])
+                states[lane], p = push(states[lane], p, words, found[c, s], below[c, s])
     return p
 
 
@@ -319,7 +319,7 @@ def encode(numbers):
     depths, direct = np.zeros(contexts, np.int64), np.zeros(contexts, np.int64)
     codes = np.zeros((contexts, SYMBOLS), np.int64)
     found = np.zeros((contexts, SYMBOLS), np.int64)
-    sizes = _tables(values, activity, contexts, depths, direct, found, codes)
+    sizes = decided_tables(values, activity, contexts, RARE, depths, direct, found, codes)
     words, states = np.empty(WORDS * values.size, np.uint16), np.empty(LANES, np.int64)
     p = _stream(values, activity, depths, direct, found, words, states)
     head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)
@@ -332,11 +332,11 @@ def encode(numbers):
     for k in range(1, contexts):
         head[at] = np.uint8(bounds[k])
         at += 1
-    at = _write_tables(head, at, contexts, depths, direct, sizes, codes)
+    at = write_tables(head, at, contexts, depths, direct, sizes, codes)
     if missing:
-        one, two = _write_mask(numbers, 1, head, at), _write_mask(numbers, 2, head, at)
+        one, two = write_mask(numbers, 1, head, at), write_mask(numbers, 2, head, at)
         mode = 1 if one <= two else 2
-        at = _write_mask(numbers, mode, head, at)
+        at = write_mask(numbers, mode, head, at)
     head[1] = mode
     out = np.empty(at + 4 * LANES + 2 * (words.size - p), np.uint8)
     out[:at] = head[:at]

@@ -22,13 +22,16 @@ if TYPE_CHECKING:
     from orograph.dem.raster import Dem
 
 TAKES = (
-    "a path or URL of a DEM or a store, a list of DEMs, a Dem, a Terrain, an xarray.DataArray or Dataset, an open "
-    "rasterio dataset or (dataset, window), or an array of heights (with transform= and crs=)"
+    "a path or URL of a DEM, of a file of points or of a store, a list of DEMs, a Dem, a Terrain, an "
+    "xarray.DataArray or Dataset, an open rasterio dataset or (dataset, window), or an array of heights (with "
+    "transform= and crs=)"
 )
 """What every function that wants a terrain takes."""
 
 OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
 """How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
+OF_POINTS = ("max_edge", "height_column", "point_layer", "point_classes")
+"""How points are read and become a surface (``dem.gridding``)."""
 OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
 OF_AREAS = ("bbox", "clip")
 """What of the ground is read (``dem.area``)."""
@@ -38,7 +41,7 @@ OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS
 OF_MANY = ("skip_damaged",)
 """What is done where some of many files cannot be read (``Mosaic.open``)."""
 
-READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_ARRAYS, *OF_MANY)))
+READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF_MANY)))
 """All that can be said of how heights are read."""
 
 
@@ -84,9 +87,12 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     said = {k: v for k, v in options.items() if v is not None}
     files = files_of(given)
     if files is not None:
+        if (points := points_of(files, progress, said)) is not None:
+            return points
         from orograph.dem.mosaic import Mosaic
 
-        return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files"))
+        how = _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
+        return Mosaic.open(files, progress=progress, **how)
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
         return _part(source, _fitting(said, OF_AREAS, "a Terrain, which was read already"))
@@ -109,6 +115,38 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     from orograph.dem.mosaic import Mosaic
 
     return Mosaic([raster for raster, _ in made], **grid)
+
+
+def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) -> HeightSource | None:
+    """The raster of a file of points; None where the files are rasters.
+
+    Args:
+        said: options of reading.
+
+    Raises:
+        ReadError, UsageError: as ``PointRaster.open``; points among other files; an option that does not fit points.
+    """
+    from orograph.dem.scattered import is_points
+
+    found = [path for path in files if is_points(path)]
+    if not found:
+        return None
+    if len(files) > 1:
+        raise UsageError(
+            "A file of points is a terrain of its own; it cannot be put together with other files.", path=found[0],
+            remedy="Put all points into one file.",
+        )  # fmt: skip
+    from orograph.dem.gridding import PointRaster
+
+    fits = ("crs", "resolution", "bbox", "clip", "assume_crs", "vertical_unit", "assume_vertical", *OF_POINTS)
+    how = _fitting({k: v for k, v in said.items() if _asked(k, v)}, fits, "points")
+    area = {name: how.pop(name) for name in OF_AREAS if name in how}
+    return _part(PointRaster.open(found[0], progress=progress, **how), area)
+
+
+def _asked(name: str, value: Any) -> bool:
+    """Whether an option says something else than the command line does by itself."""
+    return bool(value != {"band": 1, "resampling": "bilinear"}.get(name))
 
 
 def source_of_terrain(terrain: MemoryTerrain | StoredTerrain) -> HeightSource:

@@ -14,7 +14,7 @@ from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
 from orograph.store.chunked import lengths_spec, words_spec
-from orograph.store.chunked_kind import CHUNKED, block_of
+from orograph.store.chunked_kind import CHUNKED, rows_of, spooled, write
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
 from orograph.store.executing import Executor
 from orograph.store.layout import Record
@@ -79,7 +79,7 @@ def make_patches(record: Record, work: Work) -> Record:
 
 
 def make_tins(record: Record, work: Work) -> Record:
-    """TINs of patches; some four bytes for each sample are held in memory while they are made."""
+    """TINs of patches, from heights; their marks wait in temporary files."""
     from orograph.store.tin_build import make_tins
 
     shape, legs = record.grid.shape, work.tins
@@ -97,25 +97,26 @@ def make_tins(record: Record, work: Work) -> Record:
 
 
 def make_chunked(record: Record, work: Work) -> Record:
-    """Meshes of chunks; a level's are held in memory, some 1.4 bytes for each sample besides, and more for the errors
-    that they follow from where the store has none of the kind."""
+    """Meshes of chunks, from ``midpoint`` errors; what there is of a level waits in a temporary file."""
     from orograph.store.chunked_build import MemoryChunks
 
     if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
         return record
     (cells, finest), terrain = work.chunked, work.terrain(record)
-    if "midpoint" not in terrain.errors:
-        terrain.supply("diamonds", error="midpoint")
     chunks = MemoryChunks(terrain, cells, finest)
     layout, rows = chunks.layout, []
     with work.progress.task("Making chunks", layout.top + 1) as task:
         for level in range(layout.top + 1):
-            words = list(chunks.all_words(level, work.jobs))
-            lengths = np.array([len(one) for one in words], np.uint32).reshape(layout.chunks(level))
-            work.writer.array(lengths_spec(layout, level, record.shard, record.chunk), lengths)
-            block = block_of(np.concatenate(words), record.chunk)
-            work.writer.array(words_spec(level, len(block), record.shard, record.chunk), block)
-            rows.append(len(block))
+            with spooled() as file:
+                lengths = np.array([write(file, one) for one in chunks.all_words(level, work.jobs)], np.uint32)
+                count = rows_of(int(lengths.sum(dtype=np.int64)), record.chunk)
+                file.truncate(4 * count * record.chunk)  # zeros after the last
+                file.flush()
+                block = np.memmap(file, np.uint32, "r", shape=(count, record.chunk))
+                per_chunk = lengths_spec(layout, level, record.shard, record.chunk)
+                work.writer.array(per_chunk, lengths.reshape(layout.chunks(level)))
+                work.writer.array(words_spec(level, count, record.shard, record.chunk), block)
+            rows.append(count)
             task.advance()
     return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": chunks.error, "rows": rows})
 

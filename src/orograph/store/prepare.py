@@ -17,7 +17,7 @@ from orograph.errors import OrographError, StoreError, UsageError
 from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
 from orograph.store.build import build, in_memory
-from orograph.store.given import OF_AREAS, source_of
+from orograph.store.given import OF_AREAS, points_of, source_of
 from orograph.store.stored import open
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 
@@ -80,6 +80,10 @@ def prepare(
         return part_of(terrain, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     from orograph.dem.mosaic import Mosaic
 
+    if (points := points_of(paths, progress, said)) is not None:
+        for warning in getattr(points, "warnings", ()):
+            progress.warn(warning)
+        return in_memory(points, progress)
     mosaic = Mosaic.open(paths, progress=progress, **said)
     return of_mosaic(mosaic, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
 

@@ -11,9 +11,12 @@ from orograph.store.derived import Derived
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.layers import LAYERS
 from orograph.store.patches import PATCHES
+from orograph.store.points import POINTS
 from orograph.store.tin_kind import TINS
 
-KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, CHUNKED, COLORS, LAYERS)}
+KINDS: dict[str, Derived[Any]] = {
+    kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, CHUNKED, POINTS, COLORS, LAYERS)
+}
 """By name, each after those that it needs."""
 
 

@@ -25,6 +25,7 @@ from orograph.store.layout import (
     table_spec,
 )
 from orograph.store.places import ROOT, missing
+from orograph.store.points import POINTS, StoredPoints
 from orograph.store.registry import kind_of
 from orograph.store.storage import Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
@@ -70,7 +71,9 @@ class StoredTerrain(Terrain):
         self.supplied: dict[Key, Terrain] = {}
         self._opened_data: dict[Key, Any] = {}
         self.resampled = record.resampled
-        if record.lattices:
+        if POINTS.of(record):
+            self.samples = StoredPoints(self)
+        elif record.lattices:
             self.samples = StoredSamples(self.grid, [self._lattice(number) for number in range(len(record.lattices))])
 
     @property

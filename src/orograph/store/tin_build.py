@@ -10,13 +10,14 @@ nowhere but in vertices that are decided, so they may be made in any order, by a
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
+from orograph.folders import held
 from orograph.hierarchy import diamonds, triangles
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
@@ -31,6 +32,9 @@ LIMIT = 1e-6
 
 ROUNDING = 1.0 + 1e-6
 """What is measured counts as so much more, for crossings nearer to a sample than can be told."""
+
+BAND = 1 << 24
+"""Samples of the bands in which the finest diamonds are looked at, about."""
 
 CHUNK = 32
 """Diamonds of a task."""
@@ -149,13 +153,17 @@ class Building:
     def __init__(self, terrain: Terrain, legs: int) -> None:
         self.terrain, self.legs, self.n = terrain, legs, terrain.n
         shape = terrain.grid.shape
-        self.marks: dict[int, Marks] = {
-            k: np.zeros(terrain.shape(lattice(shape, k, legs)), np.uint8) for k in octaves(shape, legs)
-        }
+        self.marks: dict[int, Marks] = {}
+        self._releases: list[Callable[[], None]] = []
+        for k in octaves(shape, legs):
+            rows, cols = terrain.shape(lattice(shape, k, legs))
+            room, release = held(rows * cols)
+            self.marks[k] = room.reshape(rows, cols)
+            self._releases.append(release)
         sides = {k: (1 << (self.n - k)) + 1 for k in self.marks}
         self.errors = {k: np.zeros((side, side)) for k, side in sides.items()}
         self.radii = {k: np.full((side, side), -1.0) for k, side in sides.items()}
-        self.triangles = {k: np.zeros((side, side, 2), np.int64) for k, side in sides.items()}
+        self.triangles = {k: np.zeros((side, side, 2), np.int32) for k, side in sides.items()}
         a, b, _, d, e, _ = terrain.grid.samples[:6]
         self._metric = np.array([a, d, b, e])
         tiles, lowest = terrain.tiles(0).minimum, terrain.height_range[0]
@@ -183,9 +191,11 @@ class Building:
         error[todo] = np.maximum(error[todo], found[:, 0])
         i, j = rows >> octave, cols >> octave
         self.errors[octave][i, j], self.radii[octave][i, j] = error, radius
-        self.triangles[octave][i[todo], j[todo]] = found[:, 1:3].astype(np.int64)
+        self.triangles[octave][i[todo], j[todo]] = found[:, 1:3].astype(np.int32)
         if octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE:
             below[todo] = found[:, 5].astype(np.int64)
+        for release in self._releases:
+            release()
         return Figures(
             octave, kind, len(todo), int(found[:, 1:3].sum()), int(below[todo].sum()), int(found[:, 3].sum()),
             int(found[:, 4].sum()), float(found[:, 0].max(initial=0.0)),
@@ -204,7 +214,7 @@ class Building:
         """What is known of the finest diamonds before they are made: errors 0 or inf, and radii."""
         s, (high, wide) = 1 << octave, self.terrain.grid.shape
         count, squares = np.zeros((len(rows), 2), np.int64), np.zeros(len(rows))
-        band = rows // (64 * s)
+        band = rows // (s * max(1, min(64, BAND // (s * wide))))
         for b in np.unique(band):
             here = np.flatnonzero(band == b)
             row0, row1 = max(int(rows[here].min()) - s, 0), min(int(rows[here].max()) + s + 1, high)
@@ -316,14 +326,17 @@ class Building:
 def make_tins(
     terrain: Terrain, legs: int, *, jobs: int | None = None, progress: Progress = SILENT
 ) -> MemoryTins:  # fmt: skip
-    """Make the TINs of a terrain in memory, which takes some three bytes a sample.
+    """Make the TINs of a terrain.
+
+    A byte in three samples or so is held. The marks, some three bytes a sample, lie in scratch files where they are
+    many, of which memory holds what is at work.
 
     Args:
         terrain: the ground. legs: segments along a finest patch's leg.
         jobs: threads (default: all processors); the result does not depend on them. progress: is told of levels.
 
     Raises:
-        DamagedChunkError: as ``terrain.read``.
+        DamagedChunkError: as ``terrain.read``. OutputError: the disk that temporary files are on is full.
     """
     building = Building(terrain, legs)
     todo = [(k, kind) for k in building.marks for kind in (diamonds.EDGE, diamonds.SQUARE)]

@@ -15,15 +15,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from orograph.errors import UsageError
 from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
 from orograph.scene.contours import Contours
-from orograph.scene.scene import Scene
+from orograph.scene.flying import Flown
+from orograph.scene.scene import Scene, Variant
 from orograph.touring.course import Course, Grading
 from orograph.touring.tour import Tour
+
+PACE, INSTANT = 3.0, 0.1
+"""Seconds over which scenarios of a flight change, at least; half of those that a camera's speed is measured in."""
 
 WAYPOINTS = 9
 """Places of a tour that an interval of contour lines is to suit."""
@@ -65,6 +71,7 @@ class Film:
         self.course = Course(self.tour, scene.terrain, progress)
         if scene.annotations.contours is not None:
             self.base = scene.but(contours=self._lines(scene.annotations.contours))
+        self.base = replace(self.base, variants=tuple(self._lined(one) for one in self.base.variants))
         graded = (scene.lighting.relief is None and "relief" not in self.tour.settings(0.0)) or (
             scene.lighting.sky and scene.lighting.depths is None
         )
@@ -116,6 +123,11 @@ class Film:
         )  # fmt: skip
         return replace(contours, interval=suits[WAYPOINTS // 2], fading=True)
 
+    def _lined(self, one: Variant) -> Variant:
+        """A variant of the scene with such lines, if it has any."""
+        lines = one.scene.annotations.contours
+        return one if lines is None else replace(one, scene=one.scene.but(contours=self._lines(lines)))
+
     def _scene(self, time: float) -> Scene:
         settings: dict[str, Any] = self.tour.settings(time)
         sun = self.tour.sun(time)
@@ -124,7 +136,25 @@ class Film:
         layers = self.tour.layers(time)
         if layers is not None:
             settings["layers"] = layers
-        return self.base.but(view=self.course.at(time), **settings)
+        scene = self.base.but(view=self.course.at(time), **settings)
+        if not any(isinstance(one.weight, Flown) for one in scene.variants):
+            return scene
+        flown = [one.weight for one in scene.variants if isinstance(one.weight, Flown)]
+        told = self._shares(time, flown[0])
+        variants = (replace(one, weight=replace(weight, told=told)) for one, weight in zip(scene.variants, flown))
+        return replace(scene, variants=tuple(variants))
+
+    def _shares(self, time: float, flown: Flown) -> tuple[float, float, float]:
+        """How much of its scenarios a flight shows, on average over ``PACE`` seconds around a time: so they change by
+        degrees, even where the camera stops at once."""
+        found = []
+        for t in np.clip(time + PACE * np.linspace(-0.5, 0.5, WAYPOINTS * 2 - 1), 0.0, self.tour.duration):
+            first, last = max(t - INSTANT, 0.0), min(t + INSTANT, self.tour.duration)
+            a, b = (np.asarray(self.course.at(float(v)).eye) for v in (first, last))
+            speed = float(np.linalg.norm(b - a) / (last - first)) if last > first else 0.0
+            found.append(flown.flight.shares(flown.height((a + b) / 2), speed))
+        approach, overflight, replanning = np.mean(found, axis=0)
+        return float(approach), float(overflight), float(replanning)
 
 
 def spoken(tour: Tour) -> Sequence[str]:

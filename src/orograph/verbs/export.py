@@ -1,9 +1,9 @@
-"""``orograph.export``: heights of a terrain as a GeoTIFF for other tools."""
+"""``orograph.export``: heights of a terrain, or data as they lie on it, for other tools."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import ELLIPSOIDAL
+from orograph.geovis.data.dataset import Dataset, datasets_of
 from orograph.lighting.raster import Band, Values, rectangles, write
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -31,6 +32,7 @@ def export(
     terrain: Any,
     output: str | os.PathLike[str],
     *,
+    data: Any = (),
     bbox: tuple[float, float, float, float] | None = None,
     overwrite: bool = False,
     max_memory: int | None = None,
@@ -41,10 +43,13 @@ def export(
     """Write the heights of a terrain as a Cloud Optimized GeoTIFF: float32, metres, full resolution, NaN where missing.
 
     The file's CRS has the vertical datum, too, where one is known. It is written block by block, so any size works.
+    With ``data`` these are written instead: rasters at the terrain's samples, values and uncertainty, as a GeoTIFF
+    (.tif) or NetCDF (.nc, CF-1.8, from memory); points with the height of the ground as .csv, .geojson or .gpkg.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
-        output: the file: .tif.
+        output: the file: .tif, of data also .nc, .csv, .geojson, .gpkg.
+        data: a ``Dataset``, or several rasters; what is shown (``value``, ``exceeds``) is what is written.
         bbox: west, south, east, north of the area in degrees; None: all of it.
         overwrite: replace a file that is there.
         max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
@@ -56,11 +61,17 @@ def export(
         UsageError: the area is not in the terrain, or the file is there. ReadError, StoreError: the terrain cannot be
             read. OutputError: the file cannot be written.
     """
-    path = check_output(output, overwrite)
+    datasets = datasets_of(data)
+    path = check_output(output, overwrite, datasets)
     heard = reporting(progress)
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="export", **reading)
     row0, row1, col0, col1 = (0, ground.grid.rows, 0, ground.grid.cols) if bbox is None else area_of(ground, bbox)
     grid = ground.grid.window(row0, row1, col0, col1)
+    if datasets:
+        from orograph.verbs.export_data import export_data
+
+        export_data(ground, grid, datasets, path, max_memory=max_memory, jobs=jobs, progress=heard)
+        return path
     parts = list(rectangles(grid.shape, STEP, STEP))
 
     def blocks() -> Iterator[tuple[int, int, int, Values]]:
@@ -79,14 +90,18 @@ def export(
     return path
 
 
-def check_output(output: str | os.PathLike[str], overwrite: bool) -> Path:
+def check_output(output: str | os.PathLike[str], overwrite: bool, data: Sequence[Dataset] = ()) -> Path:
     """The path of the file to write.
 
     Raises:
-        UsageError: it is no GeoTIFF, or is there.
+        UsageError: it is no GeoTIFF, or nothing that such data are written as, or is there.
     """
     path = Path(output)
-    if path.suffix.lower() not in (".tif", ".tiff"):
+    if data:
+        from orograph.verbs.export_data import check_data_output
+
+        check_data_output(path, data)
+    elif path.suffix.lower() not in (".tif", ".tiff"):
         raise UsageError("Heights are written as a GeoTIFF: .tif.", path=path)
     if path.exists() and not overwrite:
         raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")

@@ -16,7 +16,7 @@ from orograph.rendering.memory import check_memory
 from orograph.reporting import reporting
 from orograph.scene import given
 from orograph.scene.methods import check_promise
-from orograph.scene.parts import check_options
+from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
@@ -89,7 +89,7 @@ def movie(
     by = By.of(workers, dask, part, finish)
     path = os.fspath(output)
     check_movie(path, size, crf)
-    max_memory, jobs = options.get("max_memory"), options.get("jobs")
+    max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)
     if tour is None:
         sun = given.sun(options.get("sun"), ground)

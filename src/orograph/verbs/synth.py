@@ -1,17 +1,24 @@
-"""``orograph.synth``: a fractal terrain of any size, in memory or in a file."""
+"""``orograph.synth``: a fractal terrain, or one by example, of any size, in memory or in a file."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from orograph.dem.raster import Dem
-from orograph.dem.synth import Synth, parse_size
+from orograph.dem.synth import Synth, parse_size, write_windows
 from orograph.dem.target import parse_crs
 from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.reporting import reporting
+
+if TYPE_CHECKING:
+    from orograph.synthesis.terrain import ByExample
+
+SPACING, CRS, ROUGHNESS = 30.0, "EPSG:32633", 1.0
+"""Of a fractal terrain; an example says them itself."""
 
 
 def synth(
@@ -19,23 +26,31 @@ def synth(
     *,
     size: int | str | tuple[int, int] = 1025,
     seed: int = 1,
-    spacing: float = 30.0,
-    crs: Any = "EPSG:32633",
+    spacing: float | None = None,
+    crs: Any = None,
     relief: float | None = None,
-    roughness: float = 1.0,
+    roughness: float | None = None,
+    exemplar: Any = None,
+    jitter: float | Sequence[float] | None = None,
     compress: str = "zstd",
     overwrite: bool = False,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | Path:
-    """Make a fractal terrain: plains, and ranges carved by rivers. The same seed and size give the same heights.
+    """Make a fractal terrain: plains, and ranges carved by rivers; or one that takes after an example.
+
+    The same seed and size give the same heights.
 
     Args:
         output: the GeoTIFF to write, in blocks, so that any size works; None: the terrain is returned.
         size: samples of a side, or (rows, columns). seed: another number, another world.
-        spacing: metres between samples. crs: a projected CRS.
+        spacing: metres between samples; None: 30. crs: a projected CRS; None: EPSG:32633, or the example's.
         relief: metres from the lowest to the highest place; None: 6 % of the side, at most 2500.
-        roughness: depth of the finer furrows: 0 smooth, 1 natural.
+        roughness: depth of the finer furrows: 0 smooth, 1 natural, which is the default.
+        exemplar: a terrain to take after (Lefebvre & Hoppe 2005): whatever ``orograph.terrain`` takes, of at most 4
+            million samples, none missing. It says the spacing, the relief and the roughness itself.
+        jitter: with an exemplar, how much its pieces vary, 0 to 1; one number, or one for each level from the coarsest
+            on. None: 0.5, and 0 on the three finest.
         compress: of the file: "zstd", "deflate" or "none". overwrite: replace one that is there.
         jobs: threads; None: all processors. progress: hears of it; False: nothing is said.
 
@@ -43,21 +58,61 @@ def synth(
         a ``Dem``, or the path of the file.
 
     Raises:
-        UsageError: an option makes no sense, or the file is there. OutputError: it cannot be written.
+        UsageError: an option makes no sense, the exemplar is no good, or the file is there.
+        ReadError: the exemplar cannot be read. OutputError: the file cannot be written.
+    """
+    path = None if output is None else Path(output)
+    if path is not None and path.exists() and not overwrite:
+        raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
+    heard = reporting(progress)
+    made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, heard)
+    if path is not None:
+        write(made, path, compress=compress, jobs=jobs, progress=heard)
+        return path
+    rows, cols = made.grid.shape
+    if isinstance(made, Synth):
+        made.prepare(heard)
+    return Dem(made.read(0, rows, 0, cols), made.grid, None, made.name, tuple(getattr(made, "attribution", ())))
+
+
+def maker(
+    size: int | str | tuple[int, int], seed: int, spacing: float | None, crs: Any, relief: float | None,
+    roughness: float | None, exemplar: Any, jitter: float | Sequence[float] | None, jobs: int | None,
+    progress: Progress,
+) -> Synth | ByExample:  # fmt: skip
+    """What makes the terrain that these arguments of ``synth`` ask for.
+
+    Raises: as ``synth``.
     """
     shape = tuple(size) if isinstance(size, tuple | list) else parse_size(str(size))
     if len(shape) != 2 or min(shape) < 2:
         raise UsageError(f"The size is a number of samples, or (rows, columns), not {size!r}.")
-    made = Synth(
-        (int(shape[0]), int(shape[1])), seed, spacing=spacing, crs=parse_crs(crs), relief=relief, roughness=roughness
-    )
-    heard = reporting(progress)
-    if output is None:
-        made.prepare(heard)
-        rows, cols = made.grid.shape
-        return Dem(made.read(0, rows, 0, cols), made.grid, None, f"synth {seed}")
-    path = Path(output)
-    if path.exists() and not overwrite:
-        raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
-    made.write(path, compress=compress, jobs=jobs, progress=heard)
-    return path
+    rows, cols = int(shape[0]), int(shape[1])
+    if exemplar is None:
+        if jitter is not None:
+            raise UsageError("The jitter is that of an example's pieces.", remedy="Give an exemplar, too.")
+        return Synth(
+            (rows, cols), seed, spacing=SPACING if spacing is None else spacing, crs=parse_crs(crs or CRS),
+            relief=relief, roughness=ROUGHNESS if roughness is None else roughness,
+        )  # fmt: skip
+    given = {"spacing": spacing, "relief": relief, "roughness": roughness}
+    if said := [name for name, value in given.items() if value is not None]:
+        raise UsageError(
+            f"The exemplar says the {' and the '.join(said)} itself.", remedy=f"Leave out the {' and the '.join(said)}."
+        )
+    from orograph.synthesis.terrain import ByExample
+
+    projected = None if crs is None else parse_crs(crs)
+    return ByExample(exemplar, (rows, cols), seed, crs=projected, jitter=jitter, jobs=jobs, progress=progress)
+
+
+def write(made: Synth | ByExample, path: Path, *, compress: str, jobs: int | None, progress: Progress) -> None:
+    """Write a terrain as a GeoTIFF.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    if isinstance(made, Synth):
+        made.write(path, compress=compress, jobs=jobs, progress=progress)
+    else:
+        write_windows(made, path, compress=compress, jobs=jobs, progress=progress, tags=made.tags)

@@ -73,7 +73,7 @@ def tin(
             heard.warn(f"The coarsest TIN has {len(mesh.triangles):,} triangles, more than {triangles:,}.")
     else:
         assert max_error is not None
-        mesh = meshing.tin(ground, max_error, **more)
+        mesh = meshing.tin(ground, float(max_error), **more)  # (of a whole number kernels would be compiled again)
     if output is not None:
         with heard.task("Writing"):
             write(mesh, ground.grid, output)

@@ -7,7 +7,7 @@ has to come back from little. A *flight* is taken frame by frame, and the clock 
 frame to frame, it saves here. Tiles are counted from the method's making.
 
 A mesh is judged by its triangles (``judge_mesh``). A selection that makes none, for rays, is drawn by the CPU and
-judged by the depth of its picture (``judge_depth``).
+judged by the depth of its picture (``judge_depth``); of one that has patches, too, both are judged.
 
 Units: milliseconds; pixels; fractions of a mesh.
 """
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError
 from orograph.lod.method import Goal
-from orograph.lod.selection import RayWindows, Selection
+from orograph.lod.selection import PatchesAndRays, RayWindows, Selection
 from orograph.progress import Task
 from orograph.rendering.backends import backend_of
 from orograph.scene.scene import Scene
@@ -210,6 +210,9 @@ class _Tally:
         if isinstance(selection, RayWindows):
             depth = ray_depth(self.terrain, view, selection.bound or 0.0, **about)
             self.depths.append(judge_depth(depth, self.terrain, view, **about))
+            if isinstance(selection, PatchesAndRays):
+                mesh = selection.select_patches().tessellation()
+                self.reports.append(judge_mesh(mesh, self.terrain, view, **about))
         else:
             self.reports.append(judge_mesh(selection.tessellation(), self.terrain, view, **about))
 
@@ -236,7 +239,7 @@ class _Tally:
             largest_in_picture=_most([r.largest for r in self.depths]),
             mismatches=sum(r.mismatches for r in self.depths) if self.depths else None,
             farthest=_most([r.farthest for r in self.depths]),
-            judged=len(self.reports) + len(self.depths),
+            judged=max(len(self.reports), len(self.depths)),
             changes=changes,
             tiles_read=self.tiles,
             defects=defects,

@@ -13,6 +13,7 @@ import numpy as np
 
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.derived import read_data
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import read, times_in
 from orograph.geovis.data.scales import PERCENTILES
@@ -85,13 +86,18 @@ class ShownData:
             return one
         doubt = None if one.uncertainty is not None and one.uncertainty.of_members else one.uncertainty
         bare = one.but(time=self.time, uncertainty=doubt)
-        if one.range is not None or "+" in str(one.variable or one.band or ""):
+        if bare.derived and len(read(bare.but(value=None, exceeds=None, uncertainty=None), terrain.grid).values) == 1:
+            range_ = None if one.exceeds is not None else one.range
+            bare = bare.but(value=None, exceeds=None, range=range_)  # of a single time: what it is
+        if bare.exceeds is not None:
+            return bare
+        if bare.range is not None or "+" in str(one.variable or one.band or ""):
             return bare
         if k not in self._spans:
             times = times_in(one)
             some = {times[round(i)] for i in np.linspace(0, len(times) - 1, LOOKED_AT)}
             values = np.concatenate(
-                [read(bare.but(time=time, uncertainty=None), terrain.grid).mean.ravel() for time in sorted(some)]
+                [read_data(bare.but(time=time, uncertainty=None), terrain.grid).shown.ravel() for time in sorted(some)]
             )
             low, high = (float(v) for v in np.nanpercentile(values, PERCENTILES))
             self._spans[k] = (low, high) if low < high else (low - 0.5, low + 0.5)

@@ -164,6 +164,9 @@ class Settings:
         self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
         self.options |= {"tolerance": DEFAULT_TOLERANCE, "sky": True}
         check_options(options)
+        for name in ("focus", "flight", "ghosts"):
+            if options.get(name):
+                raise UsageError(f"`{name}` is drawn in pictures and films, not in the window.")
         for name, value in options.items():
             made = OPTIONS[name].given
             setattr(self, name, value if made is None else made(value, terrain))
@@ -259,9 +262,10 @@ class Settings:
         return []
 
     @property
-    def streams(self) -> bool:
-        """Whether patches are drawn that the renderer streams, instead of a mesh."""
-        return mesh_choice(self.method, "gpu") is None
+    def leveled(self) -> bool:
+        """Whether what is drawn has levels: patches that the renderer streams, or windows of rays."""
+        choice = mesh_choice(self.method, "gpu")
+        return choice is None or choice.info.kind == "rays"
 
     @property
     def stack(self) -> tuple[Layer, ...]:
@@ -273,7 +277,7 @@ class Settings:
         from orograph.rendering.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels and self.streams, occlusion=self.occlusion, normals=self.normals,
+            self.wireframe, self.levels and self.leveled, occlusion=self.occlusion, normals=self.normals,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

@@ -11,6 +11,7 @@ from rasterio.transform import from_origin
 import orograph
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.points import read_points
+from orograph.scene.theming import themed
 
 
 def test_a_point_beyond_the_poles_is_left_out_without_a_warning(tmp_path: Path) -> None:
@@ -22,3 +23,14 @@ def test_a_point_beyond_the_poles_is_left_out_without_a_warning(tmp_path: Path) 
         warnings.simplefilter("error")
         found = read_points(Dataset(str(file)), terrain.grid)
     assert found.values.tolist() == [1, 3]
+
+
+def test_points_without_attributes_have_one_colour_and_a_name() -> None:
+    ground = orograph.terrain(np.zeros((40, 50), np.float32), spacing=10.0)
+    x, y = ground.grid.xy(np.array([5.0, 20.0]), np.array([8.0, 12.0]))
+    made = orograph.Dataset({"x": x, "y": y}, name="Huts", colormap={"Huts": "#d55e00"})
+    things = themed({"data": made}, ground, (200, 150)).things
+    assert things is not None and len(things) == 2
+    assert [name for name, _ in things.legend.classes] == ["Huts"] and not things.legend.scales
+    np.testing.assert_allclose(things.rgb, things.rgb[:1].repeat(2, 0))
+    assert things.rgb[0, 0] > things.rgb[0, 2]

@@ -14,6 +14,7 @@ from matplotlib.path import Path as Outline
 import orograph
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, apply
+from orograph.geo.wkb import parse
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import read_features
 from orograph.geovis.data.painting import painted
@@ -21,7 +22,6 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shape_kernels import crossed, fill, stroke
 from orograph.geovis.data.shape_painting import shown_shapes
 from orograph.geovis.data.shapes import cut_line, cut_ring, read_shapes
-from orograph.geovis.data.wkb import parse
 
 UTM = "EPSG:32630"
 PLACE = Affine(100, 0, 500_000, 0, -100, 5_600_000)

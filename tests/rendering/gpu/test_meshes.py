@@ -59,11 +59,13 @@ def views() -> dict[str, View]:
         "threshold-spheres",
         "triangle-patches,legs=8",
         "restricted-quadtree",
+        "smart,cells=16",
         "seamless-patches",
         "cdlod",
         "chunked-lod,cells=16",
         "bdam",
         "clipmap,n=63",
+        "cbt",
     ],
 )
 def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:

@@ -65,8 +65,10 @@ SCENES: dict[str, dict[str, Any]] = {
     "apertures": {"light": "aperture", **LIGHTS},
     "rays": {"light": "raytraced", "rays": 4, **LIGHTS},
     "mesh": {"method": "soar", "wireframe": True},
+    "tree": {"method": "cbt", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
+    "both": {"method": "hybrid,shares=turns,block=32", "normals": "faces"},
 }
 
 

@@ -16,8 +16,9 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import srgb_to_linear
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.painting import Shown, cropped
-from orograph.geovis.data.reading import Field, read
+from orograph.geovis.data.derived import read_data
+from orograph.geovis.data.painting import Shown, as_shown, cropped
+from orograph.geovis.data.reading import Field
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale
 from orograph.geovis.keys import Square
@@ -39,8 +40,9 @@ class _One:
 
     @property
     def label(self) -> str:
-        unit = self.field.unit if self.dataset.unit is None else self.dataset.unit
-        name = self.dataset.name or self.field.name
+        plain = self.dataset.unit is None or self.dataset.exceeds is not None
+        unit = self.field.unit if plain else self.dataset.unit
+        name = self.field.name if self.dataset.derived else self.dataset.name or self.field.name
         return f"{name} ({unit})" if unit else name
 
 
@@ -85,9 +87,10 @@ def shown_pair(first: Dataset, second: Dataset, grid: Grid, texels: int) -> Show
             remedy="Show the uncertainty as the second of the two.",
         )  # fmt: skip
     count = first.classes if first.classes <= MOST else USUAL
-    fields = [read(one, grid) for one in (first, second)]
+    fields = [read_data(one, grid) for one in (first, second)]
+    first, second = as_shown(first), as_shown(second)
     over = cropped(fields[0], grid, texels)
-    values = [Positions.of(over, field).values(field.mean) for field in fields]
+    values = [Positions.of(over, field).values(field.shown) for field in fields]
     known = np.isfinite(values[0]) & np.isfinite(values[1])
     scales = [
         ColorScale.of(np.where(known, v, np.nan), "viridis", one.range, count, one.breaks)

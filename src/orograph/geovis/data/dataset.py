@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
 from orograph.errors import UsageError
+from orograph.geovis.data.statistics import check_statistic
 from orograph.geovis.layers import keyed
 
 Style = Literal[
@@ -98,6 +99,9 @@ class Dataset:
         band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
             (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
             Where several are chosen their mean is shown.
+        value: what is shown of several members or times instead of their mean: "median", "min", "max", "spread", or a
+            quantile, "p90". exceeds: instead of values, how probably they are above this one: the part of the members,
+            or by the normal law where the uncertainty is a raster of standard deviations.
         layer: of a file of features with several. geometry: "points", "lines" or "polygons", where it mixes them.
         style: see ``Style`` and ``Standing``; None: what the priority says, of points spheres.
         colormap: any name of the cmap catalogue; of classes colours by name, {"Water": "#56b4e9"}.
@@ -120,6 +124,8 @@ class Dataset:
     band: str | int | None = None
     time: str | None = None
     member: str | int | None = None
+    value: str | None = None
+    exceeds: float | None = None
     layer: str | None = None
     geometry: Geometry | None = None
     style: Style | Standing | None = None
@@ -162,6 +168,7 @@ class Dataset:
         _check_choice("kind of geometry", self.geometry, get_args(Geometry))
         if self.width is not None:
             object.__setattr__(self, "width", _width(self.width))
+        self._check_derived()
         doubt: Any = self.uncertainty
         if doubt is not None and not isinstance(doubt, Uncertainty):
             object.__setattr__(self, "uncertainty", Uncertainty(doubt))
@@ -174,9 +181,25 @@ class Dataset:
             UsageError: a key is unknown or its value makes no sense.
         """
         return _parsed(
-            cls, text, {"range": _range, "classes": _whole, "breaks": _breaks, "size": _number, "opacity": _number},
+            cls, text, {"range": _range, "classes": _whole, "breaks": _breaks, "size": _number, "opacity": _number,
+                         "exceeds": _number},
             without=("uncertainty",),
         )  # fmt: skip
+
+    def _check_derived(self) -> None:
+        if self.value is not None:
+            check_statistic(self.value)
+        if self.exceeds is None:
+            return
+        if not math.isfinite(self.exceeds):
+            raise UsageError(f"A value to exceed is a number, not {self.exceeds}.")
+        if self.value is not None:
+            raise UsageError("value= and exceeds= say two different things to show.", remedy="Give one of the two.")
+
+    @property
+    def derived(self) -> bool:
+        """Whether a statistic of members is shown, or a probability."""
+        return self.value is not None or self.exceeds is not None
 
     @property
     def plain_colormap(self) -> str:

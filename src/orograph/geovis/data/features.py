@@ -18,8 +18,8 @@ from orograph.dem.handles import locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo import geojson
 from orograph.geo.grid import Grid
+from orograph.geo.wkb import Part, parse
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.wkb import Part, parse
 
 Array = NDArray[np.float64]
 Kind = Literal["points", "lines", "polygons"]

@@ -15,13 +15,15 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.lic import STEP, STEPS, brightness
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import Field, read
+from orograph.geovis.data.reading import Field
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
@@ -94,7 +96,7 @@ class Shown:
     @property
     def title(self) -> str:
         """What the legend calls it."""
-        if self.dataset.name is not None:
+        if self.dataset.name is not None and not self.dataset.derived:
             return self.dataset.name
         return self.field.name
 
@@ -111,7 +113,9 @@ class Shown:
 
     @property
     def unit(self) -> str:
-        return self.field.unit if self.dataset.unit is None else self.dataset.unit
+        if self.dataset.unit is None or self.dataset.exceeds is not None:
+            return self.field.unit
+        return self.dataset.unit
 
 
 def shown(
@@ -126,11 +130,18 @@ def shown(
     Raises: as ``reading.read``.
     """
     style = dataset.style or priority.style
-    field, *components = read_vectors(dataset, grid) if style in FLOWS else (read(dataset, grid),)
+    if dataset.derived and style in FLOWS:
+        raise UsageError(f"{style} shows two components, of which there is no value= or exceeds=.")
+    field, *components = read_vectors(dataset, grid) if style in FLOWS else (read_data(dataset, grid),)
+    dataset = as_shown(dataset)
     over = cropped(field, grid, texels)
     positions = Positions.of(over, field)
-    values = positions.values(field.mean)
-    sigma = _sigma(dataset, field, grid, over, positions)
+    values = positions.values(field.shown)
+    found = deviations(dataset, field, grid)
+    sigma = None
+    if found is not None:
+        other, sigmas = found
+        sigma = (positions if other is field else Positions.of(over, other)).values(sigmas)
     toward = directions(field, positions, *components) if components else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign(style))
@@ -146,6 +157,20 @@ def shown(
         there = np.isfinite(values)
         streaks = _streaks((toward[0] * there, toward[1] * there), over, image_grid(grid, texels), flat, dataset.size)
     return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward, streaks=streaks)
+
+
+def as_shown(dataset: Dataset) -> Dataset:
+    """Data that were read, as they are shown: a probability has a scale from 0 to 1 of even classes, and is what is
+    known of an uncertainty."""
+    if dataset.exceeds is None:
+        return dataset
+    if dataset.uncertainty is not None and dataset.uncertainty.of_members:
+        raise UsageError(
+            "A probability of exceeding says how certain the members are; it has no spread of its own.",
+            path=str(dataset.source), remedy="Leave the uncertainty away.",
+        )  # fmt: skip
+    even = "equal" if dataset.breaks == "quantiles" else dataset.breaks
+    return dataset.but(range=dataset.range or (0.0, 1.0), breaks=even, uncertainty=None)
 
 
 def _streaks(toward: tuple[Array, Array], over: Grid, whole: Grid, heights: Array, size: float | None) -> Array:
@@ -167,27 +192,6 @@ def _streaks(toward: tuple[Array, Array], over: Grid, whole: Grid, heights: Arra
     return brightness(across, down, pace, steps, (row, col))
 
 
-def _sigma(
-    dataset: Dataset, field: Field, grid: Grid, over: Grid, positions: Positions
-) -> NDArray[np.float32] | None:  # fmt: skip
-    """Standard deviations over the image, in the data's unit."""
-    doubt = dataset.uncertainty
-    if doubt is None:
-        return None
-    if doubt.of_members:
-        return positions.values(field.uncertainty(doubt.source))
-    other = read(doubt, grid)
-    found = Positions.of(over, other).values(other.mean)
-    if (found < 0).any():
-        from orograph.errors import ReadError
-
-        raise ReadError(
-            f"An uncertainty is a standard deviation, never negative; its lowest is {float(np.nanmin(found)):g}.",
-            path=str(doubt.source), remedy="Name another band, or mend it.",
-        )  # fmt: skip
-    return found
-
-
 def image_grid(grid: Grid, texels: int) -> Grid:
     """The grid of an image over a terrain, so many texels along its longer side."""
     step = max(grid.shape) / texels
@@ -205,7 +209,7 @@ def cropped(field: Field, grid: Grid, texels: int) -> Grid:
     coarse = Grid(
         (-(-rows // few), -(-cols // few)), compose(whole.transform, Affine.scale(few)), grid.crs
     )  # fmt: skip
-    there = np.isfinite(Positions.of(coarse, field).values(field.mean))
+    there = np.isfinite(Positions.of(coarse, field).values(field.shown))
     if not there.any():
         return whole
     i, j = (np.flatnonzero(there.any(axis)) for axis in (1, 0))

@@ -6,7 +6,6 @@ features'. What is no number is missing.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import locate
+from orograph.dem.tables import DEGREES, EAST, NORTH, number, places_in, read_table
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
@@ -25,10 +24,6 @@ Array = NDArray[np.float64]
 
 TABLES = (".csv", ".tsv", ".txt")
 
-EAST = ("longitude", "lon", "long", "lng", "x", "easting", "east")
-NORTH = ("latitude", "lat", "y", "northing", "north")
-DEGREES = ("longitude", "lon", "long", "lng")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
@@ -37,7 +32,7 @@ class Points:
     Attributes:
         x, y: (n,) in the terrain's CRS, of those on the terrain. values: (n,). sigma: (n,) standard deviations;
             None: unknown.
-        name: what they are.
+        name: what they are. classes: where they have no attribute, the name of all of them.
     """
 
     x: Array
@@ -45,6 +40,7 @@ class Points:
     values: Array
     sigma: Array | None
     name: str
+    classes: tuple[str, ...] | None = None
 
 
 def is_table(source: Any) -> bool:
@@ -67,15 +63,13 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     if found is None and has_features(given.source):
         found = read_features(given, grid)
     columns, crs, name = _columns(given.source) if found is None else _of_features(found)
-    east, north = (next((k for k in columns if k.lower() in known), None) for known in (EAST, NORTH))
-    if east is None or north is None:
-        raise ReadError(
-            f"Its columns do not say where the points lie; they are {', '.join(columns)}.", path=name,
-            remedy="Call them longitude and latitude, or x and y in the terrain's CRS.",
-        )  # fmt: skip
+    east, north = places_in(columns, name, "the terrain's CRS")
     if crs is None and east.lower() in DEGREES:
         crs = "EPSG:4326"
     numbers = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
+    bare = not numbers and given.variable is None and given.uncertainty is None
+    if bare:
+        numbers = {"place": np.zeros(len(columns[east]))}
     value = _attribute(given.variable, numbers, name)
     doubt = given.uncertainty
     sigma = None if doubt is None else _attribute(doubt.source, numbers, name)
@@ -96,7 +90,8 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
             remedy="Name data of the same area.",
         )  # fmt: skip
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
-    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "))
+    alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
+    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike)
 
 
 def _attribute(asked: Any, numbers: Mapping[str, Array], name: str) -> str:
@@ -112,17 +107,11 @@ def _columns(source: Any) -> tuple[dict[str, Array], Any, str]:
     """Columns of numbers of a table by name, their CRS (None: not known), and what the source is called."""
     if not isinstance(source, str):
         keys = list(source) if isinstance(source, Mapping) else list(source.columns)
-        return {str(k): np.array([_number(v) for v in np.asarray(source[k])]) for k in keys}, None, "points"
-    try:
-        with Path(locate(source)).open(newline="", encoding="utf-8-sig") as file:
-            sample = file.read(4096)
-            file.seek(0)
-            mark = max(",;\t", key=sample.split("\n", 1)[0].count)
-            rows = list(csv.DictReader(file, delimiter=mark))
-    except (OSError, ValueError, csv.Error) as error:
-        raise ReadError(f"Its points cannot be read: {error}", path=source, remedy="See what it holds.") from error
-    keys = [k for k in (rows[0] if rows else {}) if k]
-    return {k.strip(): np.array([_number(row.get(k)) for row in rows]) for k in keys}, None, source
+        columns = {str(k): np.array([number(v) for v in np.atleast_1d(np.asarray(source[k]))]) for k in keys}
+        if len({len(column) for column in columns.values()}) > 1:
+            raise UsageError("The columns of a table of points are equally long.")
+        return columns, None, "points"
+    return read_table(source), None, source
 
 
 def _of_features(found: Features) -> tuple[dict[str, Array], Any, str]:
@@ -136,10 +125,3 @@ def _of_features(found: Features) -> tuple[dict[str, Array], Any, str]:
     if np.isfinite(places[:, 2]).any() and "z" not in columns:
         columns["z"] = places[:, 2]
     return {**columns, "x": places[:, 0], "y": places[:, 1]}, found.crs, found.name
-
-
-def _number(value: Any) -> float:
-    try:
-        return float(value) if value is not None and not isinstance(value, bool) else np.nan
-    except (TypeError, ValueError):
-        return np.nan

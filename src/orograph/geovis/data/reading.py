@@ -24,6 +24,7 @@ from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.data.statistics import statistic
 from orograph.geovis.keys import written_unit
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
@@ -46,6 +47,7 @@ class Field:
     Attributes:
         values: (members, rows, cols) float32, NaN where there are none. grid: of rows and columns, in their own CRS.
         name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
+        statistic: what is shown of members ("mean", "p90"…: see ``statistics``).
     """
 
     values: Values
@@ -54,17 +56,17 @@ class Field:
     unit: str
     chosen: str = ""
     warnings: tuple[str, ...] = ()
+    statistic: str = "mean"
 
     @property
     def mean(self) -> Values:
         """(rows, cols): of the members that are known at a sample."""
-        if len(self.values) == 1:
-            return np.asarray(self.values[0])
-        known = np.isfinite(self.values)
-        count = known.sum(0)
-        total = np.where(known, self.values, 0).sum(0, dtype=np.float64)
-        with np.errstate(invalid="ignore"):
-            return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+        return np.asarray(self.values[0]) if len(self.values) == 1 else statistic(self.values, "mean")
+
+    @property
+    def shown(self) -> Values:
+        """(rows, cols): what is shown of the members."""
+        return self.mean if self.statistic == "mean" else statistic(self.values, self.statistic)
 
     def uncertainty(self, measure: str) -> Values:
         """(rows, cols): how members differ, "spread" or "ci90" (see ``dataset.Measure``).
@@ -239,7 +241,7 @@ def _chosen(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], str]:
     for asked in (given.band, given.member):
         if asked is not None:
             bands = _picked(bands, str(asked), str(given.source))
-    wanted = isinstance(given, Dataset) and given.uncertainty is not None and given.uncertainty.of_members
+    wanted = _wants_members(given)
     if given.time is None and given.band is None and given.member is None and not wanted:
         bands = bands[:1]
     if len(bands) > 1:
@@ -247,6 +249,15 @@ def _chosen(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], str]:
     elif file.count > 1 and not words:
         words.append(file.descriptions[bands[0] - 1] or f"band {bands[0]}")
     return bands, " ".join(words)
+
+
+def _wants_members(given: Dataset | Uncertainty) -> bool:
+    """Whether all members are meant where none are named."""
+    if not isinstance(given, Dataset):
+        return False
+    doubt = given.uncertainty
+    by_sigma = given.exceeds is not None and doubt is not None and not doubt.of_members
+    return (given.derived and not by_sigma) or (doubt is not None and doubt.of_members)
 
 
 def _picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
@@ -310,8 +321,11 @@ def times_in(given: Dataset) -> list[str]:
 
 
 def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
-    """Of a DataArray, or of an array that spans the terrain."""
+    """Of a DataArray, of an array that spans the terrain, or of a field that is there already."""
     import sys
+
+    if isinstance(given.source, Field):
+        return given.source
 
     xarray = sys.modules.get("xarray")
     if xarray is not None and isinstance(given.source, xarray.Dataset):
@@ -322,7 +336,10 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
         given = replace(given, source=given.source[given.variable])
     if xarray is not None and isinstance(given.source, xarray.DataArray):
         return _of_dataarray(given, grid)
-    raw = np.ma.filled(np.ma.asarray(given.source).astype(np.float32), np.nan)
+    array = np.ma.asarray(given.source)
+    if array.dtype.kind not in "biuf":
+        raise UsageError(f"Data are real numbers, not {array.dtype}.")
+    raw = np.ma.filled(array.astype(np.float32), np.nan)
     if raw.ndim == 2:
         raw = raw[None]
     if raw.ndim != 3:
@@ -335,10 +352,9 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
 def _members(values: Values, given: Dataset | Uncertainty, name: str) -> tuple[Values, str]:
     """Of (members, rows, cols) those that are meant, and in words which they are."""
     asked = given.member if given.member is not None else given.band
-    spread = isinstance(given, Dataset) and given.uncertainty is not None and given.uncertainty.of_members
     if asked is not None:
         values = values[[i - 1 for i in _picked(range(1, len(values) + 1), str(asked), name)]]
-    elif given.time is None and not spread:
+    elif given.time is None and not _wants_members(given):
         values = values[:1]
     return values, f"mean of {len(values)}" if len(values) > 1 else ""
 

@@ -119,7 +119,10 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         raise UsageError(
             f"There is no style {style} of points.", path=str(dataset.source), remedy=f"There are {', '.join(KINDS)}."
         )
-    scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
+    if points.classes is None:
+        scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
+    else:
+        scale = ColorScale.of_classes(points.classes, dataset.colormap)
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
@@ -133,7 +136,8 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     radius, height = _shape(style, size, part)
     main = Things(
         np.full(len(values), KINDS[style], np.int8), x, y, np.zeros(len(values)), radius, height,
-        colored(values, u, scale, sign), values, key_of(dataset, points.name, scale, unit, note, sign, doubt),
+        colored(values, u, scale, sign), values,
+        key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes),
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
         return main

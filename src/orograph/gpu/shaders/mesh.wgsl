@@ -11,85 +11,16 @@ struct Sample { row: i32, col: i32, height: f32, between: u32 };   // between: o
 @group(0) @binding(4) var<storage, read> height_pages: array<u32>;
 @group(0) @binding(5) var<uniform> levels: array<FieldLevel, 32>;
 // include: field.wgsl
+// include: faces.wgsl
 
-const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
-
-struct Vertex {
-  @builtin(position) position: vec4<f32>,
-  @location(0) part: vec3<f32>,                     // of each corner
-  @location(1) @interpolate(flat) what: u32,
-  @location(2) @interpolate(flat) slope: vec2<f32>,  // of the true triangle, metres per metre east and north
-  @location(3) cell: vec2<f32>,                      // (col, row) from the eye's
-};
-
-// (col, row) of a vertex from another cell: whole cells are subtracted in integers.
-fn from_cell(s: Sample, cell: vec2<i32>) -> vec2<f32> {
+fn point(s: Sample) -> Point {
   let between = vec2<f32>(vec2<u32>(s.between & 0xffffu, s.between >> 16u)) / 65536.0;
-  return vec2<f32>(vec2<i32>(s.col, s.row) - cell) + between;
+  return Point(vec2<i32>(s.col, s.row), between, s.height);
 }
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
   let first = k - k % 3u;
-  let own = samples[corners[k]];
-  let cell = from_cell(own, camera.eye_cell);
-  let here = vec3<f32>(from_eye(cell), own.height);
-  let a = samples[corners[first]];
-  let b = samples[corners[first + 1u]];
-  let c = samples[corners[first + 2u]];
-  let begin = vec2<i32>(a.col, a.row);
-  let u = from_cell(b, begin) - from_cell(a, begin);
-  let v = from_cell(c, begin) - from_cell(a, begin);
-  let area = u.x * v.y - u.y * v.x;   // in samples, twice: 4^s where the legs follow rows and columns, 2 · 4^s where not
-  let rise = vec2<f32>(b.height - a.height, c.height - a.height);
-  let across = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x)
-    / select(area, 1.0, area == 0.0);   // (an upright triangle has no slope)
-  let size = u32(clamp(round(log2(max(abs(area), 1.0))), 0.0, 60.0));
-  var out: Vertex;
-  out.position = to_clip(vec3<f32>(here.xy, above_eye(here.z)));
-  out.part = select(vec3<f32>(0.0), vec3<f32>(1.0), vec3<u32>(0u, 1u, 2u) == vec3<u32>(k % 3u));
-  out.what = ((size >> 1u) << 8u) | ((size & 1u) << 4u) | 1u;
-  out.cell = cell;
-  out.slope = vec2<f32>(dot(across, camera.inverse.xz), dot(across, camera.inverse.yw));
-  return out;
-}
-
-// How much of a pixel the triangle's edges cover (0–255), a pixel wide with those of its neighbours.
-fn edges(part: vec3<f32>) -> u32 {
-  let width = max(fwidth(part), vec3<f32>(1e-6));
-  let away = part / width;
-  let room = 1.0 / max(max(width.x, width.y), width.z);   // pixels from a corner to the side across
-  return u32(255.0 * edge_strength(room) * clamp(1.0 - min(min(away.x, away.y), away.z), 0.0, 1.0));
-}
-
-fn marked(in: Vertex) -> u32 {
-  // See patches.wgsl: seen edge on, a triangle's depth is extrapolated beyond its corners by some rasterisers.
-  if (camera.plan == 0u && fwidth(in.position.z) > 4.0 * in.position.z) {
-    discard;
-  }
-  if (EDGES == 0u) {
-    return in.what;
-  }
-  return in.what | (edges(in.part) << 16u);
-}
-
-@fragment
-fn fragment(in: Vertex) -> @location(0) u32 {
-  return marked(in);
-}
-
-@fragment
-fn with_slope(in: Vertex) -> WithSlope {
-  return WithSlope(marked(in), in.slope);
-}
-
-// The same, and the terrain's own height there, which contour lines are of: that of the triangle is as coarse as it is.
-@fragment
-fn with_field(in: Vertex) -> WithField {
-  let marks = marked(in);
-  let down = floor(in.cell);
-  let whole = camera.eye_cell + vec2<i32>(down);
-  let inside = clamp(whole, vec2<i32>(0), camera.last);
-  let part = select(vec2<f32>(0.0), in.cell - down, (inside == whole) & (inside < camera.last));
-  return WithField(marks, in.slope, field_height(Place(inside, part)));
+  return face(
+    k % 3u, point(samples[corners[first]]), point(samples[corners[first + 1u]]), point(samples[corners[first + 2u]]));
 }

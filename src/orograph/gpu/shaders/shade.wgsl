@@ -321,7 +321,11 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   }
   var color = seen.color;
   if ((FLAGS & 16u) != 0u) {
-    color = mix(color, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(color, vec3<f32>(0.4)), 0.65);
+    var level = level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u);
+    if ((mark & 4u) != 0u) {   // by a ray: greys of its window
+      level = vec3<f32>(select(0.75, 1.05, ((mark >> 8u) & 1u) == 1u));
+    }
+    color = mix(color, level * dot(color, vec3<f32>(0.4)), select(0.65, 0.95, (mark & 4u) != 0u));
   }
   if ((FLAGS & 512u) != 0u) {
     var height = hit.height;

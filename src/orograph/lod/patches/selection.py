@@ -107,10 +107,14 @@ class Front(NamedTuple):
 
 
 class Instances(NamedTuple):
-    """The patches put out (``shape.INSTANCE``): int32 and float32 (:, 8), the same memory."""
+    """The patches put out (``shape.INSTANCE``): int32 and float32 (:, 8), the same memory.
+
+    spans: float32 (:, 2), metres between which all heights of each lie, infinite where that is not known.
+    """
 
     words: NDArray[np.int32]
     floats: NDArray[np.float32]
+    spans: NDArray[np.float32]
 
 
 @inlined
@@ -155,8 +159,8 @@ def prism_outside(camera, x, y, L, omega, z, r, inside, edge):
 
 
 @leaf
-def put(instances, tiles, edge, at, x, y, L, omega, step, flags, morph, pixels):
-    """Write a patch as row ``at`` of the instances; whether it is one (not beyond the raster)."""
+def put(instances, tiles, edge, at, x, y, L, omega, step, flags, morph, pixels, z, r):
+    """Write a patch of heights z ± r as row ``at`` of the instances; whether it is one (not beyond the raster)."""
     level, i, j = tile_of(x, y, L, omega, step, edge)
     if level < 0:
         return 0
@@ -171,6 +175,7 @@ def put(instances, tiles, edge, at, x, y, L, omega, step, flags, morph, pixels):
     words[at, 5] = np.int32(tiles.slots[tile]) - 1 if len(tiles.slots) else -1
     floats[at, 6] = pixels
     words[at, 7] = 0
+    instances.spans[at, 0], instances.spans[at, 1] = z - r, z + r
     return 1
 
 
@@ -287,8 +292,8 @@ def put_roots(pages, tiles, instances, counts, n, step):
     for k in range(2):
         x, y, L, omega = triangles.root(np.int64(k), n)
         counts[PATCHES] += put(
-            instances, tiles, pages.edge, counts[PATCHES], x, y, L, omega, step, np.int64(1), 1.0, 0.0
-        )
+            instances, tiles, pages.edge, counts[PATCHES], x, y, L, omega, step, np.int64(1), 1.0, 0.0, 0.0, np.inf
+        )  # fmt: skip
 
 
 @leaf
@@ -334,6 +339,7 @@ def select_patches(pages, bounds, n, q, tiles, front, instances, counts):
                 continue
             flags = np.int64(1 if e < 0.0 else 0)
         else:
+            z, r = np.float64(0.0), np.float64(np.inf)
             counts[ABSENT] += 1
         # 2. Is it split, really and ideally?
         may, might, ripe = parents_split(pages, front, at, row, col, n)
@@ -356,7 +362,7 @@ def select_patches(pages, bounds, n, q, tiles, front, instances, counts):
                 size = enqueue(front, size, x, y, omega, inside, may, morph, rest)
             elif may and not (bounds.cull and prism_outside(camera, x, y, L, omega, z, r, inside, edge)):
                 counts[PATCHES] += put(
-                    instances, tiles, edge, counts[PATCHES], x, y, L, omega, k - q, flags, morph, rest
+                    instances, tiles, edge, counts[PATCHES], x, y, L, omega, k - q, flags, morph, rest, z, r
                 )
         for side in range(0 if may else 2):
             x, y, tL, omega = diamonds.top(row, col, side)
@@ -366,7 +372,7 @@ def select_patches(pages, bounds, n, q, tiles, front, instances, counts):
                 continue
             counts[PATCHES] += put(
                 instances, tiles, edge, counts[PATCHES], x, y, tL, omega, k + 1 - shape - q, flags,
-                front.morphs[at, side], max(np.float64(front.bounds[at, side]), pixels),
+                front.morphs[at, side], max(np.float64(front.bounds[at, side]), pixels), z, r,
             )  # fmt: skip
     counts[NODES] = size
     return DONE

@@ -14,9 +14,11 @@ against these pages, so they are right, and slow: dictionaries, sets and recursi
 ``threshold_spheres``    Blow 2000: spheres around the diamonds, split while the eye is inside
 ``stateless``            the lecture's refinement that remembers nothing, for monotonic criteria
 ``restricted_quadtree``  squares whose neighbours differ by one level at most, cut in three ways
+``smart``                Bao et al. 2004: blocks, ranges of errors, and which vertices they make active
 ``seamless_patches``     Livny et al. 2009: squares of a quadtree, and how fine each of their edges is
 ``cdlod``                Strugar 2009: squares by distance, and how far their vertices slide
 ``chunked_lod``          Ulrich 2002: meshes of chunks, their skirts, which are drawn, how far they have moved
+``cbt``                  Dupuy 2020: a heap of bits and sums, split and merged by all leaves at once
 ``bdam``                 Cignoni et al. 2003: patches of a view, and which vertices of theirs may move
 =======================  ===============================================================================
 """

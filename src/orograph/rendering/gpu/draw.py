@@ -129,8 +129,8 @@ def draw(
         "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
-    if renderer.mesh is not None:
-        mesh = renderer.mesh
+    mesh = renderer.mesh if renderer.tree is None else renderer.tree.tessellation()
+    if mesh is not None:
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     if renderer.windows is not None:
         facts["rays"] = renderer.windows.stats
@@ -163,7 +163,13 @@ def _adorned(
 def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
     """What is drawn coarser than asked for, because memory holds no more."""
     found = []
-    if scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
+    if renderer.tree is not None and renderer.tree.full:
+        slots = renderer.tree.tree.slots
+        found.append(
+            f"The ground is coarser than asked for: the tree has room for {slots:,} triangles "
+            f"(more: --method {renderer.tree.method},slots={2 * slots})."
+        )
+    elif scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
         found.append(
             f"The ground is up to {stats.error_px:.2g} pixels off, not {scene.surface.tolerance:g}: more tiles "
             "do not fit into the GPU's memory."

@@ -14,7 +14,8 @@ class Overlay:
     """What is drawn over the ground to look at the mesh.
 
     Attributes:
-        wireframe: edges of triangles. levels: a colour for every size of patches.
+        wireframe: edges of triangles. levels: a colour for every size of patches; grey where rays are
+            cast, of two shades by the level of the window.
         occlusion: strength of ambient occlusion in screen space (``rendering.gpu.shade.ssao``), 0 to 1, 0: none; its
         ``reach``, metres;
             None: a twelfth of the distance to the target.

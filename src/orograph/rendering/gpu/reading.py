@@ -17,6 +17,7 @@ from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.surface.ground import Ground
 from orograph.rendering.gpu.surface.rays import CastWindows
+from orograph.rendering.gpu.surface.tree import TreeFrame
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.jitter import Jitter
@@ -78,8 +79,13 @@ class Reading:
 
     @property
     def mesh(self) -> Tessellation | None:
-        """The mesh of the scene's method that the last frame drew; None: patches."""
+        """The mesh of the scene's method that the last frame drew; None: something else, such as patches."""
         return self._ground.mesh
+
+    @property
+    def tree(self) -> TreeFrame | None:
+        """The tree that the last frame drew, whose triangles can be read back; None: it drew something else."""
+        return self._ground.tree
 
     @property
     def windows(self) -> CastWindows | None:

@@ -32,7 +32,7 @@ from orograph.rendering.gpu.shade.look_cache import SLOPES, Looks
 from orograph.rendering.gpu.shade.outlines import BreakPass
 from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass
 from orograph.rendering.gpu.shade.resources import Resources
-from orograph.rendering.gpu.shade.tracing import RAYS, TRACED, Around, Share, parts_of
+from orograph.rendering.gpu.shade.tracing import RAYS, TRACED, Around, Share, casts, parts_of
 from orograph.rendering.gpu.stream.image_tiles import SIDE
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.residency import Residency
@@ -248,24 +248,26 @@ class Renderer(Reading):
         ground = self._ground.choose(scene, freeze, tolerance, wait=wait)
         tiles, mesh = ground.streamed, ground.mesh
         layers = self.imagery.prepare(scene.data.layers, view, scene.surface.exaggeration, wait=wait)
-        self._missing = tiles.missing + self.imagery.missing
+        self._missing = tiles.missing + self.imagery.missing + self._ground.growing.lacking
         loaded = tiles.loaded + self.imagery.loaded
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
-        state = loaded, layers, len(ground.patches.instances), ground.other, self._letters.state
-        return _Choice(
-            ground, tolerance, layers, bool(lettered), loaded, tiles.bytes + 4 * SIDE**2 * self.imagery.loaded, state
-        )
+        state = loaded, layers, len(ground.patches.instances), ground.state, self._letters.state
+        size = tiles.bytes + 4 * SIDE**2 * self.imagery.loaded + self._ground.growing.came
+        return _Choice(ground, tolerance, layers, bool(lettered), loaded, size, state)
 
     def _shaded(
         self, scene: Scene, overlay: Overlay, targets: Targets, chosen: _Choice, *, wait: bool
     ) -> tuple[Any, int]:  # fmt: skip
         """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
-        view, maps, mesh = scene.view, self._light.maps, chosen.ground.mesh
+        view, maps, mesh, tree = scene.view, self._light.maps, chosen.ground.mesh, chosen.ground.tree
         assert maps is not None
         slopes = SLOPES[overlay.normals]
         given = bool(slopes)
-        field = mesh is not None and scene.annotations.contours is not None  # lines are the terrain's
+        coarse = mesh is not None or tree is not None
+        field = coarse and scene.annotations.contours is not None  # lines are the terrain's
         if wait:
+            if tree is not None and overlay.normals == "faces" and casts(scene):
+                mesh = tree.tessellation()
             self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
         else:
             self._around.aside(scene)
@@ -307,11 +309,15 @@ class Renderer(Reading):
     def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
         """What a frame took: seconds of Python until it was handed over, and after that."""
         patches, mesh, rays = chosen.ground.patches, chosen.ground.mesh, chosen.ground.rays
-        there, triangles, bound = len(patches.instances), patches.stats["triangles"], patches.stats["pixels"]
+        there, bound = chosen.ground.drawn, patches.stats["pixels"]
+        triangles = there * self.method.legs**2
         if mesh is not None:
-            there, triangles, bound = 0, len(mesh.triangles), scene.surface.tolerance or 1.0
+            triangles, bound = len(mesh.triangles), scene.surface.tolerance or 1.0
         elif rays is not None:
-            there, triangles, bound = 0, 0, rays.bound
+            bound = max(rays.bound, bound) if there else rays.bound
+        elif chosen.ground.tree is not None:
+            counts, bound = self._ground.growing.counts, chosen.ground.tree.reached
+            triangles = patches.stats["triangles"] if counts is None else counts.triangles
         return FrameStats(
             there, triangles, bound,
             chosen.ground.streamed.seconds * 1e3, (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,

@@ -61,3 +61,13 @@ class Targets:
             attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
             self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()
         return self._given
+
+
+def cleared(targets: Targets, device: Device, slopes: bool) -> Attachments:
+    """Empty marks and depth, and slopes if they are to be left: what ground is drawn into."""
+
+    def make() -> Attachments:
+        views = [targets.marks_view, *([targets.given_view(device)] if slopes else [])]
+        return Attachments([(view, EMPTY) for view in views], (targets.depth_view, 0.0))
+
+    return targets.attached("ground with slopes" if slopes else "ground", make)

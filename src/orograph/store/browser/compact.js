@@ -7,14 +7,14 @@
 
 export const MISSING = -(2 ** 31);
 
-class Bytes {
+export class Bytes {
   constructor(data) {
     this.data = data;
     this.view = new DataView(data.buffer, data.byteOffset, data.byteLength);
     this.at = 0;
   }
   byte() {
-    if (this.at >= this.data.length) throw new RangeError("compact: the chunk ends too early");
+    must(this.at < this.data.length, "it ends too early");
     return this.data[this.at++];
   }
   take(size, read) {
@@ -24,13 +24,13 @@ class Bytes {
   }
 }
 
-function must(held, what) {
-  if (!held) throw new RangeError(`compact: ${what}`);
+export function must(held, what) {
+  if (!held) throw new RangeError(`A chunk cannot be decoded: ${what}`);
 }
 
-const unzigzag = (v) => (v >>> 1) ^ -(v & 1);
+export const unzigzag = (v) => (v >>> 1) ^ -(v & 1);
 
-function table(bytes) {
+export function table(bytes) {
   const depth = bytes.byte(), direct = bytes.byte(), count = direct + bytes.byte();
   must(depth <= 16 && direct <= 224 && count - direct <= 32 && count > 0, "a table is not possible");
   let left = 0, held = 0;
@@ -62,7 +62,7 @@ function table(bytes) {
   return { depth, direct, frequencies, begins, symbols };
 }
 
-function missing(bytes, mode, rows, cols) {
+export function missing(bytes, mode, rows, cols) {
   const marks = new Uint8Array(rows * cols);
   for (let at = 0, bit = 0; at < marks.length; bit ^= 1) {
     let run = 0, shift = 0, byte;
@@ -79,9 +79,9 @@ function missing(bytes, mode, rows, cols) {
   return marks;
 }
 
-class Stream {
-  constructor(bytes) {
-    this.states = [0, 0, 0, 0].map(() => bytes.take(4, DataView.prototype.getUint32));
+export class Stream {
+  constructor(bytes, lanes) {
+    this.states = Array.from({ length: lanes }, () => bytes.take(4, DataView.prototype.getUint32));
     this.bytes = bytes;
   }
   feed(lane, state) {
@@ -129,7 +129,7 @@ export function decode(data, rows, cols) {
   const all = Array.from({ length: contexts }, () => table(bytes));
   const byLevel = Array.from({ length: 256 }, (_, level) => all[least.filter((l) => level >= l).length]);
   const marks = mode ? missing(bytes, mode, rows, cols) : null;
-  const stream = new Stream(bytes);
+  const stream = new Stream(bytes, 4);
   const width = 4 * Math.ceil(cols / 4), values = new Uint32Array(width), magnitude = new Int32Array(width + 4);
   const tables = new Array(width).fill(byLevel[0]);
   const out = new Int32Array(rows * cols);

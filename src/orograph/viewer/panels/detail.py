@@ -48,7 +48,7 @@ def draw(window: Window) -> None:
     _, settings.wireframe = imgui.checkbox("wireframe", settings.wireframe)
     tip("Key: X")
     imgui.same_line()
-    imgui.begin_disabled(not settings.streams)
+    imgui.begin_disabled(not settings.leveled)
     _, settings.levels = imgui.checkbox("colours of levels", settings.levels)
     imgui.end_disabled()
     tip("A colour for every size of patches; meshes of other methods have none.")

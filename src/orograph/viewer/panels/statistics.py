@@ -40,6 +40,9 @@ def rows(window: Window) -> list[tuple[str, str]]:
 
 def _mesh(window: Window) -> list[tuple[str, str]]:
     """What another method says of the mesh that it made: how long that took, and what it changed of the one before."""
+    tree = getattr(window.drawing.renderer, "tree", None)
+    if tree is not None:
+        return [(tree.method, "at rest" if window.drawing.stats.current else f"update {tree.stats['updates']}")]
     mesh = getattr(window.drawing.renderer, "mesh", None)
     if mesh is None:
         return []

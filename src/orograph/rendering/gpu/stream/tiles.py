@@ -1,6 +1,6 @@
 """Tiles on the GPU: fixed atlases that hold the part of a terrain that views want, filled by background threads.
 
-Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way:
+Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way (a third has trees: ``diamonds``):
 
 - ``heights``: the 257 × 257 nested samples that a tile's patches take their vertices from, float32 metres, with
   ``missing(terrain)`` added where there is none. Neighbours share their border samples: no vertex depends on its tile.
@@ -29,7 +29,7 @@ from orograph.lighting.normal import central
 from orograph.rendering.gpu.stream.atlas import TileAtlas
 from orograph.store.terrain import TILE, Terrain, tile_shape
 
-Kind = Literal["heights", "slopes"]
+Kind = Literal["heights", "slopes", "diamonds"]
 Key = tuple[int, int, int]
 """(level, tile row, tile column)."""
 
@@ -37,8 +37,12 @@ MISSING = 1_000_000
 """Metres added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the
 ground beside them, so that the triangles there, which are not drawn, are no larger than others."""
 
-SIDES = {"heights": TILE + 1, "slopes": TILE + 2}
-_FORMATS: dict[str, tuple[str, int]] = {"heights": ("r32float", 4), "slopes": ("rg16float", 4)}
+SIDES = {"heights": TILE + 1, "slopes": TILE + 2, "diamonds": TILE + 1}
+_FORMATS: dict[str, tuple[str, int]] = {
+    "heights": ("r32float", 4),
+    "slopes": ("rg16float", 4),
+    "diamonds": ("rgba32float", 16),
+}
 
 
 @kernel
@@ -189,15 +193,20 @@ class Tables:
 class Atlas(TileAtlas):
     """One kind of tile of a terrain, and the page table that shaders find them by.
 
+    Args:
+        tables: where tiles are in the page table; None: one for each of the terrain's.
+
     Attributes:
         kind: of the tiles.
         pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there. resident: uint8, as many: 1 where
             it is there.
     """
 
-    def __init__(self, device: Device, terrain: Terrain, kind: Kind, budget: int) -> None:
+    def __init__(
+        self, device: Device, terrain: Terrain, kind: Kind, budget: int, tables: Tables | None = None
+    ) -> None:  # fmt: skip
         self.kind = kind
-        self.tables = Tables.of(terrain)
+        self.tables = tables or Tables.of(terrain)
         super().__init__(device, SIDES[kind], *_FORMATS[kind], budget, self.tables.total, kind)
         self.pages: NDArray[np.uint32] = np.zeros(self.tables.total, np.uint32)
         self.page_buffer = device.buffer(self.pages, "STORAGE", f"{kind} pages")

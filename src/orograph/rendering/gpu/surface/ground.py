@@ -2,8 +2,9 @@
 
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
-that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``). All that comes after (light, lines, voids)
-reads the targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
+that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
+is selected, its tree is updated and drawn (``growing``, ``tree``). All that comes after (light, lines, voids) reads the
+targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
 from __future__ import annotations
@@ -16,14 +17,18 @@ from typing import Any, Protocol
 from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
-from orograph.lod.selection import RayWindows, Selection, TriangleMesh
+from orograph.lod.registry import Choice
+from orograph.lod.selection import PatchesAndRays, RayWindows, Selection, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
+from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
+from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
@@ -49,7 +54,7 @@ class Drawn:
     """
 
     streamed: Chosen
-    selection: Patches | Selection
+    selection: Patches | Selection | Mixed
 
     @property
     def patches(self) -> Patches:
@@ -64,12 +69,35 @@ class Drawn:
     @property
     def other(self) -> Any:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
+        if isinstance(self.selection, TreeFrame):
+            return self.selection.tree
+        if isinstance(self.selection, Mixed):
+            return self.selection.rays
         mesh = self.mesh
         return self.rays if mesh is None else mesh
 
     @property
+    def state(self) -> Any:
+        """The same, but of a tree another object whenever it was updated."""
+        return self.selection if isinstance(self.selection, TreeFrame) else self.other
+
+    @property
+    def tree(self) -> TreeFrame | None:
+        """The tree that is drawn; None: something else is."""
+        return self.selection if isinstance(self.selection, TreeFrame) else None
+
+    @property
+    def drawn(self) -> int:
+        """How many of the patches are drawn."""
+        if isinstance(self.selection, Mixed):
+            return len(self.selection.instances)
+        return len(self.patches.instances) if isinstance(self.selection, Patches) else 0
+
+    @property
     def rays(self) -> CastWindows | None:
-        """The windows that rays are cast at; None: triangles are drawn."""
+        """The windows that rays are cast at; None: they are not."""
+        if isinstance(self.selection, Mixed):
+            return None if self.selection.rays is None else self.selection.cast.windows
         return self.selection if isinstance(self.selection, CastWindows) else None
 
 
@@ -79,7 +107,7 @@ class Ground:
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
         tiles: of the terrain. stored_slopes, levels: of ``shade.resources.Resources``.
-        most: bytes of the windows that rays are cast at. jobs: threads.
+        most: bytes of the windows that rays are cast at; twice as many hold a tree's pages. jobs: threads.
 
     Attributes:
         surfaces: what draws a selection, by its type.
@@ -95,13 +123,21 @@ class Ground:
             device, camera, heights.texture, stored_slopes, patch_vertices(legs), patch_indices(legs),
             INSTANCE.itemsize, absent,
         )  # fmt: skip
+        rays = RayPass(device, camera)
+        mixed = MixedPass(device, self._patches, rays)
         field = heights.texture.create_view(dimension="2d-array"), heights.page_buffer, levels
         self.surfaces: Mapping[type, Surface] = {
             Patches: self._patches,
             TriangleMesh: MeshPass(device, camera, field, absent),
-            CastWindows: RayPass(device, camera),
+            CastWindows: rays,
+            Mixed: mixed,
+            TreeFrame: TreePass(device, camera, field, absent, terrain.n),
         }
-        self._selected = Selected(terrain, {RayWindows: Windows(device, terrain, most, jobs).ready})
+        windows = Windows(device, terrain, most, jobs)
+        self._mixer = Mixer(device, terrain, camera, legs, mixed)
+        own: dict[type, Any] = {RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready}
+        self._selected = Selected(terrain, own)
+        self._growing = Growing(device, terrain, 2 * most, jobs)
         self._drawn: Drawn | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
@@ -118,13 +154,29 @@ class Ground:
         chosen = self.tiles.choose(
             freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True
         )
-        if streamed(scene):
-            self._selected.none()
+        alive, camera = None if streamed(scene) else _living(scene), freeze or surface.mesh_view or view
+        if alive is None:
+            self._growing.none()
         else:
+            (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive, chosen.patches)
+        if alive is not None or streamed(scene):
+            self._selected.none()
+        elif wait or not self._mixes or self._mixer.look():
             have = self._selected.at_once if wait else self._selected.aside
-            have(scene, freeze or surface.mesh_view or view, _of_rays(scene, tolerance))
-        self._drawn = Drawn(chosen, self._selected.selection or chosen.patches)
+            have(scene, camera, _of_rays(scene, tolerance))
+        found: Any = self._growing.selection or self._selected.selection or chosen.patches
+        if isinstance(found, MixableWindows):
+            found = self._mixer.mixed(
+                chosen.patches, found, view, surface.exaggeration, _of_rays(scene, tolerance), wait=wait
+            )
+        else:
+            self._mixer.forget()
+        self._drawn = Drawn(chosen, found)
         return self._drawn
+
+    @property
+    def _mixes(self) -> bool:
+        return isinstance(self._selected.selection, MixableWindows)
 
     def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
         """Clear the targets and draw the ground."""
@@ -144,28 +196,39 @@ class Ground:
         return None if self._drawn is None else self._drawn.mesh
 
     @property
+    def tree(self) -> TreeFrame | None:
+        """The tree that the last frame drew; None: it drew something else."""
+        return None if self._drawn is None else self._drawn.tree
+
+    @property
     def rays(self) -> CastWindows | None:
         """The windows that the last frame's rays were cast at; None: it drew triangles."""
         return None if self._drawn is None else self._drawn.rays
 
     @property
+    def growing(self) -> Growing:
+        """The tree of a method that lives on the GPU."""
+        return self._growing
+
+    @property
     def busy(self) -> bool:
         """Whether another selection is on its way."""
-        return self._selected.busy
+        return self._selected.busy or self._growing.busy
 
     @property
     def failure(self) -> str:
         """What of the ground could not be had, and why; "" if there is nothing."""
-        return self.tiles.failure or self._selected.failure
+        return self.tiles.failure or self._selected.failure or self._growing.failure
 
     def current(self, scene: Scene) -> bool:
         """Whether what is drawn is what the scene asked for; patches always are."""
-        return streamed(scene) or self._selected.current
+        return streamed(scene) or (self._growing if _living(scene) else self._selected).current
 
     def close(self) -> None:
         """Stop reading and selecting."""
         self.tiles.close()
         self._selected.close()
+        self._growing.close()
 
 
 def _of_rays(scene: Scene, tolerance: float) -> float:
@@ -177,6 +240,14 @@ def _of_rays(scene: Scene, tolerance: float) -> float:
 
 FINE = 0.7
 """Pixels between the samples of a plan whose contour lines are drawn."""
+
+
+def _living(scene: Scene) -> Choice | None:
+    """The method of a scene if it lives on the GPU."""
+    try:
+        return living(scene)
+    except UsageError:  # ``Selected`` says why
+        return None
 
 
 def streamed(scene: Scene) -> bool:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import Attachments, write
+from orograph.gpu.recording import write
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.surface.left import Left, Slopes
-from orograph.rendering.gpu.targets import EMPTY, GIVEN, MARKS, NEARER, Targets
+from orograph.rendering.gpu.targets import GIVEN, MARKS, NEARER, Targets, cleared
 
 LATTICE = {
     "array_stride": 8,
@@ -79,27 +79,27 @@ class PatchPass:
 
     def draw(self, encoder: Any, targets: Targets, selection: Patches, left: Left) -> None:
         """Clear the targets and draw; what lines are of the terrain is what is drawn: no ``field`` is left."""
-        instances, slopes = selection.instances, left.slopes
+        self.bring(selection.instances)
+        pass_ = cleared(targets, self.device, bool(left.slopes)).begin(encoder)
+        self.record(pass_, len(selection.instances), left)
+        pass_.end()
+
+    def bring(self, instances: NDArray[Any]) -> None:
+        """Bring instances to the GPU."""
         n = len(instances)
         if n > self.capacity:
             self.capacity = max(256, 1 << (n - 1).bit_length())
             self.instances = self.device.buffer(self.capacity * self.stride, "VERTEX", "instances")
         if n:
             write(self.device, self.instances, np.ascontiguousarray(instances))
-        pass_ = targets.attached(
-            "patches with slopes" if slopes else "patches", lambda: self._attachments(targets, bool(slopes))
-        ).begin(encoder)
-        if n:
-            pass_.set_pipeline(self.pipeline(left.edges, slopes))
+
+    def record(self, pass_: Any, count: int, left: Left) -> None:
+        """Draw as many instances as there were brought, in a pass that has begun."""
+        if count:
+            pass_.set_pipeline(self.pipeline(left.edges, left.slopes))
             for k, group in enumerate(self.groups):
                 pass_.set_bind_group(k, group)
             pass_.set_vertex_buffer(0, self.vertices)
             pass_.set_vertex_buffer(1, self.instances)
             pass_.set_index_buffer(self.indices, "uint32")
-            pass_.draw_indexed(self.count, n)
-        pass_.end()
-
-    def _attachments(self, targets: Targets, slopes: bool) -> Attachments:
-        """Empty marks and depth, and slopes if they are to be left."""
-        views = [targets.marks_view, *([targets.given_view(self.device)] if slopes else [])]
-        return Attachments([(view, EMPTY) for view in views], (targets.depth_view, 0.0))
+            pass_.draw_indexed(self.count, count)

@@ -2,7 +2,8 @@
 
 Reading windows and their pyramids takes long, so the thread that selects does it (``Windows.ready``): what is drawn
 meanwhile is what was there before, whose outermost window holds the whole terrain, coarsely. Windows that the next
-selection has, too, are read once. One pass over all pixels (``shaders/surface_rays.wgsl``) leaves depth and marks.
+selection has, too, are read once. One pass over all pixels (``shaders/surface_rays.wgsl``) leaves depth and marks; or
+rays are cast through those of some blocks of the screen, of which a pass of its own counts the steps.
 
 Heights take 4 bytes a sample, their pyramids half as many more (``rendering.gpu.pool``).
 """
@@ -18,15 +19,16 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import Attachments, write
+from orograph.gpu.recording import write
 from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lod.selection import RayWindows
 from orograph.raycast.mips import Mips, build_mips
 from orograph.raycast.select import load
 from orograph.raycast.stack import HeightWindow
+from orograph.rendering.gpu.camera import CAMERA
 from orograph.rendering.gpu.pool import NODES, WINDOWS, Pool
 from orograph.rendering.gpu.surface.left import Left
-from orograph.rendering.gpu.targets import EMPTY, GIVEN, MARKS, NEARER, Targets
+from orograph.rendering.gpu.targets import GIVEN, MARKS, NEARER, Targets, cleared
 from orograph.store.terrain import Terrain
 
 WINDOW = np.dtype(
@@ -42,6 +44,16 @@ STACK = np.dtype(
     ]
 )  # fmt: skip
 """The uniform ``Stack`` of ``shaders/surface_rays.wgsl``."""
+
+BLOCKS = {
+    "array_stride": 8,
+    "step_mode": "instance",
+    "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
+}
+"""The buffer of blocks: column and row of each."""
+
+BLOCK, SPACING = 64, 16
+"""Pixels along a block, unless it is said, and between the rays whose steps are counted."""
 
 COARSER = 1.25
 """By how much a tolerance grows until its windows fit."""
@@ -122,7 +134,7 @@ def _stack(pool: Pool) -> NDArray[np.void]:
 
 
 class RayPass:
-    """Casts a ray through every pixel into depth and marks.
+    """Casts rays through pixels into depth and marks.
 
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
@@ -130,37 +142,96 @@ class RayPass:
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
-        self._program = Program(device, "surface_rays")
-        self._camera = self._program.bind({"camera": camera})
-        self._stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
-        self._pipelines: dict[bool, Any] = {}
+        self.stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
+        self._camera = self._program(BLOCK).bind({"camera": camera})
+        self._pipelines: dict[tuple[bool, str, int], Any] = {}
         self._held: tuple[Any, Any] = (None, None)
+        self._blocks: tuple[bytes, Any] = (b"", None)
 
-    def pipeline(self, slopes: bool) -> Any:
-        """The pipeline, with or without the slopes of the triangles that rays hit."""
-        if slopes not in self._pipelines:
-            self._pipelines[slopes] = self._program.draw(
-                [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
-                fragment="with_slope" if slopes else "fragment", depth=NEARER,
-            )  # fmt: skip
-        return self._pipelines[slopes]
+    def _program(self, side: int) -> Program:
+        return Program(self.device, "surface_rays", SIDE=side)
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; it has no edges, and what lines are of the terrain is what is drawn."""
-        if self._held[0] is not selection.pool:
-            write(self.device, self._stack, selection.stack.tobytes())
-            self._held = selection.pool, self._program.bind({"stack": self._stack, "pool": selection.pool}, 1)
         slopes = bool(left.slopes)
-        pass_ = targets.attached(
-            "rays with slopes" if slopes else "rays", lambda: self._attachments(targets, slopes)
-        ).begin(encoder)
-        pass_.set_pipeline(self.pipeline(slopes))
-        pass_.set_bind_group(0, self._camera)
-        pass_.set_bind_group(1, self._held[1])
+        self.bring(selection)
+        pass_ = cleared(targets, self.device, slopes).begin(encoder)
+        self._record(pass_, slopes, "")
         pass_.draw(3)
         pass_.end()
 
-    def _attachments(self, targets: Targets, slopes: bool) -> Attachments:
-        """Empty marks and depth, and slopes if they are to be left."""
-        views = [targets.marks_view, *([targets.given_view(self.device)] if slopes else [])]
-        return Attachments([(view, EMPTY) for view in views], (targets.depth_view, 0.0))
+    def bring(self, selection: CastWindows) -> None:
+        """Have the windows at which rays are cast next."""
+        if self._held[0] is not selection.pool:
+            write(self.device, self.stack, selection.stack.tobytes())
+            self._held = selection.pool, self._program(BLOCK).bind({"stack": self.stack, "pool": selection.pool}, 1)
+
+    def bring_blocks(self, by_rays: NDArray[np.bool_]) -> int:
+        """Have the blocks of the screen (down, across) that rays draw; how many there are."""
+        places = np.argwhere(by_rays)[:, ::-1].astype(np.uint32)
+        data = places.tobytes()
+        if len(places) and self._blocks[0] != data:
+            self._blocks = data, self.device.buffer(np.ascontiguousarray(places), "VERTEX", "blocks")
+        return len(places)
+
+    def keep_free(self, pass_: Any, count: int, side: int, slopes: bool) -> None:
+        """Keep what lies behind out of the blocks, until rays are cast there."""
+        self._record(pass_, slopes, "kept_free", side)
+        pass_.set_vertex_buffer(0, self._blocks[1])
+        pass_.draw(6, count)
+
+    def cast_blocks(self, pass_: Any, count: int, side: int, slopes: bool) -> None:
+        """Cast rays through the pixels of the blocks, whatever is there."""
+        self._record(pass_, slopes, "block", side)
+        pass_.set_vertex_buffer(0, self._blocks[1])
+        pass_.draw(6, count)
+
+    def _record(self, pass_: Any, slopes: bool, what: str, side: int = BLOCK) -> None:
+        pass_.set_pipeline(self._pipeline(slopes, what, side))
+        pass_.set_bind_group(0, self._camera)
+        pass_.set_bind_group(1, self._held[1])
+
+    def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
+        """The pipeline that draws all pixels (""), blocks ("block"), or keeps them free ("kept_free")."""
+        key = slopes, what, side
+        if key not in self._pipelines:
+            entry = "kept_free" if what == "kept_free" else "fragment"
+            sloped = "kept_free_with_slope" if what == "kept_free" else "with_slope"
+            self._pipelines[key] = self._program(side).draw(
+                [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
+                vertex="block" if what else "vertex", fragment=sloped if slopes else entry,
+                buffers=[BLOCKS] if what else [], depth={**NEARER, "depth_compare": "always"} if what else NEARER,
+            )  # fmt: skip
+        return self._pipelines[key]
+
+
+class RaySteps:
+    """Counts the steps of rays, for those who decide by what rays cost; from any thread."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._program = Program(device, "ray_steps", COUNTED=1, SPACING=SPACING)
+        self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
+        self._stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
+        self._pipeline: Any = None
+
+    def count(self, windows: CastWindows, camera: NDArray[np.void]) -> NDArray[np.uint32]:
+        """Of the middle pixel of every cell of ``SPACING`` pixels: twice its ray's steps, plus 1 if it meets ground."""
+        width, height = (int(n) for n in camera["size"])
+        down, across = -(-height // SPACING), -(-width // SPACING)
+        found = self.device.buffer(4 * down * across, "STORAGE|COPY_SRC", "steps")
+        write(self.device, self._camera, camera.tobytes())
+        write(self.device, self._stack, windows.stack.tobytes())
+        if self._pipeline is None:
+            self._pipeline = self._program.compute()
+        encoder = self.device.handle.create_command_encoder()
+        pass_ = encoder.begin_compute_pass()
+        pass_.set_pipeline(self._pipeline)
+        pass_.set_bind_group(0, self._program.bind({"camera": self._camera}))
+        pass_.set_bind_group(
+            1, self._program.bind({"stack": self._stack, "pool": windows.pool, "found": found}, 1)
+        )  # fmt: skip
+        pass_.dispatch_workgroups(-(-across // 8), -(-down // 8))
+        pass_.end()
+        self.device.queue.submit([encoder.finish()])
+        return self.device.read_buffer(found, np.uint32).reshape(down, across)

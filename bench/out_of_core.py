@@ -1,0 +1,110 @@
+"""What building a large store for a method takes of memory, and that any number of workers makes the same bytes.
+
+    python bench/out_of_core.py SIZE --for chunked-lod|bdam|seamless-patches [--jobs 1,2] [--allowed 512MiB]
+
+A synthetic terrain of SIZE² samples goes into a store straight from its formula (``bench/synthetic.py``); each number
+of workers in a process of its own. Told are seconds, bytes, and peaks of memory: *anonymous*, which the process needs,
+and *resident*, which counts the pages of scratch files, too, that the system may take back. ``--for nothing`` is the
+same build without what a method needs. Last, a digest of all of the store's files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import multiprocessing
+import tempfile
+import threading
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from orograph import store
+from orograph.folders import parse_bytes
+from synthetic import CELL, LEFT, SEED, Formula
+
+NEEDS: dict[str, dict[str, Any]] = {
+    "nothing": {"errors": ()},
+    "seamless-patches": {},
+    "bdam": {"errors": (), "tins": 16},
+    "chunked-lod": {"errors": (), "chunked": (32, 0)},
+}
+
+
+def memory() -> tuple[int, int]:
+    """Anonymous and resident bytes of this process."""
+    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    anonymous, resident = (int(told[name].split()[0]) << 10 for name in ("RssAnon", "VmRSS"))
+    return anonymous, resident
+
+
+def digest(place: Path) -> str:
+    """Of the names and the contents of all files of a store but its record, which has the time."""
+    found = hashlib.blake2b(digest_size=12)
+    for path in sorted(p for p in place.rglob("*") if p.is_file() and p.name != "zarr.json"):
+        found.update(str(path.relative_to(place)).encode() + hashlib.blake2b(path.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def build(size: int, method: str, jobs: int, allowed: int, folder: Path, out: Connection) -> None:
+    """In a process of its own: build, and send (seconds, anonymous, resident, bytes, digest)."""
+    place = folder / f"{method}-{jobs}.oro"
+    peaks, done = [0, 0], threading.Event()
+
+    def watch() -> None:
+        while not done.wait(0.02):
+            peaks[:] = map(max, peaks, memory())
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    source = Formula((size, size), SEED, spacing=CELL)
+    source.prepare()
+    began = time.perf_counter()
+    store.build(source, place, jobs=jobs, max_memory=allowed, progress=False, **NEEDS[method]).close()
+    took = time.perf_counter() - began
+    done.set()
+    watcher.join()
+    files = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+    out.send((took, *peaks, files, digest(place)))
+
+
+def built(*arguments: Any) -> tuple[float, int, int, int, str]:
+    """``build`` in a fresh process."""
+    mine, other = multiprocessing.Pipe()
+    context = multiprocessing.get_context("spawn")
+    process = context.Process(target=build, args=(*arguments, other))
+    process.start()
+    other.close()
+    found: tuple[float, int, int, int, str] = mine.recv()
+    process.join()
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("size", type=int)
+    parser.add_argument("--for", dest="methods", action="append", choices=list(NEEDS), required=True)
+    parser.add_argument("--jobs", default="1,2")
+    parser.add_argument("--allowed", default="512MiB")
+    parser.add_argument("--folder", type=Path, help=f"of the stores; {LEFT >> 30} GiB should stay free there")
+    given = parser.parse_args()
+    samples = given.size**2
+    print(
+        "| for | workers | s | anonymous, MiB | bytes / sample | resident, MiB | bytes / sample of the store | digest |"
+    )
+    print("|---|--:|--:|--:|--:|--:|--:|---|")
+    for method in given.methods:
+        for jobs in map(int, given.jobs.split(",")):
+            with tempfile.TemporaryDirectory(dir=given.folder) as name:
+                took, anonymous, resident, files, told = built(
+                    given.size, method, jobs, parse_bytes(given.allowed), Path(name)
+                )
+            print(
+                f"| {method} | {jobs} | {took:.0f} | {anonymous >> 20} | {anonymous / samples:.2f} | {resident >> 20} "
+                f"| {files / samples:.2f} | `{told}` |", flush=True,
+            )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""Help in sections: what a verb's options are about, its own first, those that many verbs share after them."""
+
+from __future__ import annotations
+
+import click
+
+from orograph.cli.camera import CAMERA
+from orograph.cli.scenes import DETAILS
+from orograph.scene.parts import HOMES
+
+PARTS = {
+    "lighting": "Light",
+    "data": "Colours, layers, water",
+    "theme": "Data on the ground",
+    "annotations": "Lines and furniture",
+    "surface": "Surface and method",
+}
+"""Sections of a scene's options, by its parts."""
+
+READING = (
+    "bbox", "clip", "crs", "resolution", "band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit",
+    "assume_vertical", "to_vertical", "geoid", "max_edge", "height_column", "point_layer", "point_classes",
+)  # fmt: skip
+
+SECTION = {
+    **dict.fromkeys(CAMERA, "Camera"),
+    **{name: PARTS[part] for name, part in HOMES.items() if part in PARTS},
+    **{detail: PARTS[HOMES[name]] for name, details in DETAILS.items() for detail in details},
+    "uncertainty": PARTS["theme"],
+    "conservative": PARTS["surface"],
+    "backend": PARTS["surface"],
+    **dict.fromkeys(READING, "Reading the files"),
+    **dict.fromkeys(("max_memory", "jobs"), "Resources"),
+}
+"""The section of an option, by the name of its argument; others are a verb's own."""
+
+TITLES = ("Options", "Camera", *PARTS.values(), "Reading the files", "Resources")
+
+LONG = 20
+"""Options of which help has sections."""
+
+
+class Verb(click.Command):
+    """A command whose help has sections if it is long."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        listed = [(param, record) for param in self.get_params(ctx) if (record := param.get_help_record(ctx))]
+        sections: dict[str, list[tuple[str, str]]] = {title: [] for title in TITLES}
+        for param, record in listed:
+            own = len(listed) < LONG
+            sections["Options" if own else SECTION.get(str(param.name), "Options")].append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)

@@ -1,0 +1,190 @@
+"""Scattered points as a raster: linear interpolation over their Delaunay triangulation, read by windows.
+
+The terrain's grid is metric: points in degrees go to their UTM zone, as rasters do. Its rectangle of samples holds all
+points; outside their hull, and in triangles with a side longer than ``max_edge``, heights are missing. The points stay
+with the terrain (``surface``): what is drawn of samples is an interpolation of them. Units: metres; samples.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+
+from orograph.dem.delaunay import Gridded, Surface, lattice_bits, on_lattice, sides, spacing_of, triangulate
+from orograph.dem.projection import flat_crs, geodetic_base, in_metres
+from orograph.dem.scattered import Scattered, read_scattered
+from orograph.dem.target import MAX_SIDE, parse_crs
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+from orograph.progress import SILENT, Progress
+
+LONG = 10
+"""Sides of triangles that are so many times the median are worth a word."""
+
+Array = NDArray[np.float64]
+
+
+class PointRaster:
+    """Points as a raster of heights (``store.source.HeightSource``).
+
+    Attributes:
+        grid, name, vertical: of the raster. warnings: what a user should know, full sentences.
+        surface: the triangulation of the points, in sample coordinates; its triangles are those that count.
+    """
+
+    def __init__(
+        self, points: Scattered, *, crs: str | CRS | None = None, resolution: float | None = None,
+        max_edge: float | None = None,
+    ) -> None:  # fmt: skip
+        for called, length in (("resolution", resolution), ("max_edge", max_edge)):
+            if length is not None and not (math.isfinite(length) and length > 0):
+                raise UsageError(f"`{called}` is a length in metres, not {length}.")
+        self.name, self.vertical, self.path = points.name, points.vertical, points.path
+        self.warnings, self.notes = list(points.warnings), list[str]()
+        x, y, flat = _flat(points, None if crs is None else parse_crs(crs))
+        if resolution is None:
+            resolution = _usual(spacing_of(x, y), points)
+            self.notes.append(
+                f"{points.path}: {len(points):,} points, one to {resolution:g} × {resolution:g} m: gridded at that "
+                "distance (`resolution`)"
+            )
+        self.grid = _grid(x, y, resolution, flat, points.path)
+        self.bits = lattice_bits(*self.grid.shape)
+        merged = on_lattice(*self.grid.index(x, y), points.z, self.bits)
+        if merged.doubled:
+            self.warnings.append(
+                f"{merged.doubled:,} of its {len(points):,} points lie where another does; such points become one, of "
+                f"their mean height (they are up to {merged.apart:.3g} m apart)."
+            )
+        surface = triangulate(merged, self.bits, points.path)
+        longest = sides(surface, self.grid.spacing)
+        self.surface = self._within(surface, longest, max_edge)
+        self._gridded = Gridded(self.surface)
+        self._said = repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical, max_edge))
+
+    @classmethod
+    def open(
+        cls, path: str | os.PathLike[str], *, progress: Progress = SILENT, crs: str | CRS | None = None,
+        resolution: float | None = None, max_edge: float | None = None, height_column: str | None = None,
+        point_layer: str | None = None, point_classes: Sequence[int] | None = None, assume_crs: Any = None,
+        vertical_unit: str | None = None, assume_vertical: str | None = None,
+    ) -> PointRaster:  # fmt: skip
+        """The points of a file as a raster.
+
+        Args:
+            crs: projected CRS of the terrain; by default the points' own, or their UTM zone.
+            resolution: metres between samples; by default as far as the points are apart on average.
+            max_edge: metres: triangles with a longer side are left out; None: all count.
+            height_column, point_layer, point_classes, assume_crs, vertical_unit, assume_vertical: as of
+                ``read_scattered``.
+
+        Raises:
+            ReadError, UsageError: as ``read_scattered``; too few points, all on one line, or none left to count.
+        """
+        with progress.task("Reading points"):
+            points = read_scattered(
+                path, height_column=height_column, point_layer=point_layer, point_classes=point_classes,
+                assume_crs=assume_crs, vertical_unit=vertical_unit, assume_vertical=assume_vertical,
+            )  # fmt: skip
+        with progress.task("Triangulating points"):
+            made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge)
+        for note in made.notes:
+            progress.note(note)
+        return made
+
+    def _within(self, surface: Surface, longest: Array, max_edge: float | None) -> Surface:
+        """The triangles that count."""
+        usual, most = float(np.median(longest)), float(longest.max())
+        if max_edge is None:
+            if most > LONG * usual:
+                self.notes.append(
+                    f"{self.path}: triangles have sides of up to {most:.3g} m, half of them of at most {usual:.3g} m; "
+                    "`max_edge` leaves the longer ones out"
+                )
+            return surface
+        keep = longest <= max_edge
+        if not keep.any():
+            raise UsageError(
+                f"No triangle has sides of at most {max_edge:g} m.", path=self.path,
+                remedy=f"Half of them have sides of up to {usual:.4g} m; allow longer ones (`max_edge`).",
+            )  # fmt: skip
+        if not keep.all():
+            self.notes.append(
+                f"{self.path}: {int((~keep).sum()):,} of {len(keep):,} triangles have a side longer than {max_edge:g} "
+                "m and are left out"
+            )
+        return surface._replace(triangles=np.ascontiguousarray(surface.triangles[keep]))
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
+        """Heights of a half-open window, float32 metres, NaN where missing, the same whatever the window."""
+        return self._gridded.read(row0, row1, col0, col1)
+
+    def heights_at(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Heights (n,) at places (n,) in the grid's CRS: of the Delaunay surface itself; NaN where there is none."""
+        return self._gridded.at(*self.grid.index(np.atleast_1d(x), np.atleast_1d(y)))
+
+    def fingerprint(self) -> str:
+        """Differs whenever any height might differ."""
+        digest = hashlib.sha256(self._said.encode())
+        for array in self.surface[:4]:
+            digest.update(np.ascontiguousarray(array).view(np.uint8).data)
+        return digest.hexdigest()[:32]
+
+
+def _flat(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:
+    """Places in a projected CRS in metres."""
+    from orograph.geo.transform import transformer
+
+    own = points.crs
+    if own is None:
+        if wanted is not None:
+            raise UsageError(
+                "The points have no CRS, so they cannot be brought to another.", path=points.path,
+                remedy="Give theirs: `assume_crs`.",
+            )  # fmt: skip
+        return points.x, points.y, None
+    if wanted is None:
+        if own.is_projected:
+            wanted = in_metres(own)[0]
+        else:
+            base = geodetic_base(own)
+            wanted = flat_crs(base, *transformer(own, base)(points.x, points.y)).crs
+    x, y = transformer(own, wanted)(points.x, points.y)
+    if not (np.isfinite(x) & np.isfinite(y)).all():
+        count = int((~(np.isfinite(x) & np.isfinite(y))).sum())
+        raise ReadError(
+            f"{count:,} of its points lie outside of what {wanted.name} can show.", path=points.path,
+            remedy="Are its longitudes and latitudes the right way round? Else choose another `crs`.",
+        )  # fmt: skip
+    return x, y, wanted
+
+
+def _usual(spacing: float, points: Scattered) -> float:
+    """A distance of two digits."""
+    return float(f"{spacing:.2g}") if spacing > 0 else 1.0
+
+
+def _grid(x: Array, y: Array, resolution: float, crs: CRS | None, path: str) -> Grid:
+    """The grid whose rectangle of samples holds all points, samples on multiples of the resolution."""
+    left, right = math.floor(x.min() / resolution), math.ceil(x.max() / resolution)
+    bottom, top = math.floor(y.min() / resolution), math.ceil(y.max() / resolution)
+    shape = max(top - bottom, 1) + 1, max(right - left, 1) + 1
+    if max(shape) > MAX_SIDE:
+        raise UsageError(
+            f"The terrain would have {shape[0]} × {shape[1]} samples, {resolution:g} m apart.", path=path,
+            remedy="Give a coarser `resolution`, or leave out points that lie far off.",
+        )  # fmt: skip
+    half = resolution / 2
+    return Grid(
+        shape,
+        Affine(resolution, 0, left * resolution - half, 0, -resolution, max(top, bottom + 1) * resolution + half),
+        crs,
+    )

@@ -1,0 +1,262 @@
+"""Scattered points with heights out of files: tables (CSV), what OGR reads (GeoPackage, GeoJSON…), LAS and LAZ.
+
+Tables name their columns; longitude and latitude are taken to be WGS 84. Features are points, of their own CRS; their
+heights are their z, or an attribute. Of LAS and LAZ those of the ground (class 2) are taken where there are any, else
+all but noise; withheld ones never are. Heights become metres; what lacks a place or a height is left out, and told.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.dem.handles import locate
+from orograph.dem.header import parsed_crs
+from orograph.dem.tables import DEGREES, number, places_in, read_table
+from orograph.dem.units import METRES, metres_per
+from orograph.errors import ReadError, UsageError
+
+TABLES = (".csv", ".tsv")
+CLOUDS = (".las", ".laz")
+VECTORS = (".gpkg", ".geojson", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".geojsonl", ".geojsons", ".shz")
+
+HEIGHTS = ("z", "height", "elevation", "elev", "altitude", "alt", "h", "height_m", "elevation_m", "ele")
+"""Names of columns that are heights, whatever else there is."""
+
+GROUND, NOISE = 2, (7, 18)
+"""Classes of LAS 1.4: ground; low and high noise."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scattered:
+    """Points with heights.
+
+    Attributes:
+        x, y: (n,) float64, in ``crs``. z: (n,) float64, metres.
+        crs: of x and y; None: not known, metres. vertical: the datum of the heights; None: not known.
+        name: the file's stem. path: as it was given. warnings: what a user should know, full sentences.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    crs: CRS | None
+    vertical: str | None
+    name: str
+    path: str
+    warnings: list[str] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+
+def is_points(path: str | os.PathLike[str]) -> bool:
+    """Whether a file holds points rather than a raster, by its name; of a GeoPackage by what it lists."""
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix != ".gpkg":
+        return suffix in (*TABLES, *CLOUDS, *VECTORS)
+    with (
+        contextlib.suppress(sqlite3.Error),
+        contextlib.closing(sqlite3.connect(f"file:{file.as_posix()}?mode=ro", uri=True)) as base,
+    ):
+        kinds = {kind for (kind,) in base.execute("SELECT data_type FROM gpkg_contents")}
+        return "features" in kinds and not kinds & {"tiles", "2d-gridded-coverage"}
+    return False
+
+
+def read_scattered(
+    path: str | os.PathLike[str], *, height_column: str | None = None, point_layer: str | None = None,
+    point_classes: Sequence[int] | None = None, assume_crs: Any = None, vertical_unit: str | None = None,
+    assume_vertical: str | None = None,
+) -> Scattered:  # fmt: skip
+    """The points of a file.
+
+    Args:
+        path: CSV, TSV, LAS, LAZ, or a file of vectors that OGR reads.
+        height_column: the column or attribute that holds the heights, where it is not clear.
+        point_layer: of a file of several layers.
+        point_classes: of LAS and LAZ, the classes that are taken.
+        assume_crs: of files that name none.
+        vertical_unit: of the heights, instead of the CRS's own.
+        assume_vertical: the vertical datum of files that name none.
+
+    Raises:
+        ReadError: the file cannot be read, a package that reads it is missing, or it holds no point with a height.
+        UsageError: it is not clear which column holds the heights; an option does not fit the file.
+    """
+    text = os.fspath(path)
+    suffix = Path(text).suffix.lower()
+    if point_classes is not None and suffix not in CLOUDS:
+        raise UsageError("`point_classes` are those of LAS and LAZ.", path=text)
+    if point_layer is not None and suffix not in VECTORS:
+        raise UsageError("`point_layer` is one of a file of several layers (GeoPackage…).", path=text)
+    if height_column is not None and suffix in CLOUDS:
+        raise UsageError("Points of LAS and LAZ have one height, no `height_column`.", path=text)
+    warnings: list[str] = []
+    if suffix in CLOUDS:
+        x, y, z, crs = _of_cloud(text, point_classes, warnings)
+    elif suffix in TABLES:
+        x, y, z, crs = _of_columns(read_table(text), text, height_column)
+    else:
+        x, y, z, crs = _of_vectors(text, height_column, point_layer)
+    return _settled(x, y, z, crs, text, warnings, assume_crs, vertical_unit, assume_vertical)
+
+
+def _settled(
+    x: Array, y: Array, z: Array, crs: CRS | None, path: str, warnings: list[str], assume_crs: Any,
+    vertical_unit: str | None, assume_vertical: str | None,
+) -> Scattered:  # fmt: skip
+    """Points with places and heights, in metres of height, of a horizontal CRS."""
+    from orograph.dem.header import assumed_vertical, horizontal
+
+    if crs is None and assume_crs is not None:
+        crs = parsed_crs(assume_crs)
+    factor, vertical = 1.0, None
+    if crs is not None:
+        up = next((axis for axis in crs.axis_info if axis.direction == "up"), None)
+        factor = 1.0 if up is None else float(up.unit_conversion_factor)
+        if crs.is_compound and len(crs.sub_crs_list) > 1:
+            vertical = str(crs.sub_crs_list[1].name)
+    if vertical_unit is not None:
+        asked = metres_per(vertical_unit)
+        if asked is None:
+            raise UsageError(f"{vertical_unit!r} is no unit of length; there are {', '.join(sorted(METRES)[:8])}…")
+        factor = asked
+    if vertical is None and assume_vertical is not None:
+        vertical = assumed_vertical(assume_vertical)
+    there = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    if not there.any():
+        raise ReadError(
+            f"None of its {len(z)} points has a place and a height." if len(z) else "It holds no points.", path=path,
+            remedy="See what it holds, and name the column of heights (`height_column`).",
+        )  # fmt: skip
+    if not there.all():
+        warnings.append(f"{int((~there).sum()):,} of its {len(z):,} points lack a place or a height and are left out.")
+    x, y, z = x[there], y[there], z[there] * factor
+    if crs is None and (np.abs(x) <= 360).all() and (np.abs(y) <= 90).all():
+        warnings.append("Its x and y look like degrees and are taken for metres (give `assume_crs`, e.g. EPSG:4326).")
+    return Scattered(x, y, z, horizontal(crs), vertical, Path(path).stem, path, warnings)
+
+
+def _of_columns(columns: dict[str, Array], path: str, height: str | None) -> tuple[Array, Array, Array, CRS | None]:
+    """Places and heights out of columns."""
+    east, north = places_in(columns, path, "a projected CRS (`assume_crs`)")
+    others = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
+    crs = CRS.from_epsg(4326) if east.lower() in DEGREES else None
+    return columns[east], columns[north], others[_height_of(others, height, path)], crs
+
+
+def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
+    """Which column holds the heights."""
+    if asked is not None:
+        if asked not in columns:
+            there = ", ".join(columns) or "none"
+            raise UsageError(
+                f"There is no column {asked!r} of numbers; there are {there}.", path=path,
+                remedy="Name one that holds heights (`height_column`).",
+            )  # fmt: skip
+        return asked
+    known = [k for word in HEIGHTS for k in columns if k.lower() == word]
+    if known:
+        return known[0]
+    if len(columns) == 1:
+        return next(iter(columns))
+    raise UsageError(
+        f"It is not clear which of its columns holds the heights: {', '.join(columns) or 'there is none'}.", path=path,
+        remedy="Name it (`height_column`).",
+    )  # fmt: skip
+
+
+def _of_cloud(
+    path: str, classes: Sequence[int] | None, warnings: list[str]
+) -> tuple[Array, Array, Array, CRS | None]:  # fmt: skip
+    """Points of LAS or LAZ."""
+    try:
+        import laspy
+    except ImportError as error:
+        raise ReadError(
+            "LAS and LAZ need laspy.", path=path, remedy="Install orograph[points], or convert them to CSV."
+        ) from error
+    from laspy.errors import LaspyException
+
+    file = locate(path)
+    try:
+        with laspy.open(file) as reader:
+            cloud = reader.read()
+            crs = reader.header.parse_crs()
+    except (LaspyException, OSError, ValueError, RuntimeError) as error:
+        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Fetch or make it again.") from error
+    except Exception as error:  # (the decoder's own kind)
+        if type(error).__module__.partition(".")[0] not in ("lazrs", "laspy"):
+            raise
+        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Fetch or make it again.") from error
+    kind = np.asarray(cloud.classification)
+    if classes is not None:
+        wanted = np.isin(kind, list(classes))
+        told = f"of class {', '.join(map(str, classes))}"
+    elif (kind == GROUND).any():
+        wanted, told = kind == GROUND, "of the ground (class 2)"
+    else:
+        wanted, told = ~np.isin(kind, NOISE), "that are no noise (none is classified as ground)"
+    withheld = np.asarray(cloud.withheld).astype(bool) if "withheld" in cloud.point_format.dimension_names else False
+    wanted &= ~np.asarray(withheld)
+    if not wanted.any() and len(kind):
+        there = ", ".join(map(str, np.unique(kind)))
+        raise ReadError(
+            f"It has no points {told}; its classes are {there}.", path=path, remedy="Name others: `point_classes`."
+        )
+    if not wanted.all():
+        warnings.append(f"Of its {len(kind):,} points the {int(wanted.sum()):,} {told} are taken (`point_classes`).")
+    places = [np.asarray(axis, np.float64)[wanted] for axis in (cloud.x, cloud.y, cloud.z)]
+    return places[0], places[1], places[2], None if crs is None else CRS.from_user_input(crs)
+
+
+def _of_vectors(path: str, height: str | None, layer: str | None) -> tuple[Array, Array, Array, CRS | None]:
+    """Points of features that OGR reads."""
+    try:
+        from pyogrio import list_layers
+        from pyogrio.raw import read
+    except ImportError as error:
+        raise ReadError(
+            "Files of this format need pyogrio.", path=path, remedy="Install orograph[vector], or convert them to CSV."
+        ) from error
+    from pyogrio.errors import DataLayerError, DataSourceError
+
+    from orograph.geo.wkb import parse
+
+    file = locate(path)
+    try:
+        layers = [str(name) for name in list_layers(file)[:, 0]]
+        if layer is None and len(layers) > 1:
+            raise UsageError(
+                f"It holds {len(layers)} layers: {', '.join(layers)}.", path=path, remedy="Choose one: `point_layer`."
+            )
+        if layer is not None and layer not in layers:
+            raise UsageError(f"It has no layer {layer!r}, only {', '.join(layers)}.", path=path)
+        meta, _, shapes, values = read(file, layer=layer)
+        found = [parse(shape) for shape in (shapes if shapes is not None else [])]
+    except (DataSourceError, DataLayerError, ValueError) as error:
+        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="See what it holds.") from error
+    parts = [[places for kind, arrays in one if kind == "points" for places in arrays] for one in found]
+    if not any(parts):
+        raise ReadError("It holds no points.", path=path, remedy="Name a file, or a layer, of points with heights.")
+    at = np.concatenate([array for own in parts for array in own])
+    of = np.repeat(np.arange(len(parts)), [sum(map(len, own)) for own in parts])
+    columns = {str(k): np.array([number(v) for v in column.tolist()])[of] for k, column in zip(meta["fields"], values)}
+    columns = {k: v for k, v in columns.items() if np.isfinite(v).any()}
+    crs = None if not meta["crs"] else CRS.from_user_input(meta["crs"])
+    if height is None and np.isfinite(at[:, 2]).any():
+        return at[:, 0], at[:, 1], at[:, 2], crs
+    return at[:, 0], at[:, 1], columns[_height_of(columns, height, path)], crs

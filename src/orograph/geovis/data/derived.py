@@ -1,0 +1,91 @@
+"""Data as they are shown: what was read, or a statistic of its members, or how probably it exceeds a value.
+
+Of data with standard deviations instead of members a probability is 1 − Φ((value − datum) / σ).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.reading import Field, Values, read
+from orograph.geovis.data.sampling import Positions
+from orograph.geovis.data.statistics import exceedance, words_of
+
+
+def read_data(given: Dataset, grid: Grid) -> Field:
+    """The values of data over a terrain with this grid, as they are shown.
+
+    Raises:
+        ReadError, UsageError: as ``reading.read``; a statistic is asked for of one member.
+    """
+    found = read(given, grid)
+    return _derived(found, given, grid) if given.derived else found
+
+
+def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values] | None:
+    """How uncertain data are that were read: standard deviations (or half widths) (rows, cols), and the field on whose
+    grid they are; None where nothing is said.
+
+    Raises:
+        ReadError: one is negative. Others: as ``reading.read``.
+    """
+    doubt = given.uncertainty
+    if doubt is None:
+        return None
+    if doubt.of_members:
+        return field, field.uncertainty(doubt.source)
+    other = read(doubt, grid)
+    found = other.mean
+    if (found < 0).any():
+        raise ReadError(
+            f"An uncertainty is a standard deviation, never negative; its lowest is {float(np.nanmin(found)):g}.",
+            path=str(doubt.source), remedy="Name another band, or mend it.",
+        )  # fmt: skip
+    return other, found
+
+
+def _derived(field: Field, given: Dataset, grid: Grid) -> Field:
+    """A field whose data are a statistic or a probability, by what a dataset asks for."""
+    name, unit, count = given.name or field.name, given.unit or field.unit, len(field.values)
+    if given.exceeds is None:
+        asked = given.value or "mean"
+        _several(count, field.name, "value")
+        chosen = field.chosen.replace("mean of", f"{words_of(asked)} of", 1)
+        called = name if asked == "mean" else f"{name}, {asked}"
+        return replace(field, name=called, statistic=asked, chosen=chosen)
+    called = f"P({name} > {given.exceeds:g}{f' {unit}' if unit else ''})"
+    if given.uncertainty is not None and not given.uncertainty.of_members:
+        found, chosen = _normal(field, given, grid), ", ".join(filter(None, ("normal law", field.chosen)))
+    else:
+        _several(count, field.name, "exceeds")
+        found, chosen = exceedance(field.values, given.exceeds), field.chosen.replace("mean of", "part of", 1)
+    return replace(field, values=found[None], name=called, unit="", chosen=chosen)
+
+
+def _several(count: int, name: str, key: str) -> None:
+    if count < 2:
+        raise UsageError(
+            f"{key}= is of several members or times, and {name} has one.",
+            remedy="Choose several: band=all, time=T12, or member=all"
+            + ("; or say how uncertain it is: `uncertainty`." if key == "exceeds" else "."),
+        )
+
+
+def _normal(field: Field, given: Dataset, grid: Grid) -> Values:
+    """Probabilities of being above a limit, of data with standard deviations."""
+    from scipy.special import ndtr
+
+    doubt = deviations(given, field, grid)
+    assert doubt is not None
+    other, sigmas = doubt
+    sigma = Positions.of(field.grid, other).values(sigmas).astype(np.float64)
+    limit = float(given.exceeds if given.exceeds is not None else 0.0)
+    mean = field.mean.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(sigma > 0, ndtr((mean - limit) / sigma), mean > limit)
+    return np.where(np.isfinite(mean) & np.isfinite(sigma), found, np.nan).astype(np.float32)

@@ -1,0 +1,96 @@
+// Coordinates by example: a level's from the coarser one's, and one sub-pass of correction (Lefebvre & Hoppe 2005, §3.1 to §3.3).
+// In integers, as synthesis/kernels.py does it: both choose the same places.
+// include: synthesis_plane.wgsl
+
+@group(0) @binding(0) var<uniform> run: Run;
+@group(0) @binding(1) var<storage, read> before: array<vec2<i32>>;
+@group(0) @binding(2) var<storage, read_write> chosen: array<vec2<i32>>;
+@group(0) @binding(3) var<storage, read> features: array<i32>;
+@group(0) @binding(4) var<storage, read> similar: array<vec2<i32>>;
+
+fn hashed(x: i32, y: i32, seed: i32) -> u32 {
+  var h = bitcast<u32>(x) * 0x9E3779B1u + bitcast<u32>(y) * 0x85EBCA77u + bitcast<u32>(seed) * 0xC2B2AE3Du;
+  h = (h ^ (h >> 16u)) * 0x21F0AAADu;
+  h = (h ^ (h >> 15u)) * 0x735A2D97u;
+  return h ^ (h >> 15u);
+}
+
+fn shaken(bits: u32) -> i32 {
+  return (run.step * run.reach * (i32(bits & 0x1FFFu) - 4096) + 0x80000) >> 20u;
+}
+
+@compute @workgroup_size(8, 8)
+fn upsample(@builtin(global_invocation_id) id: vec3<u32>) {
+  let j = i32(id.x);
+  let i = i32(id.y);
+  if (i >= run.height || j >= run.width) {
+    return;
+  }
+  let r = run.top + i;
+  let c = run.left + j;
+  let parent = before[((r >> 1u) - run.row0) * run.from_width + (c >> 1u) - run.col0];
+  let h = hashed(c, r, run.seed);
+  let x = parent.x + run.step * (c & 1) + shaken(h);
+  let y = parent.y + run.step * (r & 1) + shaken(h >> 16u);
+  chosen[i * run.width + j] = vec2<i32>(wrapped(x, run.cols), wrapped(y, run.rows));
+}
+
+fn straddles(x: i32, size: i32, reach: i32) -> bool {
+  let r = folded(x, size);
+  return r < reach || r >= size - reach;
+}
+
+@compute @workgroup_size(8, 8)
+fn correct(@builtin(global_invocation_id) id: vec3<u32>) {
+  let j = i32(id.x);
+  let i = i32(id.y);
+  if (i >= run.height || j >= run.width) {
+    return;
+  }
+  let here = i * run.width + j;
+  chosen[here] = before[here];
+  let border = i < run.inset || j < run.inset || i >= run.height - run.inset || j >= run.width - run.inset;
+  if (border || (i & 1) != run.even_row || (j & 1) != run.even_col) {
+    return;
+  }
+  var around: array<i32, 25>;
+  for (var n = 0; n < 25; n++) {
+    around[n] = features[placed(before[here + (n / 5 - 2) * run.width + n % 5 - 2])];
+  }
+  var best = 0xFFFFFFFFu;
+  var tried: array<vec2<i32>, 18>;
+  let reach = min(2 * run.step, min(run.rows, run.cols) / 4);
+  for (var n = 0; n < 18; n++) {
+    let m = (n % 9 + 4) % 9;   // the place itself first
+    let dr = m / 3 - 1;
+    let dc = m % 3 - 1;
+    var at = before[here + dr * run.width + dc];
+    if (n >= 9) {
+      let like = similar[placed(at)];
+      at = vec2<i32>(select(2 * run.cols - 1 - like.x, like.x, at.x < run.cols),
+                     select(2 * run.rows - 1 - like.y, like.y, at.y < run.rows));
+    }
+    at = vec2<i32>(wrapped(at.x - run.step * dc, run.cols), wrapped(at.y - run.step * dr, run.rows));
+    tried[n] = at;
+    var known = false;
+    for (var t = 0; t < n; t++) {
+      known = known || all(tried[t] == at);
+    }
+    if (known) {
+      continue;
+    }
+    var weight = select(4u, 4u + u32(run.kappa), n >= 9);
+    if (straddles(at.x, run.cols, reach) || straddles(at.y, run.rows, reach)) {
+      weight *= 4u;
+    }
+    var d = 0u;
+    for (var k = 0; k < 25; k++) {
+      let e = around[k] - features[placed(at + run.step * vec2<i32>(k % 5 - 2, k / 5 - 2))];
+      d += u32(e * e);
+    }
+    if (d * weight < best) {
+      best = d * weight;
+      chosen[here] = at;
+    }
+  }
+}

@@ -1,0 +1,82 @@
+"""One picture out of several of a scene, each with a priority of its own: focus and context, scenarios that change.
+
+A scene's variants are drawn with the same camera, blended in linear light by how much of each shows at a pixel, and
+furnished as one picture. Where nothing of a variant shows it is not drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import NothingInViewError
+from orograph.geovis.color import linear_to_srgb, srgb_to_linear
+from orograph.geovis.layers import drawn as visible
+from orograph.rendering.describing import describe
+from orograph.rendering.furniture.furnish import furnish
+from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+from orograph.rendering.picture import Picture
+from orograph.scene.ghosts import Seen
+from orograph.scene.scene import Scene
+
+Draw = Callable[[Scene], Picture]
+LEAST = 1 / 512
+"""Of a variant: less does not show."""
+
+
+def blended(scene: Scene, draw: Draw, others: Callable[[int], Draw]) -> Picture:
+    """The picture of a scene with its variants.
+
+    Args:
+        draw: draws the scene without them. others: what draws the variant with a number.
+    """
+    whole = scene.view.part is None
+    bare = replace(scene, variants=())
+    picture = draw(bare.but(furniture=False, title=None) if whole else bare)
+    linear = None
+    for number, variant in enumerate(scene.variants):
+        weight = variant.weight(*_seen(picture))
+        if not (weight > LEAST).any():
+            continue
+        try:
+            other = others(number)(variant.scene.but(furniture=False, title=None) if whole else variant.scene)
+        except NothingInViewError:
+            if not isinstance(variant.weight, Seen):
+                raise
+            continue  # a ghost need not reach into every view
+        if isinstance(variant.weight, Seen):
+            weight = variant.weight.of_depths(picture.depth, other.depth, other.places())
+        part = weight[..., None].astype(np.float32)
+        linear = _linear(picture.pixels) if linear is None else linear
+        linear = linear * (1 - part) + _linear(other.pixels) * part
+    pixels = picture.pixels if linear is None else np.rint(linear_to_srgb(linear) * 255).astype(np.uint8)
+    if whole and scene.annotations.furniture:
+        pixels = _furnished(scene, picture, pixels)
+    return replace(picture, pixels=pixels, facts={**picture.facts, "description": describe(scene)})
+
+
+def _linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.asarray(srgb_to_linear(pixels.astype(np.float32) / 255), np.float32)
+
+
+def _seen(picture: Picture) -> tuple[Any, Any, tuple[Any, Any], float]:
+    """What weights are found from: the eye, places, pixels, the whole picture's aspect."""
+    view = picture.view
+    whole = view.whole
+    left, top, _, _ = view.frame
+    x = (left + np.arange(view.width) + 0.5) / whole.height
+    y = (top + np.arange(view.height) + 0.5) / whole.height
+    return np.asarray(view.eye, np.float64), picture.places(), (x, y), whole.width / whole.height
+
+
+def _furnished(scene: Scene, picture: Picture, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    assert picture.tint is not None
+    depth = picture.depth.astype(np.float64)
+    seen = sampled(depth, *depth.shape), depth[:, depth.shape[1] // 2]
+    about = Drawn(picture.tint, picture.facts["shown"], bool(visible(scene.data.layers)), *seen)
+    ground = np.isfinite(depth) | (False if picture.void_filled is None else picture.void_filled)
+    return furnish(pixels, **furniture_of(scene, about), ground=ground)

@@ -1,0 +1,211 @@
+"""Pages of diamonds on the GPU: what a tree that lives there asks of a vertex, in an atlas filled by threads.
+
+A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
+height, an error, the radius of its sphere, and whether its sample is missing (float32). Wanted are the pages of all
+tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do not, and those
+of coarser levels there; and where ground and missing ground share a tile, whose edge a tree follows to the sample,
+those whose samples are larger than the tolerance. A picture that waits asks the tree itself, too (``take_asked``): then
+it follows such edges to the end. The coarsest pages never leave. Pixels.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.lod.field import Vertices
+from orograph.lod.triangle_patches import Patches
+from orograph.parallel import map_ordered
+from orograph.raycast.select import tile_boxes
+from orograph.rendering.gpu.stream.residency import ASK, READERS, REMOTE_READERS, UPLOAD, UPLOADING
+from orograph.rendering.gpu.stream.streamer import Streamer
+from orograph.rendering.gpu.stream.tiles import Atlas, Key, Tables
+from orograph.rendering.gpu.stream.wanted import Tree
+from orograph.store.terrain import TILE
+from orograph.viewpoint import View
+
+INFINITE = np.float32(3e38)
+"""Metres: the error of a mixed diamond. Shaders may not rely on infinity."""
+
+UNKNOWN = 1e6
+"""Pixels from which on an error may be of any size."""
+
+
+class DiamondPages:
+    """The pages of a terrain on a device.
+
+    Args:
+        vertices: the terrain's. budget: bytes of the atlas. jobs: threads that read.
+
+    Attributes:
+        atlas: the pages. levels: uint32 (32, 4), where each level's pages begin, and how many rows and columns.
+        bound: pixels of the largest error that a page of the last view takes away and that is not there yet, or 0.
+        moved: bytes brought to the GPU so far.
+    """
+
+    def __init__(self, device: Device, vertices: Vertices, budget: int, jobs: int | None = None) -> None:
+        terrain = self.terrain = vertices.terrain
+        self.vertices, self.jobs = vertices, jobs
+        shapes = [(max(1, -(-(r - 1) // TILE)), max(1, -(-(c - 1) // TILE))) for r, c in vertices.shapes]
+        offsets = np.concatenate([[0], np.cumsum([rows * cols for rows, cols in shapes])])
+        self.tables = Tables(offsets[:-1].tolist(), shapes, int(offsets[-1]))
+        self.atlas = Atlas(device, terrain, "diamonds", budget, self.tables)
+        self.levels = np.zeros((32, 4), np.uint32)
+        for k, (rows, cols) in enumerate(shapes):
+            self.levels[k, :3] = offsets[k], rows, cols
+        self._edges = _edges(vertices, self.tables)
+        self._streamer: Streamer[Literal["diamonds"], Key] = Streamer(
+            lambda kind, key: self._page(key), jobs or (REMOTE_READERS if terrain.remote else READERS)
+        )
+        self._frame = 0
+        self._lacking: list[Key] = []
+        self.bound, self.moved = 0.0, 0
+        top = vertices.top
+        rows, cols = shapes[top]
+        self._load([(top, i, j) for i in range(rows) for j in range(cols)], pin=True)
+
+    def choose(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> bool:
+        """Have the pages of a view read, and bring those that were to the GPU; whether there were any.
+
+        Args:
+            patches: of the view, as fine as the tree is to be.
+        """
+        self._frame += 1
+        count, end = 0, time.perf_counter() + UPLOADING
+        while count < UPLOAD and (not count or time.perf_counter() < end):
+            taken = self._streamer.take(1)
+            if not taken:
+                break
+            _, key, data = taken[0]
+            self.moved += data.nbytes
+            self.atlas.insert(key, data, self._frame - 1)
+            count += 1
+        self.atlas.flush()
+        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration)
+        self._lacking = keys[:ASK]
+        self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
+        return count > 0
+
+    def load(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> None:
+        """Bring the pages of a view to the GPU, as many as there is room for, and wait for it.
+
+        Raises:
+            StoreError, DamagedChunkError: a page cannot be read.
+        """
+        self._frame += 2  # (a picture may take the place of the one before)
+        keys, _ = self._lacking_of(view, patches, tolerance, exaggeration)
+        self._load(keys[: self.atlas.room])
+        self._lacking_of(view, patches, tolerance, exaggeration)
+        self._lacking = []
+
+    def take_asked(self, bits: NDArray[np.uint32]) -> int:
+        """Bring the pages that a tree looked for in vain; how many there was room for.
+
+        Args:
+            bits: one for each place in the page table.
+        """
+        places = np.flatnonzero(np.unpackbits(bits.view(np.uint8), bitorder="little"))
+        return self._load(self._keys(places[self.atlas.pages[places] == 0]))
+
+    @property
+    def waiting(self) -> int:
+        """How many pages are on their way."""
+        return self._streamer.waiting
+
+    @property
+    def lacking(self) -> int:
+        """How many pages the last view wanted and had not, and that can be read."""
+        return len({("diamonds", key) for key in self._lacking} - self._streamer.failed.keys())
+
+    @property
+    def failure(self) -> str:
+        """What the last view lacks because it could not be read, and why; "" if there is nothing."""
+        for key in self._lacking:
+            if ("diamonds", key) in self._streamer.failed:
+                return f"diamonds of tile {key}: {self._streamer.failed['diamonds', key][1]}"
+        return ""
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._streamer.close()
+
+    def _lacking_of(
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float
+    ) -> tuple[list[Key], list[float]]:  # fmt: skip
+        """The pages that a view wants and that are not there, by the error that each takes away, largest first."""
+        pixels = self._wanted(view, patches, tolerance, exaggeration)
+        which = np.flatnonzero(pixels)
+        lack = which[self.atlas.lacking(which, self._frame)]
+        order = np.argsort(-pixels[lack], kind="stable")
+        found = pixels[lack][order]
+        self.bound = 0.0 if not len(found) else float(found[0]) if found[0] < UNKNOWN else math.inf
+        return self._keys(lack[order]), found.tolist()
+
+    def _wanted(
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float
+    ) -> NDArray[np.float64]:  # fmt: skip
+        """What each page of the table takes away, pixels; 0 where it is not wanted."""
+        pixels, tables = np.zeros(self.tables.total), self.tables
+        if view.projection != "plan":  # in which heights displace nothing
+            level, row, col = patches.tiling.where(patches.tiles)
+            offsets, cols = np.array(tables.offsets), np.array([cols for _, cols in tables.shapes])
+            np.maximum.at(pixels, offsets[level] + row * cols[level] + col, np.maximum(patches.pixels, 1e-9))
+        if self._edges is not None:
+            tree, places = self._edges
+            which, samples = tree.of(view, exaggeration, pixels=tolerance)
+            np.maximum.at(pixels, places[which], samples)
+        for k, (down, across) in enumerate(tables.shapes[:-1]):
+            begin, above = tables.offsets[k], tables.offsets[k + 1]
+            here = np.flatnonzero(pixels[begin : begin + down * across])
+            up = above + (here // across >> 1) * tables.shapes[k + 1][1] + (here % across >> 1)
+            np.maximum.at(pixels, up, pixels[begin + here])
+        return pixels
+
+    def _keys(self, places: NDArray[np.int64]) -> list[Key]:
+        """Levels, rows and columns of places in the page table."""
+        offsets = np.array(self.tables.offsets)
+        level = np.searchsorted(offsets, places, side="right") - 1
+        row, col = np.divmod(places - offsets[level], np.array([cols for _, cols in self.tables.shapes])[level])
+        return list(zip(level.tolist(), row.tolist(), col.tolist(), strict=True))
+
+    def _load(self, keys: list[Key], *, pin: bool = False) -> int:
+        count = 0
+        for key, data in zip(keys, map_ordered(self._page, keys, self.jobs), strict=True):
+            self.moved += data.nbytes
+            count += self.atlas.insert(key, data, self._frame, pin=pin)
+        self.atlas.flush()
+        return count
+
+    def _page(self, key: Key) -> NDArray[np.float32]:
+        data = self.vertices.page(*key, TILE + 1)
+        np.minimum(data[..., 1], INFINITE, out=data[..., 1])
+        data[..., 3] = data[..., 3] < 0
+        return data
+
+
+def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:
+    """The pages of all levels, coarsest first, too coarse where ground and missing ground share one and its samples are
+    too far apart; their places in the table. None where nothing is missing."""
+    terrain, parts = vertices.terrain, list[tuple[Any, ...]]()
+    if not any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
+        return None
+    above = begin = 0
+    for level in range(vertices.top, -1, -1):
+        rows, cols = tables.shapes[level]
+        i, j = (a.ravel() for a in np.mgrid[:rows, :cols])
+        box, valid = tile_boxes(terrain, level), terrain.tiles(level).valid
+        at = np.minimum(i, valid.shape[0] - 1), np.minimum(j, valid.shape[1] - 1)
+        parents = np.full(len(i), -1)
+        if level < vertices.top:
+            parents = above + (i >> 1) * tables.shapes[level + 1][1] + (j >> 1)
+        boxes = np.stack([a[at] for a in (box.west, box.east, box.north, box.south, box.low, box.high)], 1)
+        apart = max(terrain.grid.spacing) * 2.0**level
+        parts.append((boxes, parents, np.where(valid == 1, apart, 0.0)[at], tables.offsets[level] + i * cols + j))
+        above, begin = begin, begin + len(i)
+    boxes, parents, sizes, places = (np.concatenate(some) for some in zip(*parts, strict=True))
+    return Tree(terrain, boxes, parents.astype(np.int64), sizes), places.astype(np.int64)

@@ -1,0 +1,221 @@
+"""Methods that live on the GPU: their tree grows with the frames, and nothing is selected on the CPU.
+
+A tree is planted in a thread, for what it needs of a store may have to be made; until then patches stand in. After that
+every frame brings pages that came and has the tree updated, until nothing has changed for so many updates that it must
+have come to rest. A picture that waits has the tree itself tell which pages it looked for in vain, and goes on until
+there are none and nothing changes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from orograph.errors import OrographError
+from orograph.gpu.background import BackgroundTask
+from orograph.gpu.device import Device
+from orograph.lod.cbt import Cbt
+from orograph.lod.field import Vertices
+from orograph.lod.method import Resources
+from orograph.lod.needs import supply
+from orograph.lod.registry import Choice
+from orograph.lod.triangle_patches import Patches
+from orograph.rendering.gpu.stream.diamonds import DiamondPages
+from orograph.rendering.gpu.surface.tree import Counts, Tree, TreeFrame
+from orograph.scene.methods import MEMORY, TOLERANCE, mesh_choice
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+LIVING = (Cbt,)
+"""Methods that live on the GPU."""
+
+AT_ONCE = 8
+"""Updates between two looks at a tree that is waited for."""
+
+
+@dataclass(slots=True)
+class Planted:
+    """A tree and what it grows on."""
+
+    tree: Tree
+    pages: DiamondPages
+
+
+def living(scene: Scene) -> Choice | None:
+    """The method of a scene if it lives on the GPU, which knows no budget.
+
+    Raises:
+        UsageError: there is no such method.
+    """
+    if scene.surface.triangles is not None:
+        return None
+    choice = mesh_choice(scene.surface.method, "gpu")
+    return choice if choice is not None and choice.method in LIVING else None
+
+
+class Growing:
+    """The tree of one terrain on one device.
+
+    Args:
+        most: bytes of pages. jobs: threads that read.
+
+    Attributes:
+        selection: the tree as it is; None until it is planted. current: whether it has come to rest for the last view.
+        failure: why there is none, or what of it could not be read, or "".
+        counts: what was last read of it; None: nothing was. came: bytes of pages that came for the last view.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, most: int, jobs: int | None = None) -> None:
+        self.device, self.terrain, self.most, self.jobs = device, terrain, most, jobs
+        self.selection: TreeFrame | None = None
+        self.counts: Counts | None = None
+        self.came = 0
+        self._error = ""
+        self._planting = BackgroundTask()
+        self._planted: Planted | None = None
+        self._choice: Choice | None = None
+        self._asked: Any = None
+        self._left = 0
+        self._wanted = False
+
+    @property
+    def settling(self) -> int:
+        """Updates after which a tree has come to rest, if nothing changed meanwhile."""
+        return 4 * self.terrain.n + 8
+
+    @property
+    def busy(self) -> bool:
+        """Whether the tree will be another one."""
+        if not self._wanted or self._error:
+            return False
+        there = self._planted
+        return there is None or self._left > 0 or there.pages.waiting > 0
+
+    @property
+    def current(self) -> bool:
+        """Whether the tree is what the last scene asked for."""
+        there = self._planted
+        return there is not None and self._left == 0 and not there.pages.lacking
+
+    @property
+    def lacking(self) -> int:
+        """How many pages the last view wanted and had not."""
+        return 0 if self._planted is None else self._planted.pages.lacking
+
+    @property
+    def failure(self) -> str:
+        return self._error or ("" if self._planted is None else self._planted.pages.failure)
+
+    def at_once(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
+        """Have the tree of a view, with all its pages, as far as there is room.
+
+        Args:
+            patches: of the view, as fine as the tree is to be.
+
+        Raises:
+            UsageError: the method cannot do it. StoreError: the store was built without errors of diamonds, or a page
+            cannot be read.
+        """
+        self._for(choice)
+        if self._planted is None:
+            self._planted = self._plant(choice)
+        there, (tolerance, exaggeration) = self._planted, _goal(scene)
+        moved = there.pages.moved
+        there.pages.load(view, patches, tolerance, exaggeration)
+        there.tree.take_asked()
+        before, bound = -1, max(tolerance, there.pages.bound)
+        while True:  # (as long as triangles change or pages come, of which there is an end)
+            there.tree.update(view, tolerance, exaggeration, AT_ONCE)
+            self.counts = there.tree.counts()
+            if self.counts.changes == before:
+                asked = there.tree.take_asked()
+                if not there.pages.take_asked(asked):
+                    break
+            before = self.counts.changes
+        if asked.any():  # there was no room for them
+            bound = max(bound, math.inf)
+        self.came = there.pages.moved - moved
+        self._asked, self._left = (view, tolerance, exaggeration), 0
+        self._told(choice, bound)
+
+    def aside(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
+        """Take a frame's part of the way to the tree of a view; ``patches`` as for ``at_once``."""
+        self._for(choice)
+        made = self._planting.take()
+        if isinstance(made, str):
+            self._error = made
+        elif made is not None:
+            self._planted = made
+        if self._planted is None:
+            if self._planting.wants(str(choice)) and not self._error:
+                self._planting.start(str(choice), lambda: self._try(choice))
+            return
+        there, asked = self._planted, (view, *_goal(scene))
+        _, tolerance, exaggeration = asked
+        moved = there.pages.moved
+        if there.pages.choose(view, patches, tolerance, exaggeration) or asked != self._asked:
+            self._asked, self._left = asked, self.settling
+        self.came = there.pages.moved - moved
+        if self._left > 0:
+            count = min(choice.options.updates, self._left)
+            there.tree.update(view, tolerance, exaggeration, count)
+            self._left -= count
+            if self._left == 0:  # at rest there is time to look
+                self.counts = there.tree.counts()
+            self._told(choice, max(tolerance, there.pages.bound))
+
+    def none(self) -> None:
+        """No tree is wanted; it stays where it is."""
+        self.selection, self._wanted, self.came = None, False, 0
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._planting.close()
+        if self._planted is not None:
+            self._planted.pages.close()
+
+    def _for(self, choice: Choice) -> None:
+        if self._choice is None or str(self._choice) != str(choice):
+            if self._planted is not None:
+                self._planted.pages.close()
+            self._choice, self._planted, self.selection, self._error, self.counts = choice, None, None, "", None
+        self._wanted = True
+
+    def _told(self, choice: Choice, bound: float) -> None:
+        """Note that the tree is another one."""
+        assert self._planted is not None
+        tree, counts = self._planted.tree, self.counts
+        full = counts is not None and counts.triangles + counts.wanted > tree.slots
+        stats: dict[str, Any] = {
+            "method": choice.info.name, "tolerance": self._asked[1], "updates": tree.updates, "slots": tree.slots,
+            "bytes": tree.bytes, "page_bytes": self._planted.pages.atlas.bytes,
+        }  # fmt: skip
+        reached = math.inf if full else bound
+        promised = choice.conservative and math.isfinite(reached)
+        self.selection = TreeFrame(
+            method=choice.info.name, bound=reached if promised else None, stats=stats, tree=tree, reached=reached,
+            full=full,
+        )  # fmt: skip
+
+    def _try(self, choice: Choice) -> Planted | str:
+        try:
+            return self._plant(choice)
+        except OrographError as error:
+            return str(error)
+
+    def _plant(self, choice: Choice) -> Planted:
+        supply(self.terrain, choice.method.needs(choice.options), Resources(MEMORY, self.jobs))
+        vertices = Vertices(self.terrain, choice.options.error)
+        pages = DiamondPages(self.device, vertices, self.most, self.jobs)
+        tree = Tree(
+            self.device, self.terrain, vertices.corners, pages, choice.options.slots,
+            isotropic=choice.options.metric_used.name == "isotropic", cull=choice.options.cull,
+        )  # fmt: skip
+        return Planted(tree, pages)
+
+
+def _goal(scene: Scene) -> tuple[float, float]:
+    """Pixels of tolerance, and the factor on heights."""
+    return TOLERANCE if scene.surface.tolerance is None else scene.surface.tolerance, scene.surface.exaggeration

@@ -1,0 +1,348 @@
+"""Patches and rays in one picture: each block of the screen is drawn by one of them (``surface.shares``).
+
+A block is drawn whole by one way, and each way draws all ground there is, so that no pixel is left out where they
+meet: what a border shows is that two surfaces, both within the tolerance, are two. Blocks of rays are first filled with
+a depth that keeps patches out; then patches are drawn, those left out that lie over such blocks only; then rays
+overwrite theirs.
+
+The thread that selects windows also counts the steps of some rays (``rays.RaySteps``), of which a frame knows those of
+the last selection; patches are those of the frame itself. What a triangle, a pixel, a ray and a step take is measured
+once on each device, by drawing the first such frame a few times (``Mixer.measure``). While rays would save nothing
+anywhere, their windows are looked for only every ``RARELY`` frames. Rays draw nothing while they are coarser than was
+asked for: where memory holds no finer windows, or a camera is where those that are there are too coarse.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.gpu.recording import write
+from orograph.lod.patches.footprints import Screen, footprints
+from orograph.lod.selection import PatchesAndRays
+from orograph.lod.triangle_patches import Patches
+from orograph.raycast.select import rectangles
+from orograph.rendering.gpu.camera import camera_of
+from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left
+from orograph.rendering.gpu.surface.patches import PatchPass
+from orograph.rendering.gpu.surface.rays import SPACING, CastWindows, RayPass, RaySteps, Windows
+from orograph.rendering.gpu.surface.shares import STATED, Costs, Frame, Labels, Shares, kept, share
+from orograph.rendering.gpu.targets import Targets, cleared
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+RARELY = 60
+"""Frames after which windows are looked for again where rays saved nothing."""
+
+WORTH = 0.02
+"""Part of a frame that blocks could save by rays for which windows are looked for in every frame."""
+
+ROUNDS = 4
+"""How often each draw is timed; the fastest counts."""
+
+MOVED = 0.01
+"""Part of the distance to what a camera looks at that it may go, or turn, before blocks are decided upon anew."""
+
+SMALL = 4
+"""How many times smaller the picture is in which patches are drawn for what their triangles alone take."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MixableWindows(PatchesAndRays):
+    """Windows that are on the GPU, and what rays at them take.
+
+    Attributes:
+        rays: the windows. steps: ``RaySteps.count`` of the camera's view.
+    """
+
+    rays: CastWindows
+    steps: NDArray[np.uint32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cast:
+    """Where rays are cast: the same object as long as they are cast at the same windows in the same blocks.
+
+    Attributes:
+        windows: at which. by_rays: the blocks, of ``side`` pixels.
+    """
+
+    windows: CastWindows
+    by_rays: Labels
+    side: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixed:
+    """What a frame draws.
+
+    Attributes:
+        instances: patches that are drawn. cast: where rays are.
+    """
+
+    instances: NDArray[Any]
+    cast: Cast
+
+    @property
+    def rays(self) -> Cast | None:
+        """Where rays are cast; None: nowhere."""
+        return self.cast if self.cast.by_rays.any() else None
+
+
+class _Decided(NamedTuple):
+    """Who draws which blocks, for what (``key``), by which windows and in which view, and why."""
+
+    key: Any
+    windows: MixableWindows
+    view: View
+    cast: Cast
+    shares: Shares | None
+
+
+class Mixing:
+    """Makes selections of patches and rays ready to be mixed; called from any thread."""
+
+    def __init__(self, device: Device, terrain: Terrain, windows: Windows) -> None:
+        self.terrain, self.windows = terrain, windows
+        self._steps = RaySteps(device)
+
+    def ready(self, selection: PatchesAndRays, again: Callable[[float], PatchesAndRays]) -> MixableWindows:
+        """See ``Windows.ready``."""
+        rays = self.windows.ready(selection, again)
+        camera = selection.camera
+        steps = self._steps.count(rays, camera_of(camera.view, self.terrain, camera.exaggeration))
+        return MixableWindows(
+            method=selection.method, bound=rays.bound, lacking=rays.lacking, stats=rays.stats, windows=rays.windows,
+            camera=camera, block=selection.block, shares=selection.shares, hysteresis=selection.hysteresis,
+            select_patches=selection.select_patches, rays=rays, steps=steps,
+        )  # fmt: skip
+
+
+class MixedPass:
+    """Draws patches and rays into depth and marks.
+
+    Args:
+        patches, rays: what draws either.
+    """
+
+    def __init__(self, device: Device, patches: PatchPass, rays: RayPass) -> None:
+        self.device, self.patches, self.rays = device, patches, rays
+
+    def draw(self, encoder: Any, targets: Targets, selection: Mixed, left: Left) -> None:
+        """Clear the targets and draw."""
+        cast, slopes = selection.cast, bool(left.slopes)
+        if cast.by_rays.all():
+            self.rays.draw(encoder, targets, cast.windows, left)
+            return
+        side = cast.side
+        self.patches.bring(selection.instances)
+        blocks = self.rays.bring_blocks(cast.by_rays)
+        if blocks:
+            self.rays.bring(cast.windows)
+        pass_ = cleared(targets, self.device, slopes).begin(encoder)
+        if blocks:
+            self.rays.keep_free(pass_, blocks, side, slopes)
+        self.patches.record(pass_, len(selection.instances), left)
+        if blocks:
+            self.rays.cast_blocks(pass_, blocks, side, slopes)
+        pass_.end()
+
+
+class Mixer:
+    """Decides who draws what.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``). legs: segments along a patch's leg.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, camera: Any, legs: int, draws: MixedPass) -> None:
+        self.device, self.terrain, self.legs, self.draws = device, terrain, legs, draws
+        self._camera = camera
+        self._last: _Decided | None = None
+        self._idle = 0
+
+    def forget(self) -> None:
+        """Another method draws."""
+        self._last, self._idle = None, 0
+
+    def look(self) -> bool:
+        """Whether windows are to be looked for in another frame."""
+        found = None if self._last is None else self._last.shares
+        if found is None:
+            self._idle = 0
+            return True
+        self._idle = 0 if found.gain > WORTH * found.patches or found.by_rays.any() else (self._idle + 1) % RARELY
+        return self._idle == 0
+
+    def mixed(
+        self, patches: Patches, windows: MixableWindows, view: View, exaggeration: float, tolerance: float, *,
+        wait: bool,
+    ) -> Mixed:  # fmt: skip
+        """What a frame draws.
+
+        Args:
+            patches: in view. tolerance: of rays, pixels. wait: it is a picture: decide by ``STATED`` costs, anew.
+        """
+        last, screen = self._last, Screen.of(view, self.terrain.grid, exaggeration, windows.block)
+        key = exaggeration, tolerance, screen.shape, wait
+        if self._idle and last is not None and last.key == key:
+            return Mixed(patches.instances, last.cast)
+        rows, cols = self.terrain.grid.shape
+        boxes = footprints(patches.instances, patches.spans, self.legs, (rows - 1, cols - 1), screen)
+        if last is None or last.key != key or wait or not _hardly_moved(last, view, windows):
+            last = self._decided(patches, boxes, windows, view, exaggeration, tolerance, screen, wait=wait)
+            if self._last is not None and _same(self._last.cast, last.cast):
+                last = last._replace(cast=self._last.cast)
+            self._last = last._replace(key=key)
+        cast = last.cast
+        drawn = patches.instances[kept(boxes, cast.by_rays)] if cast.by_rays.any() else patches.instances
+        return Mixed(drawn, cast)
+
+    def _decided(
+        self, patches: Patches, boxes: NDArray[np.int64], windows: MixableWindows, view: View, exaggeration: float,
+        tolerance: float, screen: Screen, *, wait: bool,
+    ) -> _Decided:  # fmt: skip
+        """Who draws which blocks, and why."""
+        by_rays, shares = np.zeros(screen.shape, bool), None
+        if not self._fine(windows, view, exaggeration, tolerance):
+            pass
+        elif windows.shares == "turns":
+            by_rays = np.add.outer(np.arange(screen.shape[0]), np.arange(screen.shape[1])) % 2 == 1
+        else:
+            left, top = (int(n) // SPACING for n in view.frame[:2])
+            frame = _frame(boxes, self.legs**2, screen, windows.steps[top:, left:])
+            costs = STATED if wait else self._measured(patches, windows.rays, frame, screen, view, exaggeration)
+            last = None if wait or self._last is None else self._last.cast.by_rays
+            before = last if last is not None and last.shape == screen.shape else None
+            shares = share(frame, costs, windows.hysteresis, before)
+            by_rays = shares.by_rays
+        return _Decided((), windows, view, Cast(windows.rays, by_rays, windows.block), shares)
+
+    def _fine(self, windows: MixableWindows, view: View, exaggeration: float, tolerance: float) -> bool:
+        """Whether rays are within the tolerance: their windows hold those that this camera wants."""
+        if windows.bound is None or windows.bound > tolerance * (1 + 1e-9):
+            return False
+        if windows.camera.view == view.whole and windows.camera.exaggeration == exaggeration:
+            return True
+        by = "spacing" if view.projection == "plan" else "error"
+        wanted = rectangles(self.terrain, view.whole, exaggeration, tolerance, by=by)
+        held = {one.level: one for one in windows.windows}
+        return all(
+            one.level in held and held[one.level].row0 <= one.row0 and held[one.level].row1 >= one.row1
+            and held[one.level].col0 <= one.col0 and held[one.level].col1 >= one.col1
+            for one in wanted
+        )  # fmt: skip
+
+    def _measured(
+        self, patches: Patches, rays: CastWindows, frame: Frame, screen: Screen, view: View, exaggeration: float
+    ) -> Costs:  # fmt: skip
+        """The device's costs; measured by this frame if they are not known."""
+        known = _COSTS.get(id(self.device.handle))
+        if known is not None:
+            return known
+        if not len(patches.instances) or not frame.steps.any():
+            return STATED
+        write(self.device, self._camera, camera_of(view, self.terrain, exaggeration))
+        found = self.measure(patches, rays, frame, screen, (view.width, view.height))
+        _COSTS[id(self.device.handle)] = found
+        return found
+
+    def measure(
+        self, patches: Patches, rays: CastWindows, frame: Frame, screen: Screen, size: tuple[int, int]
+    ) -> Costs:  # fmt: skip
+        """What a triangle, a pixel, a ray and a step take here, ns, by drawing what there is a few times.
+
+        Patches are drawn in the whole picture, and in one that is ``SMALL`` times smaller: there the pixels are few.
+        Rays are cast in a third of the blocks, those in which they take few steps, and the others.
+        """
+        none = np.zeros(screen.shape, bool)
+        many = frame.steps > np.median(frame.steps / frame.pixels) * frame.pixels
+        small = max(1, size[0] // SMALL), max(1, size[1] // SMALL)
+        by_patches = Mixed(patches.instances, Cast(rays, none, screen.side))
+        some = np.add.outer(np.arange(screen.shape[0]), np.arange(screen.shape[1])) % 3 == 0
+        halves = [half for half in (many & some, ~many & some) if half.any()]
+        by_rays = [Mixed(patches.instances[:0], Cast(rays, half, screen.side)) for half in halves]
+        triangles, ground = len(patches.instances) * self.legs**2, float(frame.ground.sum())
+        least = ground * small[0] * small[1] / (size[0] * size[1])
+        took = self._seconds([(by_patches, size), (by_patches, small), *((one, size) for one in by_rays)])
+        return Costs(
+            *_solved([(triangles, ground), (triangles, least)], took[:2], STATED[:2]),
+            *_solved(
+                [(float(frame.pixels[half].sum()), float(frame.steps[half].sum())) for half in halves],
+                took[2:],
+                STATED[2:],
+            ),
+        )
+
+    def _seconds(self, draws: Sequence[tuple[Mixed, tuple[int, int]]]) -> list[float]:
+        """The least that each of some draws takes; in turns, so that other programs hold up all.
+
+        On software that is what processors work, if it is less: the clock runs while they work for others, too.
+        """
+        took: list[list[float]] = [[] for _ in draws]
+        targets = [Targets(self.device, *size) for _, size in draws]
+        for _ in range(1 + ROUNDS):
+            for (what, _), target, times in zip(draws, targets, took, strict=True):
+                self.device.wait()
+                begun, worked = time.perf_counter(), time.process_time()
+                encoder = self.device.handle.create_command_encoder()
+                self.draws.draw(encoder, target, what, DEPTH_ONLY)
+                self.device.queue.submit([encoder.finish()])
+                self.device.wait()
+                seconds = time.perf_counter() - begun
+                times.append(min(seconds, time.process_time() - worked) if self.device.adapter.software else seconds)
+        return [min(times[1:]) for times in took]  # (the first ones compile)
+
+
+def _hardly_moved(last: _Decided, view: View, windows: MixableWindows) -> bool:
+    """Whether what was decided still holds: other windows or another place are looked at anew."""
+    if last.view == view:
+        return last.windows is windows
+    if last.windows.rays.pool is not windows.rays.pool or last.view.projection != view.projection:
+        return False
+    ways = np.subtract([last.view.target, view.target], [last.view.eye, view.eye])
+    far = float(np.linalg.norm(ways, axis=1).min())
+    moved = float(np.abs(np.subtract([last.view.target, last.view.eye], [view.target, view.eye])).max())
+    return last.view.fov_y == view.fov_y and moved < MOVED * far
+
+
+def _same(one: Cast, other: Cast) -> bool:
+    alike = one.windows.pool is other.windows.pool and one.side == other.side
+    return alike and np.array_equal(one.by_rays, other.by_rays)
+
+
+_COSTS: dict[int, Costs] = {}
+"""By device."""
+
+
+def _frame(boxes: NDArray[np.int64], triangles: int, screen: Screen, counted: NDArray[np.uint32]) -> Frame:
+    """What there is to draw, by the steps of some rays."""
+    down, across = screen.shape
+    per = screen.side // SPACING
+    here = np.zeros((2, down * per, across * per))
+    rows, cols = (min(a, b) for a, b in zip(counted.shape, here.shape[1:], strict=True))
+    here[:, :rows, :cols] = counted[:rows, :cols] >> 1, counted[:rows, :cols] & 1
+    there = np.zeros(here.shape[1:])
+    there[:rows, :cols] = 1
+    sums = [a.reshape(down, per, across, per).sum((1, 3)) for a in (here[0], here[1], there)]
+    steps, ground = (a / np.maximum(sums[2], 1) * screen.pixels for a in sums[:2])
+    return Frame(boxes, triangles, screen.pixels, ground, steps)
+
+
+def _solved(
+    amounts: Sequence[tuple[float, float]], seconds: Sequence[float], stated: tuple[float, float]
+) -> tuple[float, float]:
+    """What one of each takes, ns, where so many of both took so long; in the stated ratio if that makes no sense."""
+    a, b = np.asarray(amounts, np.float64), np.asarray(seconds) * 1e9
+    if len(a) == 2 and abs(np.linalg.det(a)) > 1e-6 * np.abs(a).prod(1).sum():
+        first, second = np.linalg.solve(a, b)
+        if first > 0 and second > 0:
+            return float(first), float(second)
+    factor = b.sum() / max(float((a @ stated).sum()), 1.0)
+    return float(stated[0] * factor), float(stated[1] * factor)

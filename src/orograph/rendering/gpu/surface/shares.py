@@ -1,0 +1,141 @@
+"""Who draws which blocks of the screen, patches or rays: what each way costs, and the cheaper of the two.
+
+A patch costs what its triangles do, however many blocks it lies over, and it is drawn if it lies over a single block
+of patches; so what a block saves depends on its neighbours. Each block first weighs its rays against its part of the
+patches over it (their triangles are shared out evenly) and its pixels; then, while that pays, blocks go over to the
+other way for what that saves with the others as they are; at last the whole picture is compared with that of patches
+alone and of rays alone. What drew a block before counts less, by the hysteresis. Nanoseconds, pixels, blocks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Boxes = NDArray[np.int64]
+"""(k, 4): the blocks that patches lie over (``lod.patches.footprints``)."""
+Labels = NDArray[np.bool_]
+"""(down, across): whether rays draw a block."""
+
+SWEEPS = 4
+"""How often blocks go over to the other way, at most."""
+
+WORTH = 0.08
+"""Part of the cost of the better way alone that both together have to save: what they take besides is not counted."""
+
+
+class Costs(NamedTuple):
+    """What drawing takes a device.
+
+    Attributes:
+        triangle, pixel: ns of patches, each triangle, and each pixel that they cover. ray, step: ns of rays, each, and
+            each of their steps.
+    """
+
+    triangle: float
+    pixel: float
+    ray: float
+    step: float
+
+
+STATED = Costs(triangle=150.0, pixel=60.0, ray=65.0, step=24.0)
+"""Those of software on two cores: pictures that are waited for go by them, so that they are the same each time."""
+
+
+class Frame(NamedTuple):
+    """What a frame has to draw.
+
+    Attributes:
+        boxes: of the patches. triangles: of each patch. pixels: (down, across), of the blocks.
+        ground: (down, across), of these the ones that show ground. steps: (down, across), of all rays through a block.
+    """
+
+    boxes: Boxes
+    triangles: int
+    pixels: Array
+    ground: Array
+    steps: Array
+
+
+class Shares(NamedTuple):
+    """Who draws what.
+
+    Attributes:
+        by_rays: ``Labels``. cost: expected, ns; patches, rays: that of either alone.
+        gain: what blocks could save by rays, at most, if patches drew all others.
+    """
+
+    by_rays: Labels
+    cost: float
+    patches: float
+    rays: float
+    gain: float
+
+
+def over_blocks(boxes: Boxes, values: Array, shape: tuple[int, int]) -> Array:
+    """The sum of the values of the patches over each block."""
+    down, across = shape
+    x0, y0, x1, y1 = boxes.T
+    there = (x1 > x0) & (y1 > y0)
+    wide = across + 1
+    ends = [y0 * wide + x0, y1 * wide + x1, y0 * wide + x1, y1 * wide + x0]
+    size = (down + 1) * wide
+    a, b, c, d = (np.bincount(end[there], values[there], size) for end in ends)
+    summed: Array = (a + b - c - d).reshape(down + 1, wide).cumsum(0).cumsum(1)[:down, :across]
+    return summed
+
+
+def count_over(boxes: Boxes, labels: Labels) -> NDArray[np.int64]:
+    """How many of the blocks that each patch lies over have a label."""
+    sums = np.zeros((labels.shape[0] + 1, labels.shape[1] + 1), np.int64)
+    np.cumsum(np.cumsum(labels, 0), 1, out=sums[1:, 1:])
+    x0, y0, x1, y1 = boxes.T
+    found: NDArray[np.int64] = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
+    return np.where((x1 > x0) & (y1 > y0), found, 0)
+
+
+def kept(boxes: Boxes, by_rays: Labels) -> Labels:
+    """(k,): whether a patch is drawn, that is, lies over a block of patches."""
+    return count_over(boxes, ~by_rays) > 0
+
+
+def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None = None) -> Shares:
+    """Who draws which blocks.
+
+    Args:
+        hysteresis: part of its cost by which the other way has to be cheaper. before: who drew them.
+    """
+    boxes, shape = frame.boxes, frame.pixels.shape
+    blocks = np.maximum(boxes[:, 2] - boxes[:, 0], 0) * np.maximum(boxes[:, 3] - boxes[:, 1], 0)
+    each = costs.triangle * frame.triangles
+    rays, ground = costs.ray * frame.pixels + costs.step * frame.steps, costs.pixel * frame.ground
+    parts = over_blocks(boxes, each / np.maximum(blocks, 1), shape) + ground
+    stay = 1.0 if before is None else np.where(before, 1.0 + hysteresis, 1.0 - hysteresis)
+    labels = rays < stay * parts
+    least = 1.0 if before is None else 1.0 - hysteresis
+
+    def total(labels: Labels) -> float:
+        drawn = int(np.count_nonzero(kept(boxes, labels)))
+        return float(each * drawn + np.where(labels, rays, ground).sum())
+
+    cost = total(labels)
+    for _ in range(SWEEPS):
+        waits = count_over(boxes, ~labels)  # blocks for whose sake each patch is drawn
+        alone = each * over_blocks(boxes, (waits == 1) * 1.0, shape)
+        again = each * over_blocks(boxes, ((waits == 0) & (blocks > 0)) * 1.0, shape)
+        turned = np.where(labels, ~(ground + again < least * rays), rays < least * (ground + alone))
+        then = total(turned)
+        if not then < cost:
+            break
+        labels, cost = turned, then
+    by_patches, all_rays = float(each * np.count_nonzero(blocks) + ground.sum()), float(rays.sum())
+    alone_before = None if before is None or before.any() != before.all() else bool(before.all())
+    one = bool(all_rays < {None: 1.0, False: 1.0 - hysteresis, True: 1.0 + hysteresis}[alone_before] * by_patches)
+    worth = WORTH if before is None else WORTH * (1.5 if one == alone_before else 0.5)
+    least_alone = all_rays if one else by_patches
+    if not cost < (1.0 - worth) * least_alone:
+        labels, cost = np.full(shape, one), least_alone
+    return Shares(labels, cost, by_patches, all_rays, float(np.maximum(parts - rays, 0.0).sum()))

@@ -1,0 +1,315 @@
+"""A concurrent binary tree that lives on the GPU (``lod.cbt``): updated by dispatches, drawn by one indirect draw.
+
+The pool of triangles, the bits of its slots in use, and their sums are buffers that nothing on the CPU looks at. A
+frame judges all triangles for its camera, then updates the tree some times: *mark*, *plan*, *apply*, two dispatches of
+the sum reduction, and *judge* again (``shaders/cbt.wgsl``), 1 + 6 · updates dispatches, of which all but those of the
+sums get their size from the GPU, as does the draw. What is drawn is read back where somebody asks for it
+(``Tree.pool``).
+
+Memory: 96 bytes a slot for the triangles before and after an update, 8 for lists and marks, and 3/8 for bits and sums.
+Whatever is computed from positions, in float32, counts a little worse than it is, so that the promise holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error.screen import camera_parameters
+from orograph.gpu.device import Device
+from orograph.gpu.program import Program
+from orograph.gpu.recording import Attachments, write
+from orograph.hierarchy import triangles
+from orograph.lod.cbt.pool import Pool
+from orograph.lod.selection import Selection
+from orograph.rendering.gpu.camera import CAMERA, camera_of
+from orograph.rendering.gpu.surface.left import Left
+from orograph.rendering.gpu.targets import EMPTY, FIELD, GIVEN, MARKS, NEARER, Targets
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+from orograph.viewpoint import View
+
+NODE = np.dtype(
+    [("l", "<i4", 2), ("shape", "<u4"), ("spare", "<u4"), ("heights", "<f4", 4), ("links", "<u4", 4)]
+)  # fmt: skip
+"""A triangle: ``Node`` of ``shaders/cbt_node.wgsl``."""
+
+TUNING = np.dtype(
+    [
+        ("planes", "<f4", (6, 4)), ("focal", "<f4"), ("tolerance", "<f4"), ("lean", "<f4"), ("stretch", "<f4"),
+        ("isotropic", "<u4"), ("cull", "<u4"), ("n", "<u4"), ("top", "<u4"), ("near", "<f4"), ("slots", "<u4"),
+        ("pad", "<u4", 2), ("levels", "<u4", (32, 4)),
+    ]
+)  # fmt: skip
+"""The uniform ``Tuning`` of ``shaders/cbt.wgsl``."""
+
+NONE, MISSING = 0xFFFFFFFF, np.float32(1e30)
+SHOWN = 16
+"""What shaders write for no slot, for no height, and into the marks of a triangle that is drawn."""
+
+LEAST = 1 << 14
+"""Slots that a workgroup of the sum reduction adds up."""
+
+THREADS = 64
+"""Of a workgroup of the update."""
+
+
+class Paged(Protocol):
+    """Pages of diamonds (``stream.diamonds.DiamondPages``)."""
+
+    atlas: Any
+    levels: NDArray[np.uint32]
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What a tree says of itself when it is asked.
+
+    Attributes:
+        triangles: in the pool. wanted: slots that the last update asked for. changes: triangles that were split or
+            merged so far.
+    """
+
+    triangles: int
+    wanted: int
+    changes: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TreeFrame(Selection):
+    """A tree after some update, which is what it is: the next one changes it.
+
+    Attributes:
+        tree: on the GPU. reached: pixels within which its errors are, by the pages there are. full: whether it wanted
+            more triangles than there is room for.
+    """
+
+    tree: Tree
+    reached: float
+    full: bool
+
+    def tessellation(self) -> Tessellation:
+        """What is drawn of it, read back."""
+        return self.tree.tessellation(dict(self.stats))
+
+
+class Tree:
+    """A tree on a device.
+
+    Args:
+        corners: (2, 2) heights of the square's corners. pages: of the diamonds.
+        slots: triangles that there is room for; rounded up to a power of two.
+        isotropic: the metric, else anisotropic. cull: leave out what is out of view.
+
+    Attributes:
+        slots: as rounded. bytes: of its buffers. updates: how many there were.
+    """
+
+    def __init__(
+        self, device: Device, terrain: Terrain, corners: NDArray[np.float32], pages: Paged, slots: int, *,
+        isotropic: bool = False, cull: bool = True,
+    ) -> None:  # fmt: skip
+        self.device, self.terrain, self.pages = device, terrain, pages
+        self.isotropic, self.cull = isotropic, cull
+        self.slots = max(LEAST, 1 << (slots - 1).bit_length())
+        self.updates = 0
+        words = self.slots // 32
+        nodes = np.zeros(self.slots, NODE)
+        nodes[:2] = _roots(terrain.n, corners)
+        bits = np.zeros(words, np.uint32)
+        bits[0] = 3
+        made = device.buffer
+        self.nodes = [made(nodes, "STORAGE|COPY_SRC", "triangles"), made(nodes.nbytes, "STORAGE|COPY_SRC", "triangles")]
+        self.state = made(4 * self.slots + 8, "STORAGE|COPY_SRC", "marks of triangles")
+        self.list = made(4 * self.slots, "STORAGE|COPY_SRC", "slots of triangles")
+        self.bits = made(bits, "STORAGE|COPY_SRC", "bits")
+        self.sums = made(8 * words, "STORAGE|COPY_SRC", "sums")
+        self.arguments = made(32, "STORAGE|INDIRECT", "counts")
+        self.asked = made(
+            np.zeros(-(-pages.atlas.tables.total // 32), np.uint32), "STORAGE|COPY_SRC", "pages asked for"
+        )
+        self.bytes = 2 * nodes.nbytes + 8 * self.slots + 12 * words
+        self._camera = made(CAMERA.itemsize, "UNIFORM", "camera of a tree")
+        self._tuning = made(TUNING.itemsize, "UNIFORM", "tuning of a tree")
+        self._turn = 0
+        program, sums = Program(device, "cbt"), Program(device, "cbt_sums", WORDS=words)
+        self._groups = [program.bind(self._bound(k)) for k in range(2)]
+        self._adding = sums.bind({"bits": self.bits, "sums": self.sums, "arguments": self.arguments})
+        self._steps = {name: program.compute(name) for name in ("judge", "mark", "plan", "apply")}
+        self._add = [sums.compute(name) for name in ("blocks", "top")]
+        self._blocks = words // 512
+        encoder = device.handle.create_command_encoder()
+        pass_ = encoder.begin_compute_pass()
+        self._sum(pass_)
+        pass_.end()
+        device.queue.submit([encoder.finish()])
+
+    def _bound(self, turn: int) -> dict[str, Any]:
+        return {
+            "camera": self._camera, "tuning": self._tuning, "nodes": self.nodes[turn], "after": self.nodes[1 - turn],
+            "state": self.state, "list": self.list, "bits": self.bits, "sums": self.sums,
+            "pages": self.pages.atlas.page_buffer, "asked": self.asked,
+            "diamonds": self.pages.atlas.texture.create_view(dimension="2d-array"),
+        }  # fmt: skip
+
+    def update(self, view: View, tolerance: float, exaggeration: float, count: int) -> None:
+        """Judge for a camera and update so many times; nothing waits for it.
+
+        Args:
+            tolerance: pixels.
+        """
+        write(self.device, self._camera, camera_of(view, self.terrain, exaggeration))
+        write(self.device, self._tuning, self._tuned(view, tolerance, exaggeration))
+        encoder = self.device.handle.create_command_encoder()
+        pass_ = encoder.begin_compute_pass()
+        self._step(pass_, "judge")
+        for _ in range(count):
+            for name in ("mark", "plan", "apply"):
+                self._step(pass_, name)
+            self._sum(pass_)
+            self._turn = 1 - self._turn
+            self._step(pass_, "judge")
+        pass_.end()
+        self.device.queue.submit([encoder.finish()])
+        self.updates += count
+
+    def _step(self, pass_: Any, name: str) -> None:
+        pass_.set_pipeline(self._steps[name])
+        pass_.set_bind_group(0, self._groups[self._turn])
+        pass_.dispatch_workgroups_indirect(self.arguments, 0)
+
+    def _sum(self, pass_: Any) -> None:
+        for pipeline, groups in zip(self._add, (self._blocks, 1), strict=True):
+            pass_.set_pipeline(pipeline)
+            pass_.set_bind_group(0, self._adding)
+            pass_.dispatch_workgroups(groups)
+
+    def _tuned(self, view: View, tolerance: float, exaggeration: float) -> NDArray[np.void]:
+        u = np.zeros((), TUNING)
+        lens = camera_parameters(view, self.terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+        plan = view.projection == "plan"
+        eye = np.array([*(view.target if plan else view.eye)[:2], view.eye[2] * exaggeration])
+        u["planes"][:] = 0, 0, 0, MISSING
+        for k, plane in enumerate(view.frustum(exaggeration)):
+            u["planes"][k] = *plane[:3], plane[:3] @ eye + plane[3]
+        u["focal"], u["tolerance"], u["lean"] = lens.focal, tolerance, lens.largest_lean
+        u["stretch"], u["near"] = lens.stretch, lens.near
+        u["isotropic"], u["cull"] = self.isotropic, self.cull
+        u["n"], u["top"], u["slots"] = self.terrain.n, self.terrain.levels - 1, self.slots
+        u["levels"] = self.pages.levels
+        return u
+
+    @property
+    def current(self) -> Any:
+        """The buffer of triangles."""
+        return self.nodes[self._turn]
+
+    def counts(self) -> Counts:
+        """Wait for the GPU, and read how far it is."""
+        queue = self.device.queue
+        wanted, changes = np.frombuffer(queue.read_buffer(self.state, 4 * self.slots, 8), np.uint32)
+        (count,) = np.frombuffer(queue.read_buffer(self.sums, 4, 4), np.uint32)
+        return Counts(int(count), int(wanted), int(changes))
+
+    def take_asked(self) -> NDArray[np.uint32]:
+        """Wait for the GPU, and read which pages it looked for in vain since it was asked last: a bit each."""
+        found = self.device.read_buffer(self.asked, np.uint32).copy()
+        self.device.queue.write_buffer(self.asked, 0, np.zeros_like(found))
+        return found
+
+    def pool(self) -> tuple[Pool, NDArray[np.bool_]]:
+        """Wait for the GPU, and read the tree; which of its slots are drawn."""
+        nodes = self.device.read_buffer(self.current, NODE)
+        bits = self.device.read_buffer(self.bits, np.uint8)
+        used = np.unpackbits(bits, bitorder="little").astype(bool)
+        shown = self.device.read_buffer(self.state, np.uint32)[: self.slots] & SHOWN > 0
+        level, omega = nodes["shape"].astype(np.int64) >> 3, nodes["shape"].astype(np.int64) & 7
+        side = 1 << (self.terrain.n - np.minimum((level + 1) // 2, self.terrain.n))
+        shape = np.stack([nodes["l"][:, 0], nodes["l"][:, 1], side, omega], -1).astype(np.int64)
+        heights = np.where(nodes["heights"] < 0.5 * MISSING, nodes["heights"], np.float32(np.nan))
+        links = nodes["links"][:, :3].astype(np.int64)
+        links[links == NONE] = -1
+        return Pool(shape, level, heights, links, used), used & shown
+
+    def tessellation(self, stats: dict[str, Any]) -> Tessellation:
+        """Wait for the GPU, and read what is drawn."""
+        pool, shown = self.pool()
+        slots = np.flatnonzero(shown)
+        keys = pool.corners(slots)
+        rows, cols = self.terrain.grid.shape
+        row, col = np.minimum(keys >> 32, rows - 1).T, np.minimum(keys & 0xFFFFFFFF, cols - 1).T
+        flat = (col[1] - col[0]) * (row[2] - row[0]) == (col[2] - col[0]) * (row[1] - row[0])
+        heights = pool.heights[slots, :3]
+        made = Tessellation.from_triangles(
+            self.terrain.grid, keys[~flat], heights[~flat], clockwise=False, stats=stats
+        )  # fmt: skip
+        stats["triangles"] = len(made.triangles)
+        return made
+
+
+def _roots(n: int, corners: NDArray[np.float32]) -> NDArray[Any]:
+    """The two triangles of the square."""
+    out = np.zeros(2, NODE)
+    (nw, ne), (sw, se) = np.where(np.isnan(corners), MISSING, corners)
+    for k, (x, y, _, omega) in enumerate(triangles.root(k, n) for k in range(2)):
+        heights = (nw, se, ne, MISSING) if k == 0 else (se, nw, sw, MISSING)
+        out[k] = (x, y), omega, 0, heights, (NONE, NONE, 1 - k, NONE)
+    return out
+
+
+class TreePass:
+    """Draws trees into depth and marks; slopes are those of the triangles.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``).
+        field: a view of the atlas of heights, its pages and the table of levels (``shaders/field.wgsl``).
+        missing: what is added to heights that are missing (``tiles.missing``), metres.
+    """
+
+    def __init__(
+        self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int, n: int
+    ) -> None:  # fmt: skip
+        self.device, self.camera, self.field, self.missing, self.n = device, camera, field, missing, n
+        self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
+        self._groups: tuple[Tree | None, list[Any]] = (None, [])
+
+    def draw(self, encoder: Any, targets: Targets, selection: TreeFrame, left: Left) -> None:
+        """Clear the targets and draw."""
+        tree = selection.tree
+        if self._groups[0] is not tree:
+            named = zip(("heights", "height_pages", "levels"), self.field, strict=True)
+            held = {"camera": self.camera, "list": tree.list, "state": tree.state, **dict(named)}
+            program = self._program(False)
+            self._groups = tree, [program.bind({"nodes": nodes, **held}) for nodes in tree.nodes]
+        what = left.edges, bool(left.slopes), left.field
+        pass_ = targets.attached(
+            f"tree {what[1:]}", lambda: self._attachments(targets, *what[1:])
+        ).begin(encoder)  # fmt: skip
+        pass_.set_pipeline(self._pipeline(*what))
+        pass_.set_bind_group(0, self._groups[1][tree.nodes.index(tree.current)])
+        pass_.draw_indirect(tree.arguments, 12)
+        pass_.end()
+
+    def _attachments(self, targets: Targets, given: bool, field: bool) -> Attachments:
+        views = [targets.marks_view]
+        views += [targets.given_view(self.device)] if given or field else []
+        views += [targets.field_view(self.device)] if field else []
+        return Attachments([(view, EMPTY) for view in views], (targets.depth_view, 0.0))
+
+    def _pipeline(self, edges: bool, given: bool, field: bool) -> Any:
+        found = self._pipelines.get((edges, given, field))
+        if found is None:
+            entry, formats = "fragment", [MARKS]
+            if given or field:
+                entry, formats = ("with_field", [MARKS, GIVEN, FIELD]) if field else ("with_slope", [MARKS, GIVEN])
+            found = self._program(edges).draw(
+                [{"format": format} for format in formats], fragment=entry, depth=NEARER
+            )  # fmt: skip
+            self._pipelines[edges, given, field] = found
+        return found
+
+    def _program(self, edges: bool) -> Program:
+        return Program(self.device, "cbt_draw", EDGES=int(edges), MISSING=self.missing, N=self.n)

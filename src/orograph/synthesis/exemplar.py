@@ -1,0 +1,154 @@
+"""A terrain to take after, prepared: its heights as integers, smoothed level by level, and what looks alike in them.
+
+The Gaussian stack has every level at full resolution (Lefebvre & Hoppe 2005, §3.1): level L is the exemplar, level
+l − 1 is level l smoothed by the binomial filter 1 4 6 4 1 with its taps 2^(L − l) samples apart. What is compared at
+level l is how far a place lies above the level three octaves coarser, in 1/341 of the root mean square: the shape of
+the ground at that scale, not how high it is. All of it is integer arithmetic, and the same on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.parallel import map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.synthesis.similar import similar_places
+
+MOST = 1 << 22
+"""Samples of an exemplar; one takes some 100 bytes for each."""
+
+SMALLEST = 32
+"""Samples along each side of an exemplar, at least."""
+
+OCTAVES = 3
+"""Between a level and the one that its heights are compared above."""
+
+ROUNDS = 6
+"""Of propagation in the search for similar places."""
+
+Integers = NDArray[np.int32]
+Features = NDArray[np.int16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exemplar:
+    """Make one with ``Exemplar.of``.
+
+    Attributes:
+        stack: of each level, coarsest first, heights (rows, cols) int32 in ``quantum`` metres above ``base``.
+        features: of each level, what is compared, (rows, cols) int16, within ±1023.
+        similar: of each level, for each place another like it, (rows, cols, 2) int16: x, y.
+        quantum, base: metres.
+    """
+
+    stack: tuple[Integers, ...]
+    features: tuple[Features, ...]
+    similar: tuple[Features, ...]
+    quantum: float
+    base: float
+
+    @classmethod
+    def of(
+        cls, heights: NDArray[np.floating], name: str = "the exemplar", jobs: int | None = None,
+        progress: Progress = SILENT,
+    ) -> Exemplar:  # fmt: skip
+        """Prepare heights, (rows, cols) in metres.
+
+        Raises:
+            UsageError: they are too few or too many, some are missing, or all are equal.
+        """
+        check(heights, name)
+        low, high = float(heights.min()), float(heights.max())
+        quantum = 2.0 ** math.ceil(math.log2((high - low) / 2**20))
+        base = math.floor(low / quantum) * quantum
+        stack = [np.rint((heights.astype(np.float64) - base) / quantum).astype(np.int32)]
+        top = max(1, math.floor(math.log2(min(heights.shape) / 2)))
+        for level in range(top, 0, -1):
+            stack.insert(0, smoothed(stack[0], 1 << (top - level)))
+        features = tuple(_features(stack, level) for level in range(top + 1))
+        similar = []
+        with progress.task(f"Looking for what is alike in {name}", total=top + 1) as task:
+            work = map_ordered(lambda level: _similar(features[level], 1 << (top - level)), range(top + 1), jobs)
+            for found in work:
+                similar.append(found)
+                task.advance()
+        return cls(tuple(stack), features, tuple(similar), quantum, base)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        rows, cols = self.stack[0].shape
+        return rows, cols
+
+    @property
+    def top(self) -> int:
+        """The finest level, whose places are as far apart as the exemplar's samples."""
+        return len(self.stack) - 1
+
+    def step(self, level: int) -> int:
+        """Samples of the exemplar between places of a level."""
+        return 1 << (self.top - level)
+
+
+def check_size(shape: tuple[int, ...], name: str) -> None:
+    """Refuse an example that has too few samples, or too many.
+
+    Raises:
+        UsageError: see ``Exemplar.of``.
+    """
+    if len(shape) != 2 or min(shape) < SMALLEST:
+        raise UsageError(
+            f"An example needs at least {SMALLEST} × {SMALLEST} samples; this one has {' × '.join(map(str, shape))}.",
+            path=name, remedy="Take a larger piece of terrain.",
+        )  # fmt: skip
+    if math.prod(shape) > MOST:
+        raise UsageError(
+            f"An example has at most {MOST:,} samples; this one has {math.prod(shape):,}.",
+            path=name, remedy="Cut a piece out of it, e.g. with `gdal_translate -srcwin 0 0 2000 2000`.",
+        )  # fmt: skip
+
+
+def check(heights: NDArray[np.floating], name: str) -> None:
+    """Refuse what terrain cannot be made after.
+
+    Raises:
+        UsageError: see ``Exemplar.of``.
+    """
+    check_size(heights.shape, name)
+    missing = int(heights.size - np.isfinite(heights).sum())
+    if missing:
+        raise UsageError(
+            f"An example has a height everywhere; {missing:,} of its {heights.size:,} samples have none.",
+            path=name, remedy="Cut a piece without voids out of it (`gdal_translate -srcwin`), or fill them.",
+        )  # fmt: skip
+    if heights.min() == heights.max():
+        raise UsageError("An example of level ground has nothing to take after.", path=name, remedy="Take another.")
+
+
+def smoothed(heights: Integers, step: int) -> Integers:
+    """Integers smoothed by 1 4 6 4 1 along both axes, taps ``step`` samples apart, mirrored at the borders."""
+    for axis in (0, 1):
+        wide = np.pad(heights, [(2 * step, 2 * step) if n == axis else (0, 0) for n in (0, 1)], mode="symmetric")
+        n = heights.shape[axis]
+        a, b, c, d, e = (np.take(wide, range(k * step, k * step + n), axis).astype(np.int64) for k in range(5))
+        heights = ((a + 4 * b + 6 * c + 4 * d + e + 8) >> 4).astype(np.int32)
+    return heights
+
+
+def _features(stack: list[Integers], level: int) -> Features:
+    fine = stack[level].astype(np.int64)
+    band = fine - (stack[max(level - OCTAVES, 0)] if level else fine.sum() // fine.size)
+    spread = max(1, math.isqrt(int((band * band).sum()) // band.size))
+    return np.asarray(np.clip(band * 341 // spread, -1023, 1023), np.int16)
+
+
+def _similar(features: Features, step: int) -> Features:
+    rows, cols = features.shape
+    apart = max(2, min(rows, cols) // 20)
+    found = np.empty((rows, cols, 2), np.int16)
+    similar_places(features, step, apart, ROUNDS, step, found)
+    return found

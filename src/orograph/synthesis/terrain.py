@@ -1,0 +1,82 @@
+"""A terrain of any size by example, as a raster that is read by windows: what ``orograph synth --exemplar`` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.dem.header import copyright_tags
+from orograph.geo.grid import Grid
+from orograph.progress import SILENT, Progress
+from orograph.store.given import source_of
+from orograph.store.source import HeightSource
+from orograph.synthesis.exemplar import Exemplar, check, check_size
+from orograph.synthesis.windows import Endless, Range
+
+ORIGIN = 500_000.0, 5_000_000.0
+"""CRS coordinates of the north-west corner."""
+
+
+class ByExample:
+    """A terrain that takes after another; has what a mosaic asks of a source (``grid``, ``name``, ``read`` and so on).
+
+    Its samples are as far apart as the example's, and its heights as high.
+
+    Args:
+        exemplar: the example: whatever ``orograph.terrain`` takes that has at most ``exemplar.MOST`` samples, none
+            missing.
+        shape: (rows, cols), each at least 2. seed: any integer; another seed is another terrain.
+        crs: a projected CRS; None: the example's.
+        jitter: see ``windows.Endless``.
+        jobs: threads. progress: hears of the preparation, some 15 s for a million samples.
+
+    Raises:
+        UsageError: the example is no good (see ``Exemplar.of``), or an option makes no sense.
+        ReadError: it cannot be read.
+    """
+
+    def __init__(
+        self,
+        exemplar: Any,
+        shape: tuple[int, int],
+        seed: int = 1,
+        *,
+        crs: CRS | None = None,
+        jitter: float | Sequence[float] | None = None,
+        jobs: int | None = None,
+        progress: Progress = SILENT,
+    ) -> None:
+        source = source_of(exemplar, progress, called="synth")
+        heights = example(source)
+        self.endless = Endless(Exemplar.of(heights, source.name, jobs, progress), seed, jitter=jitter)
+        a, b, _, d, e, _ = source.grid.transform[:6]
+        self.grid = Grid(shape, Affine(a, b, ORIGIN[0], d, e, ORIGIN[1]), crs or source.grid.crs)
+        self.name, self.vertical = f"after {source.name} {seed}", None
+        self.attribution: tuple[str, ...] = tuple(getattr(source, "attribution", ()))
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
+        """Heights of a half-open window, float32 metres. Safe from any thread."""
+        return self.endless.metres(self.endless.heights(Range(row0, row1, col0, col1)))
+
+    @property
+    def tags(self) -> dict[str, str]:
+        """What a file of it says of itself."""
+        return {"TIFFTAG_IMAGEDESCRIPTION": f"synthetic terrain {self.name}", **copyright_tags(self.attribution)}
+
+
+def example(source: HeightSource) -> NDArray[np.float32]:
+    """All heights of a source that are to be an example.
+
+    Raises:
+        UsageError: see ``exemplar.check``.
+    """
+    rows, cols = source.grid.shape
+    check_size((rows, cols), source.name)
+    heights = source.read(0, rows, 0, cols)
+    check(heights, source.name)
+    return heights

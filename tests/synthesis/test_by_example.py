@@ -1,0 +1,81 @@
+"""``synth`` by example: the same file whatever the jobs, and in Python; what makes no sense is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from click.testing import CliRunner
+
+import orograph
+from orograph.cli.synth import command
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+from orograph.synthesis.terrain import ByExample
+
+
+@pytest.fixture(scope="module")
+def lidar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """48 × 61 samples, 1 × 2 m apart, whose makers want to be named."""
+    path = tmp_path_factory.mktemp("lidar") / "lidar.tif"
+    y, x = np.mgrid[:48, :61]
+    rng = np.random.default_rng(1)
+    heights = (200 + 9 * np.sin(x / 9) + 7 * np.cos(y / 7 + x / 20) + rng.normal(0, 0.2, x.shape)).astype(np.float32)
+    profile = {"driver": "GTiff", "height": 48, "width": 61, "count": 1, "dtype": "float32", "crs": "EPSG:25832"}
+    with rasterio.open(path, "w", **profile, transform=Affine(1, 0, 350_000, 0, -2, 5_700_000)) as file:
+        file.write(heights, 1)
+        file.update_tags(ATTRIBUTION="© The survey")
+    return path
+
+
+def test_a_file_is_what_python_makes_whatever_the_jobs(lidar: Path, tmp_path: Path) -> None:
+    made = orograph.synth(size=(700, 530), seed=4, exemplar=lidar, progress=False)
+    assert isinstance(made, orograph.Dem)
+    files = []
+    for jobs in ("1", "3"):
+        files.append(tmp_path / f"{jobs}.tif")
+        said = ["-o", str(files[-1]), "--size", "700x530", "--seed", "4", "--exemplar", str(lidar), "-j", jobs]
+        ran = CliRunner().invoke(command, said, obj=None)
+        assert ran.exit_code == 0, ran.output
+        assert "1 × 2 m apart" in ran.output
+    assert files[0].read_bytes() == files[1].read_bytes()
+    read = orograph.read(files[0])
+    np.testing.assert_array_equal(read.heights, made.heights)
+    assert read.grid.crs == made.grid.crs and read.grid.transform == made.grid.transform
+    assert (made.grid.transform.a, made.grid.transform.e, made.grid.crs.to_epsg()) == (1, -2, 25832)
+    assert read.attribution == made.attribution == ("© The survey",)
+    with rasterio.open(files[0]) as file:
+        assert file.tags()["TIFFTAG_IMAGEDESCRIPTION"] == "synthetic terrain after lidar 4"
+
+
+def test_windows_fit_and_an_example_may_be_in_memory(lidar: Path) -> None:
+    dem = orograph.read(lidar)
+    made = ByExample(dem, (5000, 7000), 2, jobs=1)
+    whole = made.read(4000, 4040, 100, 170)
+    np.testing.assert_array_equal(whole[11:23, 5:50], made.read(4011, 4023, 105, 150))
+    again = orograph.synth(size=40, seed=2, exemplar=dem, jitter=(0.5, 0.1), progress=False)
+    assert isinstance(again, orograph.Dem) and again.heights.shape == (40, 40)
+    assert not np.array_equal(again.heights, made.read(0, 40, 0, 40))
+
+
+@pytest.mark.parametrize("name", ["spacing", "relief", "roughness"])
+def test_what_the_example_says_itself_is_refused(lidar: Path, name: str) -> None:
+    with pytest.raises(UsageError, match=name):
+        orograph.synth(size=40, exemplar=lidar, progress=False, **{name: 2.0})
+
+
+def test_what_makes_no_sense_is_refused(lidar: Path) -> None:
+    with pytest.raises(UsageError, match="jitter"):
+        orograph.synth(size=40, jitter=0.5)
+    with pytest.raises(UsageError, match="jitter"):
+        orograph.synth(size=40, exemplar=lidar, jitter=2.0, progress=False)
+    holed = orograph.read(lidar).heights.copy()
+    holed[3, 4] = np.nan
+    grid = Grid(holed.shape, Affine(1, 0, 0, 0, -1, 0), orograph.read(lidar).grid.crs)
+    with pytest.raises(UsageError, match="1 of its"):
+        orograph.synth(size=40, exemplar=orograph.Dem(holed, grid), progress=False)
+    ran = CliRunner().invoke(command, ["-o", str(lidar), "--exemplar", str(lidar), "--overwrite"], obj=None)
+    assert isinstance(ran.exception, UsageError) and "overwrite" in str(ran.exception)
