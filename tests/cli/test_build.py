@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -225,3 +226,14 @@ def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
         assert isinstance(kept, StoredColorErrors)
         computed = made(choice, terrain, Resources(1 << 28, 1)).resources.color  # other colours
         assert computed is not None and not isinstance(computed, StoredColorErrors)
+
+
+def test_damaged_files_are_named_or_left_out(run, hilly, tmp_path):
+    bad = [tmp_path / "a.tif", tmp_path / "b.tif"]
+    bad[0].write_bytes(b"no TIFF")
+    said = ("build", hilly, *bad, "-o", tmp_path / "s.oro", "--errors", "none", "--quiet")
+    code, _, err = run(*said)
+    assert code == 3 and "2 of 3 files" in err and "a.tif" in err and "b.tif" in err and "--skip-damaged" in err
+    code, out, err = run(*said, "--skip-damaged", "--json")
+    assert code == 0, err
+    assert [Path(text.partition(": ")[0]).name for text in json.loads(out)["skipped"]] == ["a.tif", "b.tif"]

@@ -257,3 +257,22 @@ def test_frames_that_a_full_disk_cuts_off_are_taken_up_or_not_there(run, hilly, 
         code, _, err = run("movie", hilly, *SPIN, "-o", disk / "new" / "of" / "%03d.png", *SMALL)
         assert code == 4 and "No space left" in err, err
         assert not list(disk.iterdir())
+
+
+def test_a_film_in_parts(run, hilly, tmp_path):
+    said = ("movie", hilly, *SPIN, "-o", tmp_path / "f" / "%03d.png", *SMALL)
+    assert run("movie", hilly, *SPIN, "-o", tmp_path / "whole" / "%03d.png", *SMALL)[0] == 0
+    code, out, err = run(*said, "--part", "2/3")
+    assert code == 0 and "part 2/3 is drawn" in out, err
+    code, _, err = run(*said, "--finish")
+    assert code == 4 and "Parts 1, 3 of 3 are missing" in err
+    for part in ("3/3", "1/3"):
+        assert run(*said, "--part", part)[0] == 0
+    code, out, err = run(*said, "--finish")
+    assert code == 0 and "8 frames" in out, err
+    names = [f"{k:03d}.png" for k in range(8)]
+    assert all((tmp_path / "f" / n).read_bytes() == (tmp_path / "whole" / n).read_bytes() for n in names)
+    code, _, err = run(*said, "--part", "4/3")
+    assert code == 2 and "I/N" in err
+    code, _, err = run(*said, "--part", "1/3", "--workers", 2)
+    assert code == 2 and "exclude" in err

@@ -468,3 +468,34 @@ def test_a_mosaic_of_arrays_has_another_fingerprint_with_other_heights() -> None
     grid = Grid((3, 3), Affine(0.01, 0, 7, 0, -0.01, 46), CRS.from_epsg(4326))
     first, second = (Mosaic([ArraySource(np.full((3, 3), v, np.float32), grid, "same")]) for v in (1, 2))
     assert first.fingerprint() != second.fingerprint()
+
+
+def test_damaged_and_missing_files_are_all_named_or_left_out(tmp_path: Path) -> None:
+    paths = []
+    for k in range(4):
+        heights = np.full((20, 30), 100.0 + k, np.float32)
+        profile = {"driver": "GTiff", "width": 30, "height": 20, "count": 1, "dtype": "float32", "crs": "EPSG:32611"}
+        paths.append(tmp_path / f"{k}.tif")
+        with rasterio.open(
+            paths[-1], "w", transform=Affine(10, 0, 500_000 + 300 * k, 0, -10, 4_000_000), **profile
+        ) as file:  # fmt: skip
+            file.write(heights, 1)
+    paths[1].write_bytes(b"no TIFF")
+    gone = tmp_path / "gone.tif"
+    everything = [*paths, gone]
+    with pytest.raises(ReadError, match=r"2 of 5 files are damaged or missing(.|\n)*1\.tif(.|\n)*gone\.tif"):
+        Mosaic.open(everything)
+    with pytest.raises(ReadError, match=r"^[^\n]*gone\.tif[^\n]*$"):  # one alone says it as it always does
+        Mosaic.open([paths[0], gone])
+    found = Mosaic.open(everything, skip_damaged=True)
+    assert len(found.skipped) == 2 and "1.tif" in found.skipped[0] and "gone.tif" in found.skipped[1]
+    assert any("2 of 5 files are left out" in text for text in found.warnings)
+    sound = Mosaic.open([paths[0], *paths[2:]])
+    assert found.grid == sound.grid and found.fingerprint() == sound.fingerprint() and sound.skipped == ()
+    rows, cols = sound.grid.shape
+    np.testing.assert_array_equal(found.read(0, rows, 0, cols), sound.read(0, rows, 0, cols))
+    assert np.isnan(found.read(0, rows, 30, 60)).all()
+    again, options = found.recipe() or ([], {})
+    assert len(again) == 3 and "skip_damaged" not in options
+    with pytest.raises(ReadError, match="2 of 2 files"):
+        Mosaic.open([paths[1], gone], skip_damaged=True)

@@ -7,8 +7,11 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,3 +108,11 @@ def test_a_film(terrain, tmp_path):
             if kills[0] >= KILLS:
                 break
     assert kills[0] >= KILLS
+
+
+def test_tasks_of_processes_that_are_killed(tmp_path):
+    """Whatever a process was at when it was killed, another one goes on to the same bytes."""
+    script = Path(__file__).with_name("killing_tasks.py")
+    ran = subprocess.run([sys.executable, str(script), str(tmp_path), "60"], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    assert {line.split()[0]: int(line.split()[1]) for line in ran.stdout.splitlines()} == {"bake": 60, "film": 60}

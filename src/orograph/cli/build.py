@@ -129,6 +129,12 @@ class MaxError(click.ParamType[str | float]):
     help="How far heights may be from the files', in metres; auto: in the data's own steps; lossless: as float32.",
 )
 @source_options
+@click.option(
+    "--skip-damaged",
+    is_flag=True,
+    default=None,
+    help="Leave out files that cannot be opened; they are named.",
+)
 @points_options
 @vertical_options
 @memory_option
@@ -276,10 +282,10 @@ def command(
                 err=True,
             )
             raise
-    _tell(terrain, time.perf_counter() - started, as_json)
+    _tell(terrain, time.perf_counter() - started, as_json, getattr(source, "skipped", ()))
 
 
-def _tell(terrain: StoredTerrain, seconds: float, as_json: bool) -> None:
+def _tell(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequence[str]) -> None:
     """Tell what was built."""
     from orograph.store.colors import COLORS
 
@@ -303,6 +309,7 @@ def _tell(terrain: StoredTerrain, seconds: float, as_json: bool) -> None:
         "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
         "codec": None if terrain.record.coding is None else terrain.record.coding.to_json(),
         "keeps_source": terrain.samples is not None,
+        "skipped": list(skipped),
         "seconds": round(seconds, 3),
         "peak_memory_bytes": peak_memory(),
     }

@@ -59,7 +59,10 @@ class Mosaic:
         undulation: the conversion of heights that was asked for, or None.
         attribution: whom the sources' makers want to be named, each once.
         dtypes: the stored types of the sources, e.g. ("int16",).
+        skipped: what could not be opened and was left out, each with its cause.
     """
+
+    skipped: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -142,6 +145,7 @@ class Mosaic:
         geoid: Geoid | str | os.PathLike[str] | None = None,
         bbox: Sequence[float] | None = None,
         clip: Any = None,
+        skip_damaged: bool = False,
         progress: Progress = SILENT,
         **options: Any,
     ) -> Mosaic:
@@ -156,21 +160,29 @@ class Mosaic:
             geoid: the geoid grid, or its file, by which to convert.
             bbox: west, south, east, north in degrees: read this area only.
             clip: polygons outside which samples are missing (``Area.of``).
+            skip_damaged: leave out files that cannot be opened (``skipped`` and a warning name them): their ground is
+                missing. What only shows when samples are read stays an error.
             options: those of ``Source.open``.
 
         Raises:
-            ReadError: a file cannot be read or placed, the area cannot be shown flat, or the geoid grid is missing or
-                does not cover it.
+            ReadError: files cannot be read (all of them are named) or placed, the area cannot be shown flat, or the
+                geoid grid is missing or does not cover it.
             UsageError: options that cannot be understood, or heights of another datum than a conversion starts from.
         """
         from orograph.dem.source import Source
 
         names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
         sources: list[Raster] = []
+        damaged: list[ReadError] = []
         with progress.task("Opening files", total=len(names)) as task:
             for path in names:
-                sources.append(Source.open(path, **options))
+                try:
+                    sources.append(Source.open(path, **options))
+                except ReadError as error:
+                    damaged.append(error)
                 task.advance()
+        if damaged and not (skip_damaged and sources):
+            raise _unread(damaged, len(names))
         if len(sources) == 1 and min(sources[0].grid.shape) < 2:
             rows, cols = sources[0].grid.shape
             raise ReadError(
@@ -179,7 +191,7 @@ class Mosaic:
                 remedy="Name files that hold more, or the files beside it as well.",
             )
         usual = inspect.signature(Source.open).parameters
-        return cls(
+        made = cls(
             sources,
             crs=crs,
             resolution=resolution,
@@ -190,6 +202,10 @@ class Mosaic:
             clip=clip,
             options={name: value for name, value in options.items() if value != usual[name].default},
         )
+        made.skipped = tuple(f"{error.path}: {error.what}" for error in damaged)
+        if damaged:
+            made.warnings.append(f"{_count(damaged, len(names))} left out: {_listed(damaged)}")
+        return made
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """Heights of a half-open window inside the grid: (row1-row0, col1-col0) float32 metres, NaN where missing.
@@ -318,3 +334,28 @@ class Mosaic:
                     said.setdefault(text, lattice.members[0].name)
         several = len(lattices) > 1
         self.warnings.extend(f"{name}: {text}" if several else text for text, name in said.items())
+
+
+TOLD = 20
+"""Damaged files that a message names."""
+
+
+def _unread(damaged: Sequence[ReadError], count: int) -> ReadError:
+    """What says of all files that cannot be opened why; of a single one, its own error."""
+    if len(damaged) == 1:
+        return damaged[0]
+    return ReadError(
+        f"{_count(damaged, count)} damaged or missing: {_listed(damaged)}",
+        remedy="Mend or replace them, or leave them out (`skip_damaged`): their ground is missing then.",
+    )
+
+
+def _count(damaged: Sequence[ReadError], count: int) -> str:
+    return f"{len(damaged)} of {count} files {'is' if len(damaged) == 1 else 'are'}"
+
+
+def _listed(damaged: Sequence[ReadError]) -> str:
+    """Files with their causes, on lines of their own where there are several."""
+    told = [f"{error.path}: {error.what}" for error in damaged[:TOLD]]
+    more = [f"and {len(damaged) - TOLD} more"] if len(damaged) > TOLD else []
+    return "\n  ".join(["", *told, *more]) if len(damaged) > 1 else told[0]

@@ -30,6 +30,31 @@ class Held:
         self.path = str(self._file.name)
         weakref.finalize(self, self._file.close)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process has the same file, in its own memory."""
+        self._file.seek(0)
+        return _again, (self.path, self._file.read())
+
+
+class _Copy(Held):
+    """A file of another process."""
+
+    def __init__(self, path: str, data: bytes) -> None:
+        from rasterio.io import MemoryFile
+
+        self._file = MemoryFile(data, filename=path.removeprefix("/vsimem/"))
+        self.path = path
+
+
+_copies: dict[str, Held] = {}
+"""Those of other processes, by their paths, as long as this one runs: their names are not free again."""
+
+
+def _again(path: str, data: bytes) -> Held:
+    if path not in _copies:
+        _copies[path] = _Copy(path, data)
+    return _copies[path]
+
 
 def held(given: Any, transform: Any = None, crs: Any = None) -> tuple[str, Held | None]:
     """The path of an image or a raster that is no path, and what keeps it there.

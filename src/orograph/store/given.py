@@ -38,7 +38,10 @@ OF_AREAS = ("bbox", "clip")
 OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS)
 """What the grid of the terrain is to be (``Mosaic.open``)."""
 
-READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS)))
+OF_MANY = ("skip_damaged",)
+"""What is done where some of many files cannot be read (``Mosaic.open``)."""
+
+READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF_MANY)))
 """All that can be said of how heights are read."""
 
 
@@ -88,7 +91,8 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
             return points
         from orograph.dem.mosaic import Mosaic
 
-        return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES), "files of rasters"))
+        how = _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
+        return Mosaic.open(files, progress=progress, **how)
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
         return _part(source, _fitting(said, OF_AREAS, "a Terrain, which was read already"))

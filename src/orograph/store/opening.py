@@ -46,9 +46,10 @@ def terrain(
         called: the function that asks, for errors.
         reading: of arrays ``transform`` (an ``Affine`` or its six numbers) or ``spacing`` (metres), ``nodata``,
             ``vertical_unit``, ``assume_vertical`` and ``name``; of files the options of ``Source.open``: ``band``,
-            ``nodata``, ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; of all
-            those of ``Mosaic``: ``crs``, ``resolution``, ``resampling``, ``to_vertical`` and ``geoid``. ``crs`` is the
-            projected CRS of the terrain; heights in memory that name none are also taken to be in it. Without a
+            ``nodata``, ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``, of many
+            ``skip_damaged``; of all those of ``Mosaic``: ``crs``, ``resolution``, ``resampling``, ``to_vertical`` and
+            ``geoid``. ``crs`` is the projected CRS of the terrain; heights in memory that name none are also taken to
+            be in it. Without a
             transform the samples of an array are 1 m apart, and a warning says so. Of anything, terrains and stores
             too, ``bbox`` (west, south, east, north in degrees) and ``clip`` (polygons: a GeoJSON file or object, or
             shapely's, geopandas') say what part of it is wanted.
