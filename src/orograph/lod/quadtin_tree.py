@@ -159,7 +159,7 @@ def grown(
                 raise UsageError(
                     f"It takes more than {tree.counts[build.TRIANGLES]:,} triangles to be within {finest:.3g} m of the "
                     "ground everywhere, which do not fit into memory.",
-                    remedy="Allow more metres (`finest`) or memory; leave long triangles out (`max_edge`).",
+                    remedy="Allow more metres (its option finest) or memory; leave long triangles out (`max_edge`).",
                 )
             tree = _larger(tree)
             continue

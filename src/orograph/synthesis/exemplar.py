@@ -108,7 +108,7 @@ def check_size(shape: tuple[int, ...], name: str) -> None:
     if math.prod(shape) > MOST:
         raise UsageError(
             f"An example has at most {MOST:,} samples; this one has {math.prod(shape):,}.",
-            path=name, remedy="Cut a piece out of it, e.g. with `gdal_translate -srcwin 0 0 2000 2000`.",
+            path=name, remedy="Cut a piece out of it, e.g. with gdal_translate -srcwin 0 0 2000 2000.",
         )  # fmt: skip
 
 
@@ -123,7 +123,7 @@ def check(heights: NDArray[np.floating], name: str) -> None:
     if missing:
         raise UsageError(
             f"An example has a height everywhere; {missing:,} of its {heights.size:,} samples have none.",
-            path=name, remedy="Cut a piece without voids out of it (`gdal_translate -srcwin`), or fill them.",
+            path=name, remedy="Cut a piece without voids out of it (gdal_translate -srcwin), or fill them.",
         )  # fmt: skip
     if heights.min() == heights.max():
         raise UsageError("An example of level ground has nothing to take after.", path=name, remedy="Take another.")

@@ -169,7 +169,7 @@ def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
         slots = renderer.tree.tree.slots
         found.append(
             f"The ground is coarser than asked for: the tree has room for {slots:,} triangles "
-            f"(more: --method {renderer.tree.method},slots={2 * slots})."
+            f"(more: its option slots={2 * slots})."
         )
     elif scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
         found.append(
