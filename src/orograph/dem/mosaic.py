@@ -186,7 +186,7 @@ class Mosaic:
         if len(sources) == 1 and min(sources[0].grid.shape) < 2:
             rows, cols = sources[0].grid.shape
             raise ReadError(
-                f"The raster has {rows} row(s) and {cols} column(s); a surface needs at least two of each.",
+                f"The raster has {rows} × {cols} samples (rows × columns); a surface needs at least two of each.",
                 path=names[0],
                 remedy="Name files that hold more, or the files beside it as well.",
             )
