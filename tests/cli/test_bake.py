@@ -28,7 +28,7 @@ def test_a_bake_says_what_it_did(run, built):
     given = ("bake", built, "--products", "sky-view-factor,aperture", "--azimuths", 6, "--quiet")
     code, said, err = run(*given)
     assert code == 0 and err == ""
-    assert "sky-view-factor: 1 levels, 8 bits (within 0.002)" in said and "4 bands of 16 bits" in said
+    assert "sky-view-factor: 1 level, 8 bits (within 0.002)" in said and "4 bands of 16 bits" in said
     code, said, err = run(*given, "--json")
     told = json.loads(said)
     assert set(told["layers"]) == {"sky-view-factor", "aperture"}

@@ -30,3 +30,9 @@ def test_every_option_stands_in_help_once(verb):
 def test_sections_name_options_that_are_there():
     there = {param.name for verb in verbs() for param in verb.params}
     assert set(SECTION) - there <= {"depths"}  # (which Python alone has)
+
+
+def test_arguments_are_not_among_the_options(run):
+    for verb in (("render",), ("info",), ("measure", "slope")):
+        _, said, _ = run(*verb, "--help")
+        assert not [line for line in said.splitlines() if line.strip() in ("PATH", "PATH...", "POINT")]

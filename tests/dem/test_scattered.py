@@ -138,7 +138,7 @@ def test_points_at_one_place_become_one(tmp_path):
     doubled = np.r_[x, x[:7]], np.r_[y, y[:7]], np.r_[z, z[:7] + 2]
     raster = PointRaster.open(table(tmp_path / "p.csv", dict(zip("xyz", doubled))))
     assert len(raster.surface.z) == 50
-    assert any("7 of its 57 points lie where another does" in text and "2 m" in text for text in raster.warnings)
+    assert any("Of its 57 points 7 lie where another does" in text and "2 m" in text for text in raster.warnings)
     merged = on_lattice(np.array([0.0, 1, 1]), np.zeros(3), np.array([5.0, 1, 3]), 10)
     assert isinstance(merged, Merged) and merged.z.tolist() == [5, 2] and merged.apart == 2
 
@@ -149,7 +149,7 @@ def test_points_at_one_place_become_one(tmp_path):
         ({"x": [1.0], "y": [2.0], "z": [3.0]}, UsageError, "needs three points; it has 1"),
         ({"x": [1, 1, 1, 1], "y": [2, 2, 2, 2], "z": [3, 3, 3, 3]}, UsageError, "it has 1 at different places"),
         ({"x": [1, 2, 3, 4], "y": [2, 4, 6, 8], "z": [3, 1, 2, 3]}, UsageError, "lie on one line"),
-        ({"x": [1, 2, 3], "y": [2, 4, 7], "z": ["nan", "", "none"]}, UsageError, "which of its columns"),
+        ({"x": [1, 2, 3], "y": [2, 4, 7], "z": ["nan", "", "none"]}, ReadError, "no column of numbers for the heights"),
         ({"x": ["", "", 3], "y": [2, 4, 7], "z": [1, 2, "nan"]}, ReadError, "None of its 3 points has a place"),
         ({"a": [1, 2, 3], "b": [2, 4, 7], "z": [1, 2, 3]}, ReadError, "do not say where the points lie; they"),
         ({"x": [1, 2, 3], "y": [2, 4, 7], "p": [1, 2, 3], "q": [3, 4, 5]}, UsageError, "holds the heights: p, q"),
@@ -165,7 +165,7 @@ def test_points_without_a_height_are_left_out_and_told(tmp_path):
     x, y, z = cloud(30)
     z = [*z[:20], *["nan"] * 10]
     points = read_scattered(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z}, ";"))
-    assert len(points) == 20 and "10 of its 30 points lack a place or a height" in points.warnings[0]
+    assert len(points) == 20 and "Of its 30 points 10 without a place or a height" in points.warnings[0]
     with pytest.raises(UsageError, match="There is no column 'Z2' of numbers; there are z"):
         read_scattered(tmp_path / "p.csv", height_column="Z2")
 
@@ -260,3 +260,24 @@ def test_facts_are_those_of_a_raster(tmp_path):
     x, y, z = cloud(20)
     with pytest.raises(UsageError, match="It holds points"):
         orograph.info(str(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z})))
+
+
+def test_decimal_commas_between_semicolons(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("x;y;z\n500000,5;4000000,25;1,5\n500100;4000000;2\n500000;4000100;3.25\n")
+    points = read_scattered(path)
+    assert points.x.tolist() == [500000.5, 500100, 500000] and points.z.tolist() == [1.5, 2, 3.25]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("500000,4000000,3\n500001,4000000,3\n", "first line holds numbers"),
+        ("x,y,z\n", "no points below its line of names"),
+        ("x,y,z\n1,2,a\n", "no column of numbers for the heights"),
+    ],
+)
+def test_tables_without_names_points_or_heights(tmp_path, text, says):
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(ReadError, match=says):
+        read_scattered(tmp_path / "p.csv")

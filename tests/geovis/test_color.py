@@ -11,6 +11,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis import color
 from orograph.geovis.color import TINTS, color_table, linear_to_srgb, srgb_to_linear, tint_of
+from orograph.geovis.tables import Table
 from orograph.store import MemoryTerrain
 
 
@@ -205,3 +206,10 @@ def test_clipped_ends_are_told():
     assert spiked.above and not spiked.below
     heights[9, 9] = -500
     assert tint_of(terrain(heights)).below
+
+
+def test_a_name_that_several_catalogues_have_is_taken_silently(caplog):
+    with caplog.at_level("WARNING", "cmap"):
+        color_table("RdBu", 8)
+        Table.of("RdGy")
+    assert not caplog.records

@@ -93,14 +93,14 @@ def test_a_budget_of_time_is_spent(seconds, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"error": "hausdorff"}, "no error"),
-        ({"metric": "isotropic"}, "no metric"),
-        ({"metric": "nearest"}, "no metric"),
+        ({"error": "hausdorff"}, "error is exact, wedgie"),
+        ({"metric": "isotropic"}, "metric is"),
+        ({"metric": "nearest"}, "metric is"),
         ({"exaggeration": 0.0}, "exaggeration"),
         ({"exaggeration": float("nan")}, "exaggeration"),
         ({"color_tolerance": 2.0}, "needs colours"),
         ({"color_tolerance": -1.0}, "ΔE"),
-        ({"metric": "localised", "error": "midpoint"}, "no metric"),
+        ({"metric": "localised", "error": "midpoint"}, "metric is"),
         ({"colour": 1}, "no option 'colour'; it has error, metric"),
         ({"exaggeration": "2"}, "exaggeration"),
         ({"color_tolerance": "2"}, "ΔE"),

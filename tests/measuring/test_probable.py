@@ -24,6 +24,17 @@ from orograph.measuring import (
 )
 from orograph.measuring.flood_kernels import REACHED, WET, fill
 from orograph.measuring.height_error import Drawn, ErrorField
+from orograph.progress import Progress
+
+
+class Heard(Progress):
+    """What a user is warned of."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    def warn(self, text: str) -> None:
+        self.warnings.append(text)
 
 
 def level_ground(shape, transform=SQUARE):
@@ -240,6 +251,14 @@ def test_uncertain_floods_draw_by_draw():
     np.testing.assert_array_equal(found.values()[0], np.where(hole, np.nan, count / 12).astype(np.float32))
 
 
+def test_a_source_above_the_level_is_told():
+    terrain = terrain_of(np.full((9, 9), 100.0))
+    for error, says in ((HeightError(), "floods nothing"), (HeightError(3.0), "only in draws")):
+        heard = Heard()
+        found = flood(terrain, 90.0, [terrain.grid.xy(4, 4)], error, draws=3).values(heard)
+        assert not found.any() and len(heard.warnings) == 1 and says in heard.warnings[0]
+
+
 def test_below_a_level_is_the_normal_law():
     terrain = terrain_of(rough((47, 52), 3))
     h = terrain.read(0, 0, 47, 0, 52).astype(float)
@@ -313,8 +332,8 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
     told = found.save(tmp_path / "slope.tif")
     with rasterio.open(tmp_path / "slope.tif") as file:
         np.testing.assert_array_equal(file.read(), found.values())
-        assert file.descriptions == ("mean slope", "standard deviation of the slope", "probability of more than 10°",
-                                     "probability of more than 20°")  # fmt: skip
+        assert file.descriptions == ("mean slope", "standard deviation of the slope", "probability of slope > 10°",
+                                     "probability of slope > 20°")  # fmt: skip
         assert file.units[:2] == ("°", "°")
         tags = file.tags()
     assert tags["sigma"] == "2 m" and tags["range"] == "60 m" and tags["draws"] == "4" and tags["seed"] == "9"
@@ -322,7 +341,7 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
         np.nanmean(found.values()[0])
     )
     picture = orograph.render(terrain, data=found.data(3), size=(160, 120), furniture=True, progress=False)
-    assert "P(more than 10°)" in picture.describe()
+    assert "P(slope > 10°)" in picture.describe()
 
 
 @pytest.mark.parametrize(
@@ -338,6 +357,7 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
         (lambda t: flood(t, 1.0, [t.grid.xy(13, 13)]), "in a hole"),
         (lambda t: flood(t, 1.0, [(0.0, 0.0)]), "south"),
         (lambda t: ErrorField(t, HeightError(1.0), -1), "seed"),
+        (lambda t: probable_slope(t, 3.0), "is a HeightError"),
     ],
 )
 def test_what_is_wrong_is_said(call, says):

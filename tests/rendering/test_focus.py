@@ -161,6 +161,7 @@ def test_steps_are_smooth():
         (lambda: Focus.parse("near"), "needs a distance"),
         (lambda: Focus("lens", distance=5.0), "what is near"),
         (lambda: Focus("lens", "X+"), "priority"),
+        (lambda: Focus("lens", at=0.5), "two parts of the picture"),
         (lambda: Focus("lens", blend=math.nan), "blended"),
     ],
 )

@@ -142,7 +142,7 @@ def test_numbers() -> None:
 def test_ticks_are_round_within_and_enough(low: float, span: float, most: int) -> None:
     values = ticks(low, low + span, most)
     assert len(values) <= most and all(low - 1e-6 * span <= v <= low + span * (1 + 1e-6) for v in values)
-    assert len(values) >= max(1, (most - 1) // 3)
+    assert len(values) >= max(2, (most - 1) // 3)
     assert len({number(v, values) for v in values}) == len(values)
 
 
@@ -226,3 +226,10 @@ def test_patterns_are_drawn_pixel_by_pixel() -> None:
 def test_grid_north_is_named() -> None:
     plain, named = (touched(1280, 720, north=0.0, grid_north=grid) for grid in (False, True))
     assert named.sum() > plain.sum() and np.nonzero(named)[0].max() > np.nonzero(plain)[0].max() + 8
+
+
+@pytest.mark.parametrize(("low", "high"), [(291.6, 292.4), (0.2, 0.3), (9, 11), (-0.7, 0.4), (1999, 2001.5)])
+def test_a_short_scale_has_two_values(low, high):
+    values = ticks(low, high, 2)
+    assert len(values) == 2 and low - 1e-9 <= values[0] < values[1] <= high + 1e-9
+    assert [float(number(v, values)) for v in values] == pytest.approx(values, abs=1e-9)

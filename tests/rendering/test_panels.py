@@ -41,6 +41,13 @@ def test_each_panel_is_its_own_picture(ground, data):
         top = y + _type()[0]
         np.testing.assert_array_equal(sheet.pixels[top : top + tall, x : x + wide], alone.pixels)
     assert sheet.describe().startswith("4 panels: member 2, member 3")
+    assert repr(sheet) == "<Picture 400 × 300 pixels, 4 panels>"
+
+
+def test_members_that_the_data_choose_are_the_panels(ground, data):
+    chosen = data.but(member="2-4")
+    assert [p.title for p in panels_of((chosen,), "member", ground)] == ["member 2", "member 3", "member 4"]
+    assert [p.title for p in panels_of((chosen,), "member=4-5", ground)] == ["member 4", "member 5"]
 
 
 def _type():

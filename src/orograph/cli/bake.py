@@ -102,7 +102,8 @@ def command(
         band = layer.bands[0]
         error = f"within {band.error:.2g} {band.unit}" if band.unit != "1" else f"within {band.error:.2g}"
         count = f"{len(layer.bands)} bands of " if len(layer.bands) > 1 else ""
-        click.echo(f"{terrain.url}  {name}: {layer.levels} levels, {count}{band.bits} bits ({error})")
+        levels = "1 level" if layer.levels == 1 else f"{layer.levels} levels"
+        click.echo(f"{terrain.url}  {name}: {levels}, {count}{band.bits} bits ({error})")
     click.echo(f"baked in {seconds:.1f} s")
 
 

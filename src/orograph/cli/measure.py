@@ -12,6 +12,7 @@ from orograph.cli.measure_probable import check_files, contours, error_options, 
 from orograph.cli.measure_probable import viewshed as probable_viewshed
 from orograph.cli.measuring import (
     POINTS,
+    Measure,
     Point,
     check_points,
     kinds,
@@ -26,14 +27,13 @@ from orograph.cli.measuring import (
 )
 from orograph.cli.options import FILE, Float, progress_of
 from orograph.cli.scenes import scene_option
-from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 
 class Measures(click.Group):
     """The measures, in the order of their use, and what to say where one is not found."""
 
-    command_class = Verb
+    command_class = Measure
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)

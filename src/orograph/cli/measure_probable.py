@@ -10,9 +10,8 @@ import click
 
 from orograph.cli.camera import CAMERA, camera_options, check_camera
 from orograph.cli.files import check_ending
-from orograph.cli.measuring import POINTS, Point, of_terrain, on_terrain, opened, points_option, tell, without
+from orograph.cli.measuring import POINTS, Measure, Point, of_terrain, on_terrain, opened, points_option, tell, without
 from orograph.cli.options import FILE, F, Float, progress_of, with_options
-from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -119,7 +118,7 @@ def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]
 
 
 @click.command(
-    "slope", cls=Verb, context_settings=POINTS, short_help="Slopes of uncertain heights: mean, spread, exceedance."
+    "slope", cls=Measure, context_settings=POINTS, short_help="Slopes of uncertain heights: mean, spread, exceedance."
 )
 @of_terrain
 @error_options
@@ -146,7 +145,7 @@ def slope(
 
 
 @click.command(
-    "contours", cls=Verb, context_settings=POINTS, short_help="How probable a contour line is, cell by cell."
+    "contours", cls=Measure, context_settings=POINTS, short_help="How probable a contour line is, cell by cell."
 )
 @of_terrain
 @error_options
@@ -177,7 +176,7 @@ def contours(
 
 
 @click.command(
-    "flood", cls=Verb, context_settings=POINTS, short_help="What lies below a water level, joined to a source."
+    "flood", cls=Measure, context_settings=POINTS, short_help="What lies below a water level, joined to a source."
 )
 @of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="[SOURCE]...")

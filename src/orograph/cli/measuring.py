@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -24,6 +26,7 @@ from orograph.cli.options import (
     vertical_options,
     with_options,
 )
+from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 POINTS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
-"""A point may begin with a minus; what begins so and is none is told by the measures themselves."""
+"""A point may begin with a minus; what begins so and is neither a point nor an option, ``Measure`` tells."""
 
 
 class Point(Numbers):
@@ -43,11 +46,22 @@ class Point(Numbers):
     def __init__(self) -> None:
         super().__init__("X,Y")
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        text = str(value)
-        if text.startswith("-") and text[1:2] not in "0123456789.":
-            self.fail(f"there is no option {text!r}.", param, ctx)
-        return super().convert(value, param, ctx)
+
+class Measure(Verb):
+    """A measure: an argument that begins with a minus is a point if a number follows, else an option."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        options = [name for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)]
+        for arg in args:
+            name = arg.partition("=")[0]
+            if arg == "--":
+                break
+            if name.startswith("--") and name not in options:
+                near = difflib.get_close_matches(name, options)
+                raise click.NoSuchOption(name, possibilities=near, ctx=ctx)
+            if re.match(r"-[^-\d.]", arg) and arg[:2] not in options:
+                raise click.NoSuchOption(arg[:2], ctx=ctx)
+        return super().parse_args(ctx, args)
 
 
 def of_terrain(function: F) -> F:

@@ -94,7 +94,7 @@ class DataOption(click.Option):
                 found.append((text, None))
             elif not found or found[-1][1] is not None:
                 why = "Each --data has one." if found else "It belongs to the --data before it, and there is none."
-                raise click.BadParameter(f"{text!r} is too much: {why}", ctx, self, param_hint="'--uncertainty'")
+                raise click.BadParameter(f"{text!r}: {why}", ctx, self, param_hint="'--uncertainty'")
             else:
                 found[-1] = found[-1][0], text
         return found

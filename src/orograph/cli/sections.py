@@ -44,12 +44,13 @@ class Verb(click.Command):
     """A command whose help has sections if it is long."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        listed = [(param, record) for param in self.get_params(ctx) if (record := param.get_help_record(ctx))]
+        records = ((param, param.get_help_record(ctx)) for param in self.get_params(ctx))
+        listed = [(param, record) for param, record in records if record and record[1]]  # (arguments have no words)
         sections: dict[str, list[tuple[str, str]]] = {title: [] for title in TITLES}
         for param, record in listed:
             own = len(listed) < LONG
             sections["Options" if own else SECTION.get(str(param.name), "Options")].append(record)
-        for title, records in sections.items():
-            if records:
+        for title, rows in sections.items():
+            if rows:
                 with formatter.section(title):
-                    formatter.write_dl(records)
+                    formatter.write_dl(rows)

@@ -60,9 +60,10 @@ class PointRaster:
         self.bits = lattice_bits(*self.grid.shape)
         merged = on_lattice(*self.grid.index(x, y), points.z, self.bits)
         if merged.doubled:
+            lie = "lies" if merged.doubled == 1 else "lie"
             self.warnings.append(
-                f"{merged.doubled:,} of its {len(points):,} points lie where another does; such points become one, of "
-                f"their mean height (they are up to {merged.apart:.3g} m apart)."
+                f"Of its {len(points):,} points {merged.doubled:,} {lie} where another does; such points become one, "
+                f"of their mean height (they differ by up to {merged.apart:.3g} m)."
             )
         surface = triangulate(merged, self.bits, points.path)
         longest = sides(surface, self.grid.spacing)
@@ -106,8 +107,8 @@ class PointRaster:
         if max_edge is None:
             if most > LONG * usual:
                 self.notes.append(
-                    f"{self.path}: triangles have sides of up to {most:.3g} m, half of them of at most {usual:.3g} m; "
-                    "`max_edge` leaves the longer ones out"
+                    f"{self.path}: triangles have sides of up to {_metres(most)}, half of them of at most "
+                    f"{_metres(usual)}; `max_edge` leaves the longer ones out"
                 )
             return surface
         keep = longest <= max_edge
@@ -137,6 +138,11 @@ class PointRaster:
         for array in self.surface[:4]:
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)
         return digest.hexdigest()[:32]
+
+
+def _metres(length: float) -> str:
+    """A length in words, to three digits or to the metre."""
+    return f"{length:,.0f} m" if length >= 100 else f"{length:.3g} m"
 
 
 def _flat(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:

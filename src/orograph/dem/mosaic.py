@@ -97,7 +97,9 @@ class Mosaic:
             )
         if wanted is not None and grids[0].crs is None:
             raise UsageError(
-                "The files have no CRS, so they cannot be brought to another.", remedy="Give theirs: `assume_crs`."
+                "It has no CRS, so it cannot be brought to another.",
+                path=getattr(self.sources[0], "path", self.sources[0].name),
+                remedy="Give its CRS (`assume_crs`), or write one into it (gdal_edit.py -a_srs).",
             )
         self._check_bodies(grids, wanted)
         lattices = sorted(group(self.sources, grids), key=lambda g: float(f"{ground_spacing(g.grid):.4g}"))
@@ -186,7 +188,7 @@ class Mosaic:
         if len(sources) == 1 and min(sources[0].grid.shape) < 2:
             rows, cols = sources[0].grid.shape
             raise ReadError(
-                f"The raster has {rows} row(s) and {cols} column(s); a surface needs at least two of each.",
+                f"The raster has {rows} × {cols} samples (rows × columns); a surface needs at least two of each.",
                 path=names[0],
                 remedy="Name files that hold more, or the files beside it as well.",
             )

@@ -44,7 +44,7 @@ def placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid
                 path=path,
                 remedy='Say so (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
             )
-        warnings.append("There is no CRS; its coordinates are taken for metres (give the CRS with `assume_crs`).")
+        warnings.append("It has no CRS; its coordinates are taken to be metres (give `assume_crs=CODE`).")
         warnings[:] = list(dict.fromkeys(warnings))
         return Grid(grid.shape, grid.transform, None)
     crs = horizontal(grid.crs)

@@ -143,7 +143,7 @@ def _settled(
             remedy="See what it holds, and name the column of heights (`height_column`).",
         )  # fmt: skip
     if not there.all():
-        warnings.append(f"{int((~there).sum()):,} of its {len(z):,} points lack a place or a height and are left out.")
+        warnings.append(f"Of its {len(z):,} points {int((~there).sum()):,} without a place or a height are left out.")
     x, y, z = x[there], y[there], z[there] * factor
     if crs is None and (np.abs(x) <= 360).all() and (np.abs(y) <= 90).all():
         warnings.append("Its x and y look like degrees and are taken for metres (give `assume_crs`, e.g. EPSG:4326).")
@@ -173,8 +173,10 @@ def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
         return known[0]
     if len(columns) == 1:
         return next(iter(columns))
+    if not columns:
+        raise ReadError("It has no column of numbers for the heights.", path=path, remedy="See what it holds.")
     raise UsageError(
-        f"It is not clear which of its columns holds the heights: {', '.join(columns) or 'there is none'}.", path=path,
+        f"It is not clear which of its columns holds the heights: {', '.join(columns)}.", path=path,
         remedy="Name it (`height_column`).",
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.geovis.tables import Table
+from orograph.geovis.tables import Table, quiet_colormap
 from orograph.store.terrain import Terrain
 
 Colors = NDArray[np.float32]
@@ -110,7 +110,7 @@ def _catalogued(name: str) -> Any:
     import cmap
 
     try:
-        return cmap.Colormap(name)
+        return quiet_colormap(name)
     except (ValueError, TypeError, KeyError) as error:
         known = [*TINTS, *(str(k) for k in cmap.Colormap.catalog().unique_keys())]
         short = {k.split(":")[-1]: k for k in known}

@@ -195,7 +195,7 @@ def extent(grid: Grid) -> str:
     """Bounds and CRS in words, for messages."""
     west, south, east, north = grid.bounds()
     name = f" in {grid.crs.name}" if grid.crs is not None else ""
-    return f"{west:.6g} to {east:.6g}, {south:.6g} to {north:.6g}{name}"
+    return f"{west:.8g} to {east:.8g}, {south:.8g} to {north:.8g}{name}"
 
 
 def _nodes(placement: Placement, nodes: int) -> tuple[Array, Array, Affine]:

@@ -5,6 +5,7 @@ A norm is folded into the table, whose entries lie evenly between its ends, so t
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -76,14 +77,28 @@ class Table:
         return cls(name, _bytes(found), (float(low), float(high)))
 
 
+def quiet_colormap(given: Any) -> Any:
+    """``cmap.Colormap``, which of several maps of one name takes the first and says nothing."""
+    import cmap
+
+    logger = logging.getLogger("cmap")
+    logger.addFilter(_not_of_aliases)
+    try:
+        return cmap.Colormap(given)
+    finally:
+        logger.removeFilter(_not_of_aliases)
+
+
+def _not_of_aliases(record: logging.LogRecord) -> bool:
+    return "is an alias for" not in record.getMessage()
+
+
 def _callable(given: Any) -> Any:
     """What makes colours of numbers from 0 to 1."""
     if callable(given) and hasattr(given, "N"):
         return given
-    import cmap
-
     try:
-        return cmap.Colormap(given)
+        return quiet_colormap(given)
     except (ValueError, TypeError, KeyError) as error:
         raise UsageError(
             f"{given!r} is no colour map.",

@@ -118,8 +118,8 @@ def _infos() -> list[MethodInfo]:
 
 def _promise(info: MethodInfo) -> str:
     if info.conservative(info.options()):
-        return "With its own options a tolerance is a promise for every sample in view."
-    return "A tolerance is no promise with its own options."
+        return "With the default options a tolerance is a promise for every sample in view."
+    return "With the default options a tolerance is no promise."
 
 
 def _filled(text: str, indent: str = "    ") -> str:

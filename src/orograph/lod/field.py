@@ -233,7 +233,7 @@ def check_surface(terrain: Terrain) -> None:
     rows, cols = terrain.grid.shape
     if min(rows, cols) < 2:
         raise UsageError(
-            f"{terrain.name} has {rows} row(s) and {cols} column(s); a surface needs at least two of each."
+            f"{terrain.name} has {rows} × {cols} samples (rows × columns); a surface needs at least two of each."
         )
 
 

@@ -91,13 +91,18 @@ class Described:
             return ", ".join(map(str, self.choices)) + (", none" if self.optional else "")
         words = {int: "a whole number", float: "a number", str: "a word"}.get(self.kind, "see its help")
         if self.least is not None and self.most is not None:
-            words += f" from {self.least:g} to {self.most:g}"
+            words += f" from {_limit(self.least)} to {_limit(self.most)}"
         elif self.least is not None:
-            words += f", {self.least:g} or more"
+            words += f", {_limit(self.least)} or more"
         elif self.most is not None:
-            words += f", {self.most:g} or less"
+            words += f", {_limit(self.most)} or less"
         words += f" ({self.unit})" if self.unit else ""
         return words + (", or none" if self.optional else "")
+
+    @property
+    def _one_of(self) -> str:
+        *others, last = map(str, self.choices)
+        return f"{', '.join(others)} or {last}" if others else last
 
     def text(self, value: Any) -> str:
         """A value as the command line has it."""
@@ -151,7 +156,7 @@ class Described:
             return
         if self.choices:
             if not any(isinstance(value, type(one)) and value == one for one in self.choices):
-                raise UsageError(f"There is no {called} {value!r}; there are {', '.join(map(str, self.choices))}.")
+                raise UsageError(f"{called} is {self._one_of}, not {value!r}.")
             return
         wanted = {bool: bool, int: Integral, float: Real, str: str}.get(self.kind, object)
         fits = isinstance(value, wanted) and (self.kind not in (int, float) or not isinstance(value, bool))
@@ -161,6 +166,11 @@ class Described:
             fits = fits and value == value and abs(value) != float("inf")
         if not fits:
             raise UsageError(f"{called} is {self.span}, not {value!r}.")
+
+
+def _limit(value: float) -> str:
+    """A limit of a range: all digits of a whole number."""
+    return f"{value:,.0f}" if value == round(value) and abs(value) < 1e15 else f"{value:g}"
 
 
 def _written(value: tuple[Any, ...]) -> str:

@@ -77,14 +77,17 @@ def flood(
         return Probable(
             "flood", terrain.grid, (band,), error, 0, seed, told, _below(terrain, errors, level, jobs), jobs
         )
-    seeds = _samples(terrain, sources)
-    if errors.largest == 0.0:
+    seeds, above = _samples(terrain, sources, level)
+    exact = errors.largest == 0.0
+    if exact:
         draws = 1
     told["sources"] = "; ".join(f"{e:.10g}, {n:.10g}" for e, n in Places(terrain).points(sources))
 
     def made(progress: Progress) -> Blocks:
         counts = Counts(terrain.grid.shape, max_memory)
         rivers = _Rivers(terrain, errors, level, seeds, max_memory, jobs)
+        for words in above:
+            progress.warn(words + (": it floods nothing." if exact else ": it floods only in draws that put it below."))
         with progress.task("Flooding draws", total=draws) as task:
             for draw in range(draws):
                 for row, col, reached in rivers.flooded(draw):
@@ -95,7 +98,6 @@ def flood(
             values = np.where(known(row, col, part.shape), part / np.float32(draws), np.nan)
             yield row, col, values.astype(np.float32)[None]
 
-    exact = errors.largest == 0.0
     return Probable("flood", terrain.grid, (band,), error, 0 if exact else draws, seed, told, made, jobs)
 
 
@@ -120,19 +122,24 @@ def _below(terrain: Terrain, errors: ErrorField, level: float, jobs: int) -> Cal
     return made
 
 
-def _samples(terrain: Terrain, sources: ArrayLike) -> list[tuple[int, int]]:
-    """(row, col) of the samples next to places."""
+def _samples(terrain: Terrain, sources: ArrayLike, level: float) -> tuple[list[tuple[int, int]], list[str]]:
+    """(row, col) of the samples next to places, and what is to be told of those above the level."""
     places = Places(terrain)
     points = places.points(sources)
     cols, rows = np.rint(places.samples(points)).astype(int).T
-    found = list(zip(rows.tolist(), cols.tolist()))
+    found, above = list(zip(rows.tolist(), cols.tolist())), []
     for (row, col), point in zip(found, points):
-        if math.isnan(float(terrain.read(0, row, row + 1, col, col + 1)[0, 0])):
+        height = float(terrain.read(0, row, row + 1, col, col + 1)[0, 0])
+        if math.isnan(height):
             raise UsageError(
                 f"The source {point[0]:.10g}, {point[1]:.10g} is in a hole: no ground is known there.",
                 remedy="Choose another point.",
             )  # fmt: skip
-    return found
+        if height >= level:
+            above.append(
+                f"The source {point[0]:.10g}, {point[1]:.10g} is at {height:,.2f} m, not below the level of {level:g} m"
+            )
+    return found, above
 
 
 class _Rivers:

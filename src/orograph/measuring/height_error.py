@@ -112,6 +112,8 @@ class ErrorField:
     def __init__(
         self, terrain: Terrain, error: HeightError, seed: int = 1, *, max_memory: int = 1 << 30, jobs: int | None = None
     ) -> None:
+        if not isinstance(error, HeightError):
+            raise UsageError(f"An error is a HeightError, such as HeightError(sigma=2), not {error!r}.")
         if not 0 <= seed < 1 << 63:
             raise UsageError(f"A seed is a whole number from 0, not {seed}.")
         self.terrain, self.error, self.seed = terrain, error, seed

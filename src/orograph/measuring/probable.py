@@ -212,7 +212,7 @@ def probable_slope(
     bands = (
         Band("mean slope", "°", "the mean slope of the draws, degrees", (0.0, 90.0)),
         Band("standard deviation of the slope", "°", "of the slopes of the draws, n − 1, degrees", (0.0, 90.0)),
-        *(Band(f"{PROBABILITY} of more than {limit:g}°", "", "the part of the draws whose slope is more")
+        *(Band(f"{PROBABILITY} of slope > {limit:g}°", "", "the part of the draws whose slope is more")
           for limit in exceeds),
     )  # fmt: skip
 

@@ -98,7 +98,12 @@ def draw_panels(
     if options.get("furniture"):
         sheet = _furnished(sheet, cover, scene.but(view=view), picture, options.get("title"), _note(panels, each))
     names = ", ".join(panel.title for panel in panels)
-    facts = {**picture.facts, "description": f"{len(panels)} panels: {names}. {picture.facts['description']}"}
+    words = f"{len(panels)} panels: {names}. {picture.facts['description']}"
+    facts = {
+        **picture.facts,
+        "panels": len(panels),
+        "description": words,
+    }
     return Picture(
         sheet, np.full(sheet.shape[:2], np.nan, np.float32), view, facts, None, None, picture.tint, picture.crs,
         picture.exaggeration, picture.attribution,
@@ -126,6 +131,8 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
         first = first.but(uncertainty=None if doubt is not None and doubt.of_members else doubt)
         if first.derived:
             raise UsageError("A panel shows one member, of which there is no value= or exceeds=.")
+    own = getattr(first, key)
+    some = some or ("" if own is None else str(own))
     if key == "time":
         chosen = [time for time in times_in(first) if not some or matches(time, some)]
         ones = [(time.replace("T", " "), first.but(time=time)) for time in chosen]

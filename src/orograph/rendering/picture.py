@@ -55,8 +55,11 @@ class Picture:
     attribution: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
+        size = f"{self.view.width} × {self.view.height} pixels"
+        if "panels" in self.facts:
+            return f"<Picture {size}, {self.facts['panels']} panels>"
         hit = float(np.isfinite(self.depth).mean()) if self.depth.size else 0.0
-        return f"<Picture {self.view.width} × {self.view.height} pixels, {self.view.projection}, {hit:.0%} ground>"
+        return f"<Picture {size}, {self.view.projection}, {hit:.0%} ground>"
 
     def _repr_png_(self) -> bytes:
         return png(self.pixels)

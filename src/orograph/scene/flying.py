@@ -50,7 +50,7 @@ class Flight:
     def __post_init__(self) -> None:
         for a, b in ((self.low, self.high), (self.slow, self.fast)):
             if (a is None) != (b is None) or (a is not None and b is not None and not 0 <= a < b < math.inf):
-                raise UsageError(f"Scenarios change from a lower to a higher value, not from {a} to {b}.")
+                raise UsageError(f"Scenarios change from a lower to a higher value, not from {a:g} to {b:g}.")
 
     @classmethod
     def parse(cls, text: str) -> Self:

@@ -88,8 +88,8 @@ class Scene:
     def __post_init__(self) -> None:
         if min(self.terrain.grid.shape) < 2:
             raise ReadError(
-                f"The raster has {self.terrain.grid.rows} row(s) and {self.terrain.grid.cols} column(s); a surface "
-                "needs at least two of each.",
+                f"The raster has {self.terrain.grid.rows} × {self.terrain.grid.cols} samples (rows × columns); a "
+                "surface needs at least two of each.",
                 path=self.terrain.name,
             )
 

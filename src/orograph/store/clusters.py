@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import queue
 import time
 import uuid
@@ -79,6 +80,7 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
         return
     limit = max((max_memory // (workers or 1)), needed * 5 // 4)  # Dask ends processes that come near their limit
     with (
+        _quiet_tracker(),
         local(
             n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
         ) as cluster,
@@ -86,6 +88,24 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
     ):  # fmt: skip
         cluster.adapt(minimum=workers, maximum=workers)  # what dies as it starts is not started again otherwise
         yield client
+
+
+@contextlib.contextmanager
+def _quiet_tracker() -> Iterator[None]:
+    """Python's tracker of semaphores, if it starts within: it tells nobody what a process that Ctrl-C ended left."""
+    name = "PYTHONWARNINGS"
+    before = os.environ.get(name)
+    os.environ[name] = ",".join(filter(None, (before, "ignore:resource_tracker")))
+    try:
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+    yield
 
 
 def threads_of(client: Any) -> int:

@@ -187,7 +187,7 @@ def steering_of(terrain: Terrain, given: object, seed: int, progress: Progress =
     doublings = round(math.log2(spacing / own))
     if doublings < 1:
         raise UsageError(
-            f"An example of detail is finer than the terrain; its samples are {own:.3g} m apart, the terrain's "
+            f"An example of detail must be finer than the terrain: its samples are {own:.3g} m apart, the terrain's "
             f"{spacing:.3g} m.",
             path=source.name, remedy="Take lidar, or leave the example out.",
         )  # fmt: skip

@@ -163,15 +163,15 @@ def draw_part(stage: Frames, part: Part, progress: Progress) -> int:
     return drawn
 
 
-def gather(stage: Frames, count: int, progress: Progress) -> None:
-    """Go through the frames that parts have drawn.
+def gather(stage: Frames, count: int, film: str, progress: Progress) -> None:
+    """Go through the frames that parts have drawn; ``film``: what an error calls it.
 
     Raises:
         StoreError: some are missing; the parts that lack them are named.
     """
     left = [spot for spot in stage.tasks() if not stage.kept(spot)]
     if left:
-        raise missing_parts(stage, left, count, stage.place)
+        raise missing_parts(stage, left, count, film)
     with progress.task("Gathering the frames", total=len(stage.tasks())) as task:
         for spot in stage.tasks():
             stage.add(spot, ())

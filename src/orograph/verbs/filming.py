@@ -98,7 +98,7 @@ def shoot_by(
         with writer or nullcontext():
             frames = Frames(film, pictures, encoder(writer, pictures) if writer else _nothing)
             if by.finish:
-                gather(frames, count, progress)
+                gather(frames, count, path, progress)
                 imbalance = None
             else:
                 imbalance = _by_workers(by, frames, jobs, max_memory or MEMORY * (by.workers or 1), backend, progress)

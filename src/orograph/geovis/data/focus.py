@@ -67,7 +67,8 @@ class Focus:
                 raise UsageError(f"The {name} of a focus is above 0, not {value}.")
         if self.blend is not None and not 0 <= self.blend < math.inf:
             raise UsageError(f"A focus is blended over 0 or more, not {self.blend}.")
-        if len(self.at) != 2 or not all(0 <= v <= 1 for v in self.at):
+        at = np.asarray(self.at, object)
+        if at.shape != (2,) or not all(isinstance(v, int | float | np.number) and 0 <= v <= 1 for v in at):
             raise UsageError(f"A lens lies at two parts of the picture, from 0 to 1 each, not {self.at}.")
         if self.source == NEAR and self.distance is None:
             raise UsageError("What is near needs a distance, metres from the eye.")

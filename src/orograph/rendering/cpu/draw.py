@@ -164,7 +164,7 @@ def _meshed(
 def _ground(subject: _Subject, memo: Memo, progress: Progress) -> Ground:
     """The ground of a picture, within its budget of memory; it is said where that is not enough."""
     scene = subject.scene
-    with progress.task("Reading heights"):
+    with progress.task("Reading heights" if scene.surface.detail is None else "Making detail"):
         # Edges of a mesh that was made for another camera are drawn over the ground that it leaves out, too.
         elsewhere = scene.surface.wireframe and scene.surface.mesh_view is not None
         ground = Ground.load(scene, subject.surface, memo, subject.bare, None if elsewhere else subject.mesh)

@@ -235,21 +235,30 @@ def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
     return piece
 
 
+MOST_DECIMALS = 12
+
+
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """At most ``most`` round values from low to high, in steps of 1, 2, 2.5 or 5 × 10ᵏ."""
+    """At most ``most`` round values from low to high, in steps of 1, 2, 2.5 or 5 × 10ᵏ; two at least, if there may be.
+
+    One value tells no scale: where the step leaves only one, the outer ones of the next finer step are taken.
+    """
     if not (math.isfinite(low) and math.isfinite(high)):
         return []
     if not high > low:
         return [low]
     power = math.floor(math.log10((high - low) / most)) - 1
+    finer: list[float] = []
     for k in range(power, power + 4):
         for m in (1.0, 2.0, 2.5, 5.0):
             step = m * 10.0**k
             if m == 2.5 and k < 1:
                 continue
             first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-            if last - first + 1 <= most:
-                return [i * step for i in range(first, last + 1)]
+            found = [i * step for i in range(first, last + 1)]
+            if len(found) <= most:
+                return found if len(found) > 1 or most < 2 else [finer[0], finer[-1]] if finer else found
+            finer = found
     return []
 
 
@@ -257,6 +266,8 @@ def number(value: float, among: list[float]) -> str:
     """A tick's value with the decimals its neighbours need, groups of three set apart from 10 000 on."""
     steps = [b - a for a, b in pairwise(among)] or [abs(value) or 1.0]
     decimals = max(0, -math.floor(math.log10(min(steps)) + 1e-9))
+    while decimals < MOST_DECIMALS and any(abs(round(v, decimals) - v) > 1e-6 * min(steps) for v in among):
+        decimals += 1
     text = f"{value:,.{decimals}f}" if abs(value) >= 10_000 else f"{value:.{decimals}f}"
     return "0" if float(text.replace(",", "")) == 0 else text.replace(",", " ")
 
