@@ -18,6 +18,7 @@ from orograph.measuring.ground import heights
 from orograph.parallel import for_each
 from orograph.progress import Progress
 from orograph.rendering.jitter import pattern
+from orograph.rendering.shadows import shade
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -64,14 +65,16 @@ def stand(
     from orograph.rendering.standing_kernels import cast
 
     place, end = placed or places(things, scene)
-    known = np.isfinite(place[:, 2])
+    shadow = things.kind == Kind.SHADOW
+    known = np.isfinite(place[:, 2]) | shadow
     basis, origin = _basis(scene)
     boxes = _boxes(things, place, end, scene)
-    seen = known & (boxes[:, 0] <= boxes[:, 1]) & (boxes[:, 2] <= boxes[:, 3])
+    seen = known & ~shadow & (boxes[:, 0] <= boxes[:, 1]) & (boxes[:, 2] <= boxes[:, 3])
     rows, cols = depth.shape
     offsets = pattern(max(1, min(scene.surface.samples, 16)))
     far = np.where(np.isfinite(depth), depth, np.inf).astype(np.float64)
     out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
+    shade(things, out, depth, scene)
     which = np.full(depth.shape, -1, np.int32)
     sun = np.array(scene.lighting.sun.direction)
     forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]

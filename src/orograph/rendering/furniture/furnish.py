@@ -27,6 +27,7 @@ from orograph.rendering.furniture.pieces import (
     PAPER,
     Piece,
     arrow,
+    cube,
     foot,
     heading,
     key,
@@ -164,6 +165,7 @@ def lay_out(
     note: str | None = None,
     credit: str | None = None,
     grid_north: bool = False,
+    turned: tuple[Any, Any, Any] | None = None,
     ground: Cover | None = None,
     paper: bool = False,
 ) -> Layout:
@@ -178,6 +180,7 @@ def lay_out(
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
         credit: whom the makers of the heights want to be named: lines of small type below the note.
         grid_north: whether the arrow must say that it is the grid's north.
+        turned: the view's axes, to show by a cube instead of the arrow.
         ground: what should not be hidden; None: everywhere alike.
         paper: whether all the rest is bare paper, on which pieces need none of their own.
     """
@@ -207,7 +210,7 @@ def lay_out(
         any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
     if metres_per_pixel is not None:
         any(put("bottom left", foot(metres_per_pixel, None, None, style, inner, share)) for share in (0.24, 0.4))
-    if north is not None:
+    if (turned is None or not put("top right", cube(turned, style, grid_north))) and north is not None:
         put("top right", arrow(north, style, grid_north))
     if note or credit:
         held = "bottom left" in chosen

@@ -235,6 +235,56 @@ def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
     return piece
 
 
+FACES = (("", (0, 0, 1)), ("N", (0, 1, 0)), ("E", (1, 0, 0)), ("S", (0, -1, 0)), ("W", (-1, 0, 0)))
+"""Of a cube: the letter and the direction."""
+
+PAPERS: tuple[Color, ...] = ((250, 249, 245), (206, 208, 210), (186, 189, 192), (206, 208, 210), (186, 189, 192))
+
+EDGE = 1.1
+"""Units: half the edge of the cube."""
+
+LEGIBLE = 0.42
+"""How far a face must be turned to the eye to bear its letter."""
+
+
+def cube(axes: tuple[Any, Any, Any], style: Style, grid: bool = False) -> Piece:
+    """A cube turned as the view is, with letters on its sides and an arrow to the north on its top.
+
+    Args:
+        axes: the view's, unit vectors to the right, upwards and ahead (east, north, up). grid: as of ``arrow``.
+    """
+    right, up, ahead = (np.asarray(v, np.float64) for v in axes)
+    u, font, side = style.unit, style.font(0.95), 5.4 * style.unit
+    piece = Piece(side, side)
+
+    def at(place: Any) -> tuple[float, float]:
+        p = np.asarray(place, np.float64) * EDGE * u
+        return side / 2 + float(p @ right), side / 2 - float(p @ up)
+
+    for (letter, way), paper in zip(FACES, PAPERS):
+        normal = np.asarray(way, np.float64)
+        facing = -float(normal @ ahead)
+        if facing <= 0:
+            continue
+        a = np.array([0.0, 1, 0]) if letter in ("E", "W") else np.array([1.0, 0, 0])
+        b = np.array([0.0, 0, 1]) if letter else np.array([0.0, 1, 0])
+        corners = [normal + i * a + j * b for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        piece.polygons.append(([at(c) for c in corners], INK))
+        inner = 1 - 1.5 * style.hair / (EDGE * u)
+        piece.polygons.append(([at(normal + (c - normal) * inner) for c in corners], paper))
+        if letter and facing > LEGIBLE:
+            x, y = at(normal)
+            piece.texts.append((x, y + 0.34 * u, letter, font, INK, "ms"))
+        if not letter:
+            piece.polygons.append(([at(p) for p in ((0, 0.8, 1), (0.5, -0.6, 1), (0, -0.25, 1), (-0.5, -0.6, 1))], INK))
+            x, y = at((0, 1.85, 1))
+            piece.texts.append((x, y + 0.34 * u, "N", font, INK, "ms"))
+    if grid:
+        piece.texts.append((side / 2, side + 0.35 * u, "grid north", style.font(0.78), GREY, "ms"))
+        piece.height += 0.9 * u
+    return piece
+
+
 def ticks(low: float, high: float, most: int) -> list[float]:
     """At most ``most`` round values from low to high, in steps of 1, 2, 2.5 or 5 × 10ᵏ."""
     if not (math.isfinite(low) and math.isfinite(high)):
