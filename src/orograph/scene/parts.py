@@ -239,6 +239,10 @@ class Annotations:
         read=Aids.parse, given=given.aids, metavar="drops,shadows,poles[=METRES],grid[=METRES],icon",
     )  # fmt: skip
     furniture: bool = option(False, "Add a title, a legend, a north arrow and a scale bar.")
+    inset: bool = option(
+        False,
+        "With `furniture`, in perspective: a small map in the picture of what of the terrain it shows.",
+    )
     title: str | None = option(None, "The title (with `furniture`).", shown="the file's name")
 
     def __post_init__(self) -> None:

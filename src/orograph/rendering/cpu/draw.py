@@ -306,11 +306,13 @@ class _Canvas:
         if scene.annotations.furniture:
             from orograph.rendering.furniture.furnish import furnish
             from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+            from orograph.rendering.inset import inset_of
 
             shader = self.shader
             seen = sampled(depth, *depth.shape), depth[:, depth.shape[1] // 2]
             drawn = Drawn(shader.tint, shader.shown, bool(shader.drapes), *seen)
-            pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+            pieces = furniture_of(scene, drawn) | {"inset": inset_of(scene, draw)}
+            pixels = furnish(pixels, **pieces, ground=np.isfinite(depth) | void_filled)
             self.clock.lap("furniture")
         return pixels, depth, void_filled
 

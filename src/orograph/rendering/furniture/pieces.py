@@ -235,6 +235,27 @@ def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
     return piece
 
 
+def above_map(top: Piece | None, pixels: NDArray[np.uint8], style: Style) -> Piece:
+    """A map whose north is up, with an N at its upper side; another piece above it, if there is one."""
+    u, pad, font = style.unit, style.pad, style.font(0.9)
+    rows, cols = pixels.shape[:2]
+    head = top.height if top is not None else float(pad)
+    piece = Piece(math.ceil(max(cols + 2 * pad, top.width if top is not None else 0.0)), 0.0)
+    if top is not None:
+        off = math.floor((piece.width - top.width) / 2)
+        piece.polygons = [([(x + off, y) for x, y in points], color) for points, color in top.polygons]
+        piece.texts = [(x + off, *rest) for x, *rest in top.texts]
+    left, y = math.floor((piece.width - cols) / 2), math.ceil(head + 1.0 * u)
+    middle = left + cols / 2
+    piece.texts.append((middle - 0.5 * u, y - 0.3 * u, "N", font, INK, "ms"))
+    tip = [(middle + 0.5 * u, y - 1.0 * u), (middle + 0.85 * u, y - 0.3 * u), (middle + 0.15 * u, y - 0.3 * u)]
+    piece.polygons.append((tip, INK))
+    piece.framed(left, y, left + cols, y + rows, PAPER, style.hair)
+    piece.patterns.append((left, y, left + cols, y + rows, pixels))
+    piece.height = y + rows + pad
+    return piece
+
+
 FACES = (("", (0, 0, 1)), ("N", (0, 1, 0)), ("E", (1, 0, 0)), ("S", (0, -1, 0)), ("W", (-1, 0, 0)))
 """Of a cube: the letter and the direction."""
 

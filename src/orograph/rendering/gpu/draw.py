@@ -27,6 +27,7 @@ from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import ATLASES, Renderer
 from orograph.rendering.gpu.shade.tracing import casts
+from orograph.rendering.inset import inset_of
 from orograph.rendering.lines.ground_grid import label, lay_on_bytes
 from orograph.rendering.memory import DRIVER, TILED
 from orograph.rendering.picture import Picture, plan_grid
@@ -162,7 +163,8 @@ def _adorned(
             renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),
             depth[:, scene.view.width // 2].astype(np.float64),
         )  # fmt: skip
-        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+        inset = inset_of(scene, lambda flat: draw(flat, device=renderer.device))
+        pixels = furnish(pixels, **furniture_of(scene, drawn), inset=inset, ground=np.isfinite(depth) | void_filled)
     return pixels, depth
 
 

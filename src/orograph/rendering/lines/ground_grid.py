@@ -144,8 +144,9 @@ def values(scene: Scene, step: float) -> list[Value]:
         # Beyond the end, as far as the words reach in that direction; within the picture.
         off = 0.55 * min(long / max(abs(dx), 1e-9), style.unit / max(abs(dy), 1e-9)) + 0.5 * style.unit
         x, y = x + off * dx, y + off * dy
-        half = long / 2 + style.margin / 2
-        x, y = float(np.clip(x, half, width - half)), float(np.clip(y, style.margin, height - style.margin))
+        # As far from the picture's edge as furniture stands, which then hides a value wholly or not at all.
+        half, edge = long / 2 + style.margin + style.pad / 2, style.margin + style.unit
+        x, y = float(np.clip(x, half, width - half)), float(np.clip(y, edge, height - edge))
         if all(abs(x - a) > (long + b) / 2 + 0.4 * style.unit or abs(y - c) > 1.3 * style.unit for a, c, b in placed):
             placed.append((x, y, long))
             found.append(Value(round(x), round(y), words))
