@@ -150,13 +150,16 @@ def _basis(scene: Scene) -> tuple[Array, Array]:
 def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np.int64]:
     """(n, 4) first and last column, first and last row that each may cover; of what lies around the eye, all."""
     wide = np.where(np.isin(things.kind, (Kind.FLAG, Kind.TUBE)), things.radius, things.radius * np.sqrt(2))
-    wide = np.where(things.kind == Kind.WALL, 0.0, wide)
+    wide = np.where(np.isin(things.kind, (Kind.WALL, Kind.PANEL)), 0.0, wide)
     tube = things.kind == Kind.TUBE
     low, high = np.where(tube, -wide, 0.0), np.where(tube, wide, things.height)
     corners = np.stack([
         foot + np.stack([i * wide, j * wide, up], 1)
         for foot in (place, place + end) for i in (-1, 1) for j in (-1, 1) for up in (low, high)
     ])  # fmt: skip
+    # The other two corners of panels.
+    rise = np.where(things.kind == Kind.PANEL, end[:, 2], 0.0)[:, None] * [0.0, 0.0, 1.0]
+    corners = np.concatenate([corners, [place + rise, place + end - rise]])
     corners[..., 2] /= scene.surface.exaggeration
     (xy, depth), view = scene.view.project(corners, scene.surface.exaggeration), scene.view
     around = (depth <= 0).any(0) & (depth > 0).any(0)

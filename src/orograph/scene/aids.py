@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Step = float | Literal["auto"] | None
 
-HOW = "aids are drops, shadows, poles[=METRES], grid[=METRES] and icon, with commas between"
+HOW = "aids are drops, shadows, poles[=METRES], grid[=METRES], walls and icon, with commas between"
 
 STEPPED = ("poles", "grid")
 
@@ -35,6 +35,7 @@ class Aids:
         poles: ranging rods from the ground to what floats, dark and orange by turns, this many metres each, counted
             from the ground; every fifth boundary has a plate. grid: lines of easting and northing laid on the ground,
             this many metres apart, with their values at the border. "auto": a round number; None: none are drawn.
+        walls: sections through the terrain's middle on walls around it, with its profile and the data's colours.
         icon: a cube in the furniture of a perspective that shows how the view is turned.
 
     Raises:
@@ -45,6 +46,7 @@ class Aids:
     shadows: bool = False
     poles: Step = None
     grid: Step = None
+    walls: bool = False
     icon: bool = False
 
     def __post_init__(self) -> None:

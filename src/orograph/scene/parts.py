@@ -235,8 +235,9 @@ class Annotations:
         None,
         "Draw aids to see heights and directions: drops (lines from what floats down to the ground), shadows (straight "
         "below it), poles (in bands of METRES above ground), grid (lines of easting and northing on the ground, METRES "
-        "apart), icon (a cube that is turned as the view is; with `furniture`, in perspective).",
-        read=Aids.parse, given=given.aids, metavar="drops,shadows,poles[=METRES],grid[=METRES],icon",
+        "apart), walls (sections through the middle, beside the terrain), icon (a cube that is turned as the view is; "
+        "with `furniture`, in perspective).",
+        read=Aids.parse, given=given.aids, metavar="drops,shadows,poles[=METRES],grid[=METRES],walls,icon",
     )  # fmt: skip
     furniture: bool = option(False, "Add a title, a legend, a north arrow and a scale bar.")
     inset: bool = option(

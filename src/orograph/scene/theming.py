@@ -5,7 +5,7 @@ A scene's other options stand where they are given; a priority sets those that a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -64,8 +64,9 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     made = dict(options)
     data = made_of("data", options.get("data"), terrain)
     given = made_of("priority", options.get("priority"), terrain)
+    aids = made_of("aids", options.get("aids"), terrain)
     if not data and given is None:
-        return Themed(made)
+        return Themed(made, _walls(terrain, ()) if aids is not None and aids.walls else None)
     priority = given or Priority(data=True)
     found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
     standing = [one for one in found if isinstance(one, Things)]
@@ -73,10 +74,11 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
     made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat))
-    aids = made_of("aids", options.get("aids"), terrain)
     things = Things.joined(standing) if standing else None
     if things is not None and aids is not None and aids.standing:
         things = _aided(things, aids, terrain)
+    if aids is not None and aids.walls:
+        things = Things.joined([*([things] if things is not None else []), _walls(terrain, flat)])
     return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
 
 
@@ -157,6 +159,26 @@ def _aided(things: Things, aids: Aids, terrain: Terrain) -> Things:
     if aids.shadows and (below := made.shadows(things, _ground_at(terrain, *made.middles(things)))) is not None:
         found.append(below)
     return Things.joined(found)
+
+
+def _walls(terrain: Terrain, painted: Sequence[Shown]) -> Things:
+    """Sections on walls around a terrain, in the colours of the uppermost painted data that are numbers everywhere."""
+    from orograph.geovis.data import standing_walls as made
+    from orograph.geovis.data.sampling import values_at
+
+    low, high = terrain.height_range
+    below = [one for one in painted if one.cover is None and one.classes is None and one.square is None]
+
+    def paint(x: Any, y: Any) -> Any:
+        bare = made.plain(x, y)
+        if not below:
+            return bare
+        one = below[-1]
+        values = values_at(one.field.shown, one.field, terrain.grid, x, y)
+        return np.where(np.isfinite(values)[:, None], one.scale.color(values), bare)
+
+    step = round_number(max(high - low, 1e-3) / 5)
+    return made.walls(terrain.grid, (low, max(high, low + 1e-3)), step, lambda x, y: _ground_at(terrain, x, y), paint)
 
 
 def _ground_at(terrain: Terrain, x: Any, y: Any) -> Any:

@@ -42,7 +42,8 @@ FLOOR = 0.06
 
 
 class Kind(IntEnum):
-    """Shapes, by the middle of their foot; a shadow lies on the ground, of what is straight above it."""
+    """Shapes, by the middle of their foot; a shadow lies on the ground, of what is straight above it; a
+    panel is an upright rectangle from one height to another, seen unlit and from its left alone."""
 
     BAR = 0
     SPHERE = 1
@@ -52,6 +53,7 @@ class Kind(IntEnum):
     TUBE = 5
     WALL = 6
     SHADOW = 7
+    PANEL = 8
 
 
 FLOATING = ("spheres", "discs")
@@ -68,8 +70,9 @@ class Things:
         kind: (n,) of ``Kind``. x, y: (n,) in the terrain's CRS. lift: (n,) metres of the picture above the ground.
         radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
         values: (n,), what they show, NaN of parts that show none. legend: what it means.
-        ends: (n, 4): the height of the foot, or of the one end, NaN where it is on the ground; of tubes, walls and
-            shadows x, y and height of the other end, else NaN; None: all stand on the ground.
+        ends: (n, 4): the height of the foot, or of the one end, NaN where it is on the ground; of tubes, walls,
+            shadows and panels x, y and height of the other end (of panels of the upper side), else NaN; None: all
+            stand on the ground.
     """
 
     kind: NDArray[np.int8]

@@ -298,8 +298,9 @@ def cube(axes: tuple[Any, Any, Any], style: Style, grid: bool = False) -> Piece:
             piece.texts.append((x, y + 0.34 * u, letter, font, INK, "ms"))
         if not letter:
             piece.polygons.append(([at(p) for p in ((0, 0.8, 1), (0.5, -0.6, 1), (0, -0.25, 1), (-0.5, -0.6, 1))], INK))
-            x, y = at((0, 1.85, 1))
-            piece.texts.append((x, y + 0.34 * u, "N", font, INK, "ms"))
+            if -float(np.array([0.0, 1.0, 0.0]) @ ahead) <= LEGIBLE:  # (else the northern side bears its letter there)
+                x, y = at((0, 1.85, 1))
+                piece.texts.append((x, y + 0.34 * u, "N", font, INK, "ms"))
     if grid:
         piece.texts.append((side / 2, side + 0.35 * u, "grid north", style.font(0.78), GREY, "ms"))
         piece.height += 0.9 * u
