@@ -164,6 +164,7 @@ def near(terrain: orograph.Terrain) -> View:
     )
 
 
+@pytest.mark.slow
 def test_pictures_have_it_and_say_so(coarse: orograph.Terrain, lidar: orograph.Dem) -> None:
     view = near(coarse)
     plain = orograph.render(coarse, view, progress=False)
