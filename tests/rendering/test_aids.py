@@ -373,3 +373,20 @@ def test_the_window_refuses_walls():
 
     with pytest.raises(UsageError, match="walls"):
         Settings(ground(), aids="walls")
+
+
+@pytest.mark.stress
+def test_the_cues_carry_the_information():
+    import runpy
+    from pathlib import Path
+
+    task = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "which_is_higher.py"))
+    terrain = ground(bumps=10.0)
+    rng = np.random.default_rng(2)
+    for _ in range(2):
+        view, pair = task["stimulus"](terrain, rng)
+        pictures = {cue: task["draw"](terrain, view, pair, cue, 20.0) for cue in task["CUES"]}
+        for place in pair:
+            for cue in ("drops", "poles", "shadows"):
+                found = task["read"](cue, terrain, view, pictures, place, 20.0)
+                assert abs(found - place[2]) < 4 * task["worth"](terrain, view, place)
