@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from orograph.rendering.api import render
     from orograph.rendering.picture import Picture
     from orograph.scene import camera
+    from orograph.scene.aids import Aids
     from orograph.scene.contours import Contours
     from orograph.scene.ghosts import Ghost
     from orograph.scene.silhouettes import Silhouettes
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Aids",
     "Contours",
     "Dataset",
     "Dem",
@@ -98,6 +100,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Aids": "orograph.scene.aids",
     "Contours": "orograph.scene.contours",
     "Dataset": "orograph.geovis.data.dataset",
     "Dem": "orograph.dem",

@@ -199,7 +199,7 @@ def test_a_sphere_far_away_is_where_it_is():
     assert nx == pytest.approx(-1)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind not in (Kind.TUBE, Kind.WALL)])
+@pytest.mark.parametrize("kind", [kind for kind in Kind if kind not in (Kind.TUBE, Kind.WALL, Kind.SHADOW, Kind.PANEL)])
 @pytest.mark.parametrize("exaggeration", [1.0, 3.0])
 def test_a_thing_stands_on_its_place(kind, exaggeration):
     terrain = ground()

@@ -25,6 +25,7 @@ NOT_HERE = (
     "relief",
     "sky",
     "furniture",
+    "inset",
     "title",
     "samples",
     "triangles",

@@ -19,6 +19,7 @@ from orograph.geovis.layers import drawn as visible
 from orograph.rendering.describing import describe
 from orograph.rendering.furniture.furnish import furnish
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+from orograph.rendering.inset import inset_of
 from orograph.rendering.picture import Picture
 from orograph.scene.ghosts import Seen
 from orograph.scene.scene import Scene
@@ -60,7 +61,7 @@ def blended(
         linear = linear * (1 - part) + _linear(other.pixels) * part
     pixels = picture.pixels if linear is None else np.rint(linear_to_srgb(linear) * 255).astype(np.uint8)
     if whole and scene.annotations.furniture:
-        pixels = _furnished(scene, picture, pixels)
+        pixels = _furnished(scene, picture, pixels, draw)
     return replace(picture, pixels=pixels, facts={**picture.facts, "description": describe(scene)})
 
 
@@ -83,10 +84,11 @@ def _seen(picture: Picture) -> tuple[Any, Any, tuple[Any, Any], float]:
     return np.asarray(view.eye, np.float64), picture.places(), (x, y), whole.width / whole.height
 
 
-def _furnished(scene: Scene, picture: Picture, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _furnished(scene: Scene, picture: Picture, pixels: NDArray[np.uint8], draw: Draw) -> NDArray[np.uint8]:
     assert picture.tint is not None
     depth = picture.depth.astype(np.float64)
     seen = sampled(depth, *depth.shape), depth[:, depth.shape[1] // 2]
     about = Drawn(picture.tint, picture.facts["shown"], bool(visible(scene.data.layers)), *seen)
     ground = np.isfinite(depth) | (False if picture.void_filled is None else picture.void_filled)
-    return furnish(pixels, **furniture_of(scene, about), ground=ground)
+    pieces = furniture_of(scene, about) | {"inset": inset_of(replace(scene, variants=()), draw)}
+    return furnish(pixels, **pieces, ground=ground)

@@ -42,6 +42,9 @@ def describe(scene: Scene) -> str:
         shown = things.values[upright]
         if len(shown):
             parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")
+        floating = upright & np.isfinite(things.ends[:, 0]) if things.ends is not None else np.zeros(0)
+        if floating.any():
+            parts.append(f"{int(floating.sum())} of them float over the ground.")
     plain = [layer.title for layer in drawn(scene.data.layers) if layer.key is None]
     if plain:
         parts.append(f"Laid over the ground: {', '.join(plain)}.")

@@ -236,12 +236,14 @@ class Sheet:
 
         from orograph.rendering.furniture.furnish import Cover, lay_out
         from orograph.rendering.furniture.legend import Drawn, furniture_of
+        from orograph.rendering.inset import inset_of
 
         view = self.scene.view
         assert self.cover is not None
         layered = bool(visible(self.scene.data.layers))
         drawn = Drawn(self.tint, self.facts["shown"], layered, np.concatenate(self.samples), self.column)
-        pieces = furniture_of(self.scene, drawn)
+        inset = inset_of(self.scene, self._session)
+        pieces = furniture_of(self.scene, drawn) | {"inset": inset}
         layout = lay_out((view.width, view.height), ground=Cover(self.cover, view.width), **pieces)
         around = 4 * layout.style.margin
         for i, (_, box) in enumerate(layout.placed):

@@ -18,6 +18,7 @@ from orograph.measuring.ground import heights
 from orograph.parallel import for_each
 from orograph.progress import Progress
 from orograph.rendering.jitter import pattern
+from orograph.rendering.shadows import shade
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -64,14 +65,16 @@ def stand(
     from orograph.rendering.standing_kernels import cast
 
     place, end = placed or places(things, scene)
-    known = np.isfinite(place[:, 2])
+    shadow = things.kind == Kind.SHADOW
+    known = np.isfinite(place[:, 2]) | shadow
     basis, origin = _basis(scene)
     boxes = _boxes(things, place, end, scene)
-    seen = known & (boxes[:, 0] <= boxes[:, 1]) & (boxes[:, 2] <= boxes[:, 3])
+    seen = known & ~shadow & (boxes[:, 0] <= boxes[:, 1]) & (boxes[:, 2] <= boxes[:, 3])
     rows, cols = depth.shape
     offsets = pattern(max(1, min(scene.surface.samples, 16)))
     far = np.where(np.isfinite(depth), depth, np.inf).astype(np.float64)
     out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
+    shade(things, out, depth, scene)
     which = np.full(depth.shape, -1, np.int32)
     sun = np.array(scene.lighting.sun.direction)
     forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]
@@ -147,13 +150,16 @@ def _basis(scene: Scene) -> tuple[Array, Array]:
 def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np.int64]:
     """(n, 4) first and last column, first and last row that each may cover; of what lies around the eye, all."""
     wide = np.where(np.isin(things.kind, (Kind.FLAG, Kind.TUBE)), things.radius, things.radius * np.sqrt(2))
-    wide = np.where(things.kind == Kind.WALL, 0.0, wide)
+    wide = np.where(np.isin(things.kind, (Kind.WALL, Kind.PANEL)), 0.0, wide)
     tube = things.kind == Kind.TUBE
     low, high = np.where(tube, -wide, 0.0), np.where(tube, wide, things.height)
     corners = np.stack([
         foot + np.stack([i * wide, j * wide, up], 1)
         for foot in (place, place + end) for i in (-1, 1) for j in (-1, 1) for up in (low, high)
     ])  # fmt: skip
+    # The other two corners of panels.
+    rise = np.where(things.kind == Kind.PANEL, end[:, 2], 0.0)[:, None] * [0.0, 0.0, 1.0]
+    corners = np.concatenate([corners, [place + rise, place + end - rise]])
     corners[..., 2] /= scene.surface.exaggeration
     (xy, depth), view = scene.view.project(corners, scene.surface.exaggeration), scene.view
     around = (depth <= 0).any(0) & (depth > 0).any(0)

@@ -200,6 +200,10 @@ def cast(
                         t, nx, ny, nz = _tube(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], r)
                     elif kind[n] == 6:
                         t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], h)
+                    elif kind[n] == 8:
+                        t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], 0.0, end[n, 2])
+                        if dx * end[n, 1] - dy * end[n, 0] <= 0:
+                            t = np.inf
                     elif kind[n] == 4:
                         t, nx, ny, nz = _flag(ox, oy, oz, dx, dy, dz, x, y, z, r, h, ahead[0], ahead[1])
                     else:
@@ -208,6 +212,8 @@ def cast(
                         continue
                     nearest[row, col, s] = t
                     light = ambient + (1 - ambient) * max(0.0, nx * sun[0] + ny * sun[1] + nz * sun[2])
+                    if kind[n] == 8:
+                        light = 1.0
                     for c in range(3):
                         color[row, col, s, c] = rgb[n, c] * light
                     if s == 0:

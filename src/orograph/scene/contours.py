@@ -109,9 +109,12 @@ class Contours:
 
 def suitable(steep: float, view: View) -> float:
     """The interval (metres) for ground whose steepest common slopes are ``steep``, at the scale of a view's middle."""
-    least = max(APART * view.pixel_metres * steep, 1e-3)
+    return round_number(max(APART * view.pixel_metres * steep, 1e-3))
+
+
+def round_number(least: float) -> float:
+    """The nearest, by ratio, of 1, 2 and 5 times the powers of ten."""
     power = 10.0 ** math.floor(math.log10(least))
-    # The nearest, by ratio, of 1, 2, 5 and 10 times the power of ten.
     return float(min((m * power for m in (1.0, 2.0, 5.0, 10.0)), key=lambda v: abs(math.log(v / least))))
 
 

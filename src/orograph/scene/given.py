@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
+from orograph.scene.aids import Aids, aids_of
 from orograph.scene.contours import Contours
 from orograph.scene.detail import Detail, detail_of
 from orograph.scene.silhouettes import Silhouettes
@@ -286,6 +287,11 @@ def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Li
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:
     """Takes "auto", metres from line to line, or a `Contours`, which without an interval finds one itself."""
     return value if value is None or isinstance(value, Contours) else Contours(float(value))
+
+
+def aids(value: Aids | str | None, terrain: Terrain) -> Aids | None:
+    """Takes a text ("drops,poles=100"), or an `Aids`."""
+    return aids_of(value)
 
 
 def detail(value: Detail | str | bool | None, terrain: Terrain) -> Detail | None:

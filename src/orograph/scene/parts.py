@@ -18,6 +18,7 @@ from orograph.folders import parse_bytes
 from orograph.lod.options import Described, check, described, option
 from orograph.lod.registry import AUTO
 from orograph.scene import given
+from orograph.scene.aids import Aids
 from orograph.scene.contours import Contours
 from orograph.scene.detail import Detail, detail_of
 from orograph.scene.silhouettes import Silhouettes
@@ -187,7 +188,8 @@ class Theme:
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
         "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
         "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
-        "values: 0:5:10), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        "values: 0:5:10), height, above (ATTRIBUTE: metres of points over the "
+        "heights' zero, or over the ground), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
         read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     priority: Priority | None = option(
@@ -229,7 +231,19 @@ class Annotations:
     silhouettes: Silhouettes | None = option(
         None, "Draw lines along ridges and creases.", given=given.silhouettes, details=Silhouettes
     )
+    aids: Aids | None = option(
+        None,
+        "Draw aids to see heights and directions: drops (lines from what floats down to the ground), shadows (straight "
+        "below it), poles (in bands of METRES above ground), grid (lines of easting and northing on the ground, METRES "
+        "apart), walls (sections through the middle, beside the terrain), icon (a cube that is turned as the view is; "
+        "with `furniture`, in perspective).",
+        read=Aids.parse, given=given.aids, metavar="drops,shadows,poles[=METRES],grid[=METRES],walls,icon",
+    )  # fmt: skip
     furniture: bool = option(False, "Add a title, a legend, a north arrow and a scale bar.")
+    inset: bool = option(
+        False,
+        "With `furniture`, in perspective: a small map in the picture of what of the terrain it shows.",
+    )
     title: str | None = option(None, "The title (with `furniture`).", shown="the file's name")
 
     def __post_init__(self) -> None:

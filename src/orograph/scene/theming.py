@@ -5,14 +5,14 @@ A scene's other options stand where they are given; a priority sets those that a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from orograph.errors import UsageError
-from orograph.scene.contours import Contours
+from orograph.scene.contours import Contours, round_number
 from orograph.scene.parts import made_of
 from orograph.scene.silhouettes import Silhouettes
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orograph.geovis.data.painting import Shown
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
+    from orograph.scene.aids import Aids
     from orograph.store.terrain import Terrain
 
 FINER, LEAST, MOST = 1.6, 1024, 3072
@@ -63,8 +64,9 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     made = dict(options)
     data = made_of("data", options.get("data"), terrain)
     given = made_of("priority", options.get("priority"), terrain)
+    aids = made_of("aids", options.get("aids"), terrain)
     if not data and given is None:
-        return Themed(made)
+        return Themed(made, _walls(terrain, ()) if aids is not None and aids.walls else None)
     priority = given or Priority(data=True)
     found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
     standing = [one for one in found if isinstance(one, Things)]
@@ -73,6 +75,10 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
     made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat))
     things = Things.joined(standing) if standing else None
+    if things is not None and aids is not None and aids.standing:
+        things = _aided(things, aids, terrain)
+    if aids is not None and aids.walls:
+        things = Things.joined([*([things] if things is not None else []), _walls(terrain, flat)])
     return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
 
 
@@ -101,12 +107,21 @@ def _read(
             "value= and exceeds= are of rasters with several members or times.", path=str(dataset.source),
             remedy="Leave them away.",
         )  # fmt: skip
+    pointed = is_table(dataset.source) if features is None else features.kind == "points"
+    if not pointed and (dataset.height is not None or dataset.above is not None):
+        raise UsageError(
+            "height= and above= say how high points float, and these are none.", path=str(dataset.source),
+            remedy="Leave them away; lines float at their own z.",
+        )  # fmt: skip
     if features is not None and features.kind != "points" and stands(dataset):
         return things_of_lines(dataset, features, grid, priority)
     if features is not None and features.kind != "points":
         return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
     if features is not None or is_table(dataset.source):
-        return things_of(dataset, read_points(dataset, grid, features), grid, priority, dataset.unit or "", "")
+        points = read_points(dataset, grid, features)
+        if dataset.above is not None and points.level is not None:
+            points = replace(points, level=points.level + _ground_at(terrain, points.x, points.y))
+        return things_of(dataset, points, grid, priority, dataset.unit or "", "")
     if stands(dataset):
         return _on_lattice(dataset, grid, priority)
     return shown(dataset, grid, texels, priority, lambda over: _heights(terrain, over))
@@ -124,6 +139,56 @@ def _heights(terrain: Terrain, over: Grid) -> Any:
     values = terrain.read(level, 0, rows, 0, cols)
     col, row = terrain.grid.index(*over.xy(*np.meshgrid(np.arange(over.cols), np.arange(over.rows))))
     return bilinear(values, np.clip(col / step, 0, cols - 1), np.clip(row / step, 0, rows - 1)).astype(np.float64)
+
+
+def _aided(things: Things, aids: Aids, terrain: Terrain) -> Things:
+    """Things with aids to see where those are that float."""
+    from orograph.geovis.data import standing_aids as made
+    from orograph.geovis.data.standing import Things
+
+    grid = terrain.grid
+    at = made.floating(things, grid)
+    ground = _ground_at(terrain, at.x, at.y)
+    highest = float(np.nanmax(at.level - ground, initial=0.0))
+    found = [things]
+    if aids.drops:
+        found.append(made.drops(at, ground, grid))
+    if aids.poles is not None and highest > 0:
+        step = round_number(highest / made.BANDS) if aids.poles == "auto" else float(aids.poles)
+        found.append(made.poles(at, ground, step, grid))
+    if aids.shadows and (below := made.shadows(things, _ground_at(terrain, *made.middles(things)))) is not None:
+        found.append(below)
+    return Things.joined(found)
+
+
+def _walls(terrain: Terrain, painted: Sequence[Shown]) -> Things:
+    """Sections on walls around a terrain, in the colours of the uppermost painted data that are numbers everywhere."""
+    from orograph.geovis.data import standing_walls as made
+    from orograph.geovis.data.sampling import values_at
+
+    low, high = terrain.height_range
+    below = [one for one in painted if one.cover is None and one.classes is None and one.square is None]
+
+    def paint(x: Any, y: Any) -> Any:
+        bare = made.plain(x, y)
+        if not below:
+            return bare
+        one = below[-1]
+        values = values_at(one.field.shown, one.field, terrain.grid, x, y)
+        return np.where(np.isfinite(values)[:, None], one.scale.color(values), bare)
+
+    step = round_number(max(high - low, 1e-3) / 5)
+    return made.walls(terrain.grid, (low, max(high, low + 1e-3)), step, lambda x, y: _ground_at(terrain, x, y), paint)
+
+
+def _ground_at(terrain: Terrain, x: Any, y: Any) -> Any:
+    """Heights (n,) of the surface at places in its CRS; NaN where there is none."""
+    from orograph.measuring.ground import heights
+
+    col, row = terrain.grid.index(x, y)
+    rows, cols = terrain.grid.shape
+    inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1)
+    return np.where(inside, heights(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1)), np.nan)
 
 
 def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:

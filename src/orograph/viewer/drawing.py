@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from orograph.errors import OrographError
 from orograph.gpu.device import Device
+from orograph.scene.aids import interval_of
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewer.reopening import Coming
@@ -200,15 +201,25 @@ class Drawing:
     def _stand(self, scene: Scene) -> None:
         """Draw what stands over the picture: on its depth, as in pictures."""
         self.stood, things = None, scene.theme.things
-        if things is None:
+        gridded = interval_of(scene.annotations.aids, scene.view) is not None
+        if things is None and not gridded:
             return
+        from orograph.rendering.lines.ground_grid import label, lay_on_bytes
         from orograph.rendering.standing import places, stand
+
+        pixels, depth = self.screen.pixels(), self.renderer.depth()
+        if gridded:
+            pixels = pixels.copy()
+            lay_on_bytes(scene, pixels, depth)
+        if things is None:
+            self.screen.write(label(scene, pixels))
+            return
 
         stretch = scene.surface.exaggeration
         if self._placed is None or self._placed[0] is not things or self._placed[1] != stretch:
             self._placed = things, stretch, places(things, scene)
-        self.stood = stand(things, self.screen.pixels(), self.renderer.depth(), scene, self._placed[2])
-        self.screen.write(self.stood.pixels)
+        self.stood = stand(things, pixels, depth, scene, self._placed[2])
+        self.screen.write(label(scene, self.stood.pixels))
         if self.stood.missing and not self._told_missing:
             self._told_missing = True
             told = f"{self.stood.missing} place(s) of the data have no ground: nothing stands there."

@@ -18,6 +18,7 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
+from orograph.scene.aids import aids_of
 from orograph.scene.methods import mesh_choice
 from orograph.scene.parts import OPTIONS, SHINING, check_options
 from orograph.scene.scene import Scene
@@ -167,6 +168,8 @@ class Settings:
         for name in ("focus", "flight", "ghosts"):
             if options.get(name):
                 raise UsageError(f"`{name}` is drawn in pictures and films, not in the window.")
+        if (aids := aids_of(options.get("aids"))) is not None and aids.walls:
+            raise UsageError("The aid walls is drawn in pictures and films, not in the window.")
         for name, value in options.items():
             made = OPTIONS[name].given
             setattr(self, name, value if made is None else made(value, terrain))

@@ -108,6 +108,8 @@ class Dataset:
         range: the values at its ends; None: the 2nd and the 98th percentile.
         classes, breaks: of segments: how many (2 to 12), and where they begin: quantiles, equal steps, Jenks' natural
             breaks, or the values themselves.
+        height, above: of points, the attribute that says how high they float, in metres above the heights' zero, or
+            above the ground ("z": the height of a feature's own place).
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
             end of the range. None: what suits the terrain.
         width: of lines, and of the outlines of polygons: pixels of a picture that shows the whole terrain, or metres
@@ -133,6 +135,8 @@ class Dataset:
     range: tuple[float, float] | None = None
     classes: int = 5
     breaks: Breaks | tuple[float, ...] = "quantiles"
+    height: str | None = None
+    above: str | None = None
     size: float | None = None
     width: float | str | None = None
     opacity: float = 1.0
@@ -169,6 +173,8 @@ class Dataset:
         if self.width is not None:
             object.__setattr__(self, "width", _width(self.width))
         self._check_derived()
+        if self.height is not None and self.above is not None:
+            raise UsageError("height= and above= both say how high points float.", remedy="Give one of the two.")
         doubt: Any = self.uncertainty
         if doubt is not None and not isinstance(doubt, Uncertainty):
             object.__setattr__(self, "uncertainty", Uncertainty(doubt))

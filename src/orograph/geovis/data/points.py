@@ -32,6 +32,7 @@ class Points:
     Attributes:
         x, y: (n,) in the terrain's CRS, of those on the terrain. values: (n,). sigma: (n,) standard deviations;
             None: unknown.
+        level: (n,) how high they float, metres, as ``Dataset.height`` or ``above`` say; None: they are on the ground.
         name: what they are. classes: where they have no attribute, the name of all of them.
     """
 
@@ -41,6 +42,7 @@ class Points:
     sigma: Array | None
     name: str
     classes: tuple[str, ...] | None = None
+    level: Array | None = None
 
 
 def is_table(source: Any) -> bool:
@@ -67,6 +69,14 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     if crs is None and east.lower() in DEGREES:
         crs = "EPSG:4326"
     numbers = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
+    afloat = given.height if given.height is not None else given.above
+    level = (
+        None
+        if afloat is None
+        else numbers[_attribute(afloat, numbers, name, "height" if given.height is not None else "above")]
+    )
+    if level is not None and given.variable is None and given.uncertainty is None and len(numbers) > 1:
+        numbers = {k: v for k, v in numbers.items() if k != afloat}
     bare = not numbers and given.variable is None and given.uncertainty is None
     if bare:
         numbers = {"place": np.zeros(len(columns[east]))}
@@ -84,6 +94,8 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     col, row = grid.index(x, y)
     with np.errstate(invalid="ignore"):
         here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1) & np.isfinite(numbers[value])
+    if level is not None:
+        here &= np.isfinite(level)
     if not here.any():
         raise ReadError(
             f"None of its {len(x)} points lies on the terrain and has a {value}.", path=name,
@@ -91,16 +103,17 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
         )  # fmt: skip
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
     alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
-    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike)
+    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike,
+                  None if level is None else level[here])  # fmt: skip
 
 
-def _attribute(asked: Any, numbers: Mapping[str, Array], name: str) -> str:
+def _attribute(asked: Any, numbers: Mapping[str, Array], name: str, option: str = "variable") -> str:
     if asked is None and len(numbers) == 1:
         return next(iter(numbers))
     if asked in numbers:
         return str(asked)
     what = "There are several attributes" if asked is None else f"There is no attribute {asked!r} of numbers"
-    raise UsageError(f"{what}: {', '.join(numbers) or 'none'}.", path=name, remedy="Choose one: variable=NAME.")
+    raise UsageError(f"{what}: {', '.join(numbers) or 'none'}.", path=name, remedy=f"Choose one: {option}=NAME.")
 
 
 def _columns(source: Any) -> tuple[dict[str, Array], Any, str]:

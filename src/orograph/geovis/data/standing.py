@@ -42,7 +42,8 @@ FLOOR = 0.06
 
 
 class Kind(IntEnum):
-    """Shapes: ``base`` is the middle of their foot."""
+    """Shapes, by the middle of their foot; a shadow lies on the ground, of what is straight above it; a
+    panel is an upright rectangle from one height to another, seen unlit and from its left alone."""
 
     BAR = 0
     SPHERE = 1
@@ -51,7 +52,12 @@ class Kind(IntEnum):
     FLAG = 4
     TUBE = 5
     WALL = 6
+    SHADOW = 7
+    PANEL = 8
 
+
+FLOATING = ("spheres", "discs")
+"""Of points: the styles that can float. Their middles are at the height."""
 
 KINDS = {"bars": Kind.BAR, "spheres": Kind.SPHERE, "cones": Kind.CONE, "discs": Kind.CYLINDER, "flags": Kind.FLAG}
 
@@ -64,8 +70,9 @@ class Things:
         kind: (n,) of ``Kind``. x, y: (n,) in the terrain's CRS. lift: (n,) metres of the picture above the ground.
         radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
         values: (n,), what they show, NaN of parts that show none. legend: what it means.
-        ends: (n, 4) of tubes and walls: the height of the one end, NaN where it is on the ground; x, y and height of
-            the other end; None: there are none of them.
+        ends: (n, 4): the height of the foot, or of the one end, NaN where it is on the ground; of tubes, walls,
+            shadows and panels x, y and height of the other end (of panels of the upper side), else NaN; None: all
+            stand on the ground.
     """
 
     kind: NDArray[np.int8]
@@ -123,6 +130,11 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
     else:
         scale = ColorScale.of_classes(points.classes, dataset.colormap)
+    if points.level is not None and style not in FLOATING:
+        raise UsageError(
+            f"{style.capitalize()} stand on the ground and do not float.", path=str(dataset.source),
+            remedy=f"Leave out height= and above=, or choose {' or '.join(FLOATING)}.",
+        )  # fmt: skip
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
@@ -134,10 +146,14 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         doubt = dataset.uncertainty.range
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
     radius, height = _shape(style, size, part)
+    ends = None
+    if points.level is not None:
+        ends = np.column_stack([points.level[order], *[np.full(len(values), np.nan)] * 3])
+    lift = np.zeros(len(values)) if ends is None else -height / 2
     main = Things(
-        np.full(len(values), KINDS[style], np.int8), x, y, np.zeros(len(values)), radius, height,
+        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height,
         colored(values, u, scale, sign), values,
-        key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes),
+        key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
         return main

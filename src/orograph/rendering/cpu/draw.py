@@ -26,10 +26,12 @@ from orograph.rendering.cpu.shading import Shader
 from orograph.rendering.describing import describe
 from orograph.rendering.gbuffer import Area
 from orograph.rendering.jitter import pattern
+from orograph.rendering.lines.ground_grid import label, lay
 from orograph.rendering.lines.silhouettes import Outlines, rim
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.rendering.survey import Survey
+from orograph.scene.aids import interval_of
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
@@ -196,7 +198,8 @@ class _Canvas:
         silhouettes = scene.annotations.silhouettes
         self.lines = silhouettes.fitted(view) if silhouettes and view.projection != "plan" else None
         # What is antialiased depends on the pixels around, and silhouettes do: a tile is drawn with a rim.
-        rim_ = max(int(scene.surface.samples > 1), 0 if self.lines is None else rim(self.lines))
+        around = int(scene.surface.samples > 1 or interval_of(scene.annotations.aids, scene.view) is not None)
+        rim_ = max(around, 0 if self.lines is None else rim(self.lines))
         self.area = area = _rimmed(inner, view.whole, rim_)
         self.own = slice(inner[0] - area[0], inner[1] - area[0]), slice(inner[2] - area[2], inner[3] - area[2])
         with progress.task("Casting rays"):
@@ -224,6 +227,8 @@ class _Canvas:
                 self._antialias(task)
             if self.lines is not None:
                 self._outline()
+            drawn = view.whole.tile(area[2], area[0], area[3] - area[2], area[1] - area[0])
+            lay(scene.but(view=drawn), self.linear, self.depth)
 
     def _shade(self, task: Task) -> None:
         """Colour all pixels by the rays through their centres."""
@@ -297,14 +302,17 @@ class _Canvas:
 
             with self.progress.task("Drawing what stands on the ground"):
                 pixels, depth = stand(scene.theme.things, pixels, depth, scene).told(self.progress)
+        pixels = label(scene, pixels)
         if scene.annotations.furniture:
             from orograph.rendering.furniture.furnish import furnish
             from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+            from orograph.rendering.inset import inset_of
 
             shader = self.shader
             seen = sampled(depth, *depth.shape), depth[:, depth.shape[1] // 2]
             drawn = Drawn(shader.tint, shader.shown, bool(shader.drapes), *seen)
-            pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+            pieces = furniture_of(scene, drawn) | {"inset": inset_of(scene, draw)}
+            pixels = furnish(pixels, **pieces, ground=np.isfinite(depth) | void_filled)
             self.clock.lap("furniture")
         return pixels, depth, void_filled
 

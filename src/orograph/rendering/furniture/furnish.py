@@ -26,7 +26,9 @@ from orograph.rendering.furniture.pieces import (
     INK,
     PAPER,
     Piece,
+    above_map,
     arrow,
+    cube,
     foot,
     heading,
     key,
@@ -164,6 +166,8 @@ def lay_out(
     note: str | None = None,
     credit: str | None = None,
     grid_north: bool = False,
+    turned: tuple[Any, Any, Any] | None = None,
+    inset: Pixels | None = None,
     ground: Cover | None = None,
     paper: bool = False,
 ) -> Layout:
@@ -178,6 +182,8 @@ def lay_out(
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
         credit: whom the makers of the heights want to be named: lines of small type below the note.
         grid_north: whether the arrow must say that it is the grid's north.
+        turned: the view's axes, to show by a cube instead of the arrow.
+        inset: a map, to stand below the arrow or the cube.
         ground: what should not be hidden; None: everywhere alike.
         paper: whether all the rest is bare paper, on which pieces need none of their own.
     """
@@ -207,8 +213,10 @@ def lay_out(
         any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
     if metres_per_pixel is not None:
         any(put("bottom left", foot(metres_per_pixel, None, None, style, inner, share)) for share in (0.24, 0.4))
-    if north is not None:
-        put("top right", arrow(north, style, grid_north))
+    pointing = None if north is None else arrow(north, style, grid_north)
+    for one in (None if turned is None else cube(turned, style, grid_north), pointing):
+        if (inset is not None and put("top right", above_map(one, inset, style))) or put("top right", one):
+            break
     if note or credit:
         held = "bottom left" in chosen
         scale = metres_per_pixel if held else None

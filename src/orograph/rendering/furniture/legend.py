@@ -18,6 +18,7 @@ from orograph.geovis.tables import Table
 from orograph.memo import Memo
 from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
 from orograph.rendering.survey import stride
+from orograph.scene.aids import interval_of
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -79,6 +80,8 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
     if scene.annotations.contours is not None:
         interval = scene.annotations.contours.fitted(terrain, view, Memo()).interval
         parts.append(f"contours every {interval:g} m")
+    if (apart := interval_of(scene.annotations.aids, scene.view)) is not None:
+        parts.append(f"grid lines every {apart:g} m")
     if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
     parts += [key.note for key in scene.keys if key.note]
@@ -89,7 +92,7 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         "title": title if title is not None else _title(terrain.name), "legend": _legend(drawn, scene),
         "north": north_on_screen(scene), "metres_per_pixel": metres, "note": " · ".join(parts),
         "credit": "; ".join(scene.attribution) or None,
-        "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.lighting.sky,
+        "turned": _turned(scene), "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.lighting.sky,
     }  # fmt: skip
 
 
@@ -209,6 +212,14 @@ def north_on_screen(scene: Scene) -> float | None:
     if not (math.isfinite(dx) and math.isfinite(dy)) or math.hypot(dx, dy) < 1e-6:
         return None
     return math.degrees(math.atan2(dx, -dy))
+
+
+def _turned(scene: Scene) -> Any:
+    """The view's axes, if a cube is to show them."""
+    aids = scene.annotations.aids
+    if aids is None or not aids.icon or scene.view.projection != "perspective":
+        return None
+    return scene.view.axes(scene.surface.exaggeration)
 
 
 def _scale(scene: Scene, drawn: Drawn) -> float | None:

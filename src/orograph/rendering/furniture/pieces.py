@@ -235,7 +235,76 @@ def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
     return piece
 
 
-MOST_DECIMALS = 12
+def above_map(top: Piece | None, pixels: NDArray[np.uint8], style: Style) -> Piece:
+    """A map whose north is up, with an N at its upper side; another piece above it, if there is one."""
+    u, pad, font = style.unit, style.pad, style.font(0.9)
+    rows, cols = pixels.shape[:2]
+    head = top.height if top is not None else float(pad)
+    piece = Piece(math.ceil(max(cols + 2 * pad, top.width if top is not None else 0.0)), 0.0)
+    if top is not None:
+        off = math.floor((piece.width - top.width) / 2)
+        piece.polygons = [([(x + off, y) for x, y in points], color) for points, color in top.polygons]
+        piece.texts = [(x + off, *rest) for x, *rest in top.texts]
+    left, y = math.floor((piece.width - cols) / 2), math.ceil(head + 1.0 * u)
+    middle = left + cols / 2
+    piece.texts.append((middle - 0.5 * u, y - 0.3 * u, "N", font, INK, "ms"))
+    tip = [(middle + 0.5 * u, y - 1.0 * u), (middle + 0.85 * u, y - 0.3 * u), (middle + 0.15 * u, y - 0.3 * u)]
+    piece.polygons.append((tip, INK))
+    piece.framed(left, y, left + cols, y + rows, PAPER, style.hair)
+    piece.patterns.append((left, y, left + cols, y + rows, pixels))
+    piece.height = y + rows + pad
+    return piece
+
+
+FACES = (("", (0, 0, 1)), ("N", (0, 1, 0)), ("E", (1, 0, 0)), ("S", (0, -1, 0)), ("W", (-1, 0, 0)))
+"""Of a cube: the letter and the direction."""
+
+PAPERS: tuple[Color, ...] = ((250, 249, 245), (206, 208, 210), (186, 189, 192), (206, 208, 210), (186, 189, 192))
+
+EDGE = 1.1
+"""Units: half the edge of the cube."""
+
+LEGIBLE = 0.42
+"""How far a face must be turned to the eye to bear its letter."""
+
+
+def cube(axes: tuple[Any, Any, Any], style: Style, grid: bool = False) -> Piece:
+    """A cube turned as the view is, with letters on its sides and an arrow to the north on its top.
+
+    Args:
+        axes: the view's, unit vectors to the right, upwards and ahead (east, north, up). grid: as of ``arrow``.
+    """
+    right, up, ahead = (np.asarray(v, np.float64) for v in axes)
+    u, font, side = style.unit, style.font(0.95), 5.4 * style.unit
+    piece = Piece(side, side)
+
+    def at(place: Any) -> tuple[float, float]:
+        p = np.asarray(place, np.float64) * EDGE * u
+        return side / 2 + float(p @ right), side / 2 - float(p @ up)
+
+    for (letter, way), paper in zip(FACES, PAPERS):
+        normal = np.asarray(way, np.float64)
+        facing = -float(normal @ ahead)
+        if facing <= 0:
+            continue
+        a = np.array([0.0, 1, 0]) if letter in ("E", "W") else np.array([1.0, 0, 0])
+        b = np.array([0.0, 0, 1]) if letter else np.array([0.0, 1, 0])
+        corners = [normal + i * a + j * b for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        piece.polygons.append(([at(c) for c in corners], INK))
+        inner = 1 - 1.5 * style.hair / (EDGE * u)
+        piece.polygons.append(([at(normal + (c - normal) * inner) for c in corners], paper))
+        if letter and facing > LEGIBLE:
+            x, y = at(normal)
+            piece.texts.append((x, y + 0.34 * u, letter, font, INK, "ms"))
+        if not letter:
+            piece.polygons.append(([at(p) for p in ((0, 0.8, 1), (0.5, -0.6, 1), (0, -0.25, 1), (-0.5, -0.6, 1))], INK))
+            if -float(np.array([0.0, 1.0, 0.0]) @ ahead) <= LEGIBLE:  # (else the northern side bears its letter there)
+                x, y = at((0, 1.85, 1))
+                piece.texts.append((x, y + 0.34 * u, "N", font, INK, "ms"))
+    if grid:
+        piece.texts.append((side / 2, side + 0.35 * u, "grid north", style.font(0.78), GREY, "ms"))
+        piece.height += 0.9 * u
+    return piece
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
@@ -260,6 +329,9 @@ def ticks(low: float, high: float, most: int) -> list[float]:
                 return found if len(found) > 1 or most < 2 else [finer[0], finer[-1]] if finer else found
             finer = found
     return []
+
+
+MOST_DECIMALS = 12
 
 
 def number(value: float, among: list[float]) -> str:

@@ -27,6 +27,8 @@ from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import ATLASES, Renderer
 from orograph.rendering.gpu.shade.tracing import casts
+from orograph.rendering.inset import inset_of
+from orograph.rendering.lines.ground_grid import label, lay_on_bytes
 from orograph.rendering.memory import DRIVER, TILED
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
@@ -117,7 +119,9 @@ def draw(
                     samples=scene.surface.samples,
                     advance=task.advance,
                 )
-            pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
+            pixels = device.read_texture(texture, np.uint8, 4)[..., :3].copy()
+            lay_on_bytes(scene, pixels, depth)
+            pixels = pixels[own_pixels].copy()
             depth, void_filled, scene = depth[own_pixels], void_filled[own_pixels], scene.but(view=view)
             shown = renderer.shown(scene, depth, void_filled)
             pixels, depth = _adorned(scene, renderer, shown, pixels, depth, void_filled, progress)
@@ -153,12 +157,14 @@ def _adorned(
 
         pixels, stood = stand(scene.theme.things, pixels, depth, scene).told(progress)
         depth = stood.astype(np.float32)
+    pixels = label(scene, pixels)
     if scene.annotations.furniture:
         drawn = Drawn(
             renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),
             depth[:, scene.view.width // 2].astype(np.float64),
         )  # fmt: skip
-        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+        inset = inset_of(scene, lambda flat: draw(flat, device=renderer.device))
+        pixels = furnish(pixels, **furniture_of(scene, drawn), inset=inset, ground=np.isfinite(depth) | void_filled)
     return pixels, depth
 
 

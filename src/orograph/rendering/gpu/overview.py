@@ -23,6 +23,7 @@ from orograph.rendering.gpu.shade.visible import points_of
 from orograph.rendering.gpu.surface.ground import Ground
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.lines.silhouettes import rim
+from orograph.scene.aids import interval_of
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -66,6 +67,7 @@ def rimmed(scene: Scene) -> tuple[View, tuple[slice, slice]]:
     """A tile with the pixels around it that its lines depend on, and where it is in that; a whole view as it is."""
     view, lines = scene.view, scene.annotations.silhouettes
     by = rim(lines.fitted(view.whole)) if lines is not None and view.projection != "plan" else 0
+    by = max(by, int(interval_of(scene.annotations.aids, scene.view) is not None))
     if view.part is None or by == 0:
         return view, (slice(0, view.height), slice(0, view.width))
     left, top, width, height = view.part
