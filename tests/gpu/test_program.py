@@ -31,8 +31,8 @@ EVERYTHING = """
 """
 # The shaders that are included by others and have no entry of their own.
 PARTS = {
-    "angles", "aperture", "camera", "contours", "drawn", "field", "imagery", "lines", "place", "ray_field", "rays",
-    "rho", "sky", "slopes",
+    "angles", "aperture", "camera", "cbt_node", "contours", "drawn", "faces", "field", "imagery", "lines", "place",
+    "ray_field", "rays", "rho", "sky", "slopes", "synthesis_plane",
 }  # fmt: skip
 
 
@@ -89,7 +89,11 @@ def whole() -> list[str]:
 
 @pytest.mark.parametrize("name", whole())
 def test_every_shader_compiles_with_the_bindings_it_declares(device: Device, name: str) -> None:
-    constants = {"FLAGS": 0, "RAYS": 1, "RAY_GROUP": {"shade": 2}.get(name, 0), "MISSING": 0, "EDGES": 1, "STORED": 1}
+    constants = {
+        "FLAGS": 0, "RAYS": 1, "RAY_GROUP": {"shade": 2}.get(name, 0), "MISSING": 0, "EDGES": 1, "STORED": 1, "N": 8,
+        "WORDS": 1024, "SIDE": 1 if name == "surface_rays" else 16, "BEAM": 16, "SPACING": 4, "COUNTED": 1,
+        "BILINEAR": 0, "CONSTANT": 0,
+    }  # fmt: skip
     program = Program(device, name, **constants)
     assert program.groups and program.layout and program.module
     assert all(group.bindings for group in program.groups)

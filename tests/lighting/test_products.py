@@ -218,7 +218,7 @@ def test_a_scratch_folder_without_room_says_so(heights, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("orograph.lighting.raster.mmap.mmap", full)
+    monkeypatch.setattr("orograph.folders.mmap.mmap", full)
     monkeypatch.setattr(Context, "budget", property(lambda self: 20_000))
     with pytest.raises(OutputError, match="TMPDIR"):
         lighting.visible_sky(heights, cell=CELL)

@@ -288,8 +288,8 @@ def test_what_is_said_of_files_is_what_a_source_is_opened_with() -> None:
 
     from orograph.dem import Source
     from orograph.dem.mosaic import Mosaic
-    from orograph.store.given import OF_FILES, OF_GRIDS
+    from orograph.store.given import OF_FILES, OF_GRIDS, OF_MANY
 
     assert tuple(inspect.signature(Source.open).parameters)[1:] == OF_FILES
-    rest = set(inspect.signature(Mosaic.open).parameters) - {"paths", "progress", "options"}
+    rest = set(inspect.signature(Mosaic.open).parameters) - {"paths", "progress", "options", *OF_MANY}
     assert set(OF_GRIDS) == rest

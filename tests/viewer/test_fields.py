@@ -191,7 +191,7 @@ def test_an_area_is_saved_as_what_measure_takes(window, hand, dem, tmp_path, mon
     assert (ring[0] == ring[-1]).all()
     x, y = ring.T
     assert (x[:-1] * y[1:] - x[1:] * y[:-1]).sum() > 0  # counter-clockwise
-    done = CliRunner().invoke(command, [str(dem), "area", "--geojson", str(path), "--json"], obj={"quiet": True})
+    done = CliRunner().invoke(command, ["area", str(dem), "--geojson", str(path), "--json"], obj={"quiet": True})
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["surface_m2"] == pytest.approx(tools.result.surface, rel=1e-9)
 

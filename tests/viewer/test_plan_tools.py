@@ -69,7 +69,7 @@ def test_every_measurement_is_said(terrain):
 def test_the_window_calls_its_tools_and_what_they_tell_as_the_command_line_does(terrain):
     from orograph.cli import measure
 
-    assert tuple(measure.command.commands) == KINDS
+    assert tuple(measure.command.commands)[: len(KINDS)] == KINDS  # (what is probable takes long: no tool is)
     x, y = (float(v) for v in terrain.grid.xy(100.0, 150.0))
     a, b, c = (x, y), (x + 900.0, y), (x, y - 900.0)
     found = {

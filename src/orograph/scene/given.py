@@ -281,7 +281,9 @@ def _parsed(kind: type[T], value: Any) -> T | None:
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
     """None: there is none."""
-    return value if value is None or value == "auto" else float(value)
+    if value is None or isinstance(value, str):
+        return None if value in (None, "none") else read_water(value)  # type: ignore[return-value]
+    return float(value)
 
 
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:

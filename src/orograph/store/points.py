@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph.dem.delaunay import Gridded, Surface
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # (a store is read without what reads rasters)
+    from orograph.dem.delaunay import Gridded, Surface
     from orograph.store.layout import Record
     from orograph.store.memory import MemoryTerrain
     from orograph.store.stored import StoredTerrain
@@ -76,6 +76,8 @@ class PointsKind(Derived[dict[str, Any]]):
             array = terrain.opened(f"points/{name}", 0, lambda: spec)  # noqa: B023
             found[name] = array.read(0, spec.shape[0], 0, spec.shape[1]).ravel()[: each * what[of]].reshape(-1, each)
         x, y = np.ascontiguousarray(found["places"].T.astype(np.int64))
+        from orograph.dem.delaunay import Surface
+
         return Surface(x, y, found["heights"][:, 0].copy(), found["triangles"].copy(), what["bits"])
 
     def compute(self, terrain: MemoryTerrain, **options: Any) -> Surface:
@@ -126,5 +128,7 @@ class StoredPoints:
             DamagedChunkError, StoreReplacedError: as ``Terrain.read``.
         """
         if self._gridded is None:
+            from orograph.dem.delaunay import Gridded
+
             self._gridded = Gridded(self.surface)
         return self._gridded.at(*self._terrain.grid.index(np.atleast_1d(x), np.atleast_1d(y)))
