@@ -196,7 +196,7 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
     [
         (of("sore"), 2, ("sore", "soar")),
         (of("soar,metric=euclid"), 2, ("euclid",)),
-        ((*of("soar", "threshold-spheres,metric=wedgie"), "--views", "none.json"), 2, ("no metric 'wedgie'",)),
+        ((*of("soar", "threshold-spheres,metric=wedgie"), "--views", "none.json"), 2, ("not 'wedgie'",)),
         ((*of("raycast"), "--triangles", 9), 2, ("cannot aim at triangles", "tolerance")),
         ((*of("soar,error=midpoint"), "--conservative"), 2, ("no promise", "orograph methods soar")),
         (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
