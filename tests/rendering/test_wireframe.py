@@ -304,7 +304,7 @@ def test_a_picture_of_so_many_triangles_by_a_metric(ground, view):
     assert told["triangles"] == len(alone.triangles)
     with pytest.raises(UsageError, match="tolerance"):
         orograph.render(ground, view, method="soar", triangles=500, tolerance=1.0)
-    with pytest.raises(UsageError, match="metric is .* not 'wedgie'"):
+    with pytest.raises(UsageError, match="not 'wedgie'"):
         orograph.render(ground, view, method="soar,metric=wedgie")
 
 
