@@ -1,7 +1,7 @@
 """The codec *compact*: chunks of whole numbers, predicted from what surrounds them and entropy-coded.
 
-A sample is foretold by twelve others to the left and above (weights by least squares, one set for each chunk), and what
-it differs by is written with ranged asymmetric numeral systems (Duda 2013), in one of up to eight tables that the size
+A sample is predicted by twelve others to the left and above (weights by least squares, one set a chunk), and what it
+differs by is written with ranged asymmetric numeral systems (Duda 2013), in one of up to eight tables that the size
 of the differences above it chooses. docs/codec.md has the format, byte by byte.
 """
 

@@ -177,7 +177,7 @@ def ranged(x, p, words, symbol, direct):
 
 @inlined
 def _step(value, base, north, w0, w1, west, farther):
-    """A sample: its value, what ``foretold`` gave, N, and the two samples before it."""
+    """A sample: its value, what ``predicted`` gave, N, and the two samples before it."""
     residual = np.int32(np.int32(value >> np.uint32(1)) ^ -np.int32(value & np.uint32(1)))
     t = np.int32(np.int32(base + np.int32(w1 * farther)) + np.int32(w0 * west))
     return np.int32(np.int32(north + residual) + np.int32(t >> np.int32(12)))
@@ -193,7 +193,7 @@ def _row(states, p, words, table, depths, direct, deep, begins, values, weights,
     Args:
         states: of the lanes. begins: where the table of each column begins.
         values: (n,) uint32, become the row's.
-        weights, base, near: as in ``foretold``, for the row above; before: its values.
+        weights, base, near: as in ``predicted``, for the row above; before: its values.
         line: (n + 4,) int32, becomes its samples, two places from the left.
     """
     a, b, c, d = states[0], states[1], states[2], states[3]
@@ -253,7 +253,7 @@ def activities(values, shift, padded, levels):
 
 
 @kernel
-def foretold(weights, far, near, out):
+def predicted(weights, far, near, out):
     """What the two rows above give for the prediction of a row: all of the sum but W's and WW's share.
 
     Args:
@@ -339,7 +339,7 @@ def decode(data, out):
     for row in range(rows):  # the values of this row, and the samples of the one above
         line, near, far = lines[(row + 2) % 3], lines[(row + 1) % 3], lines[row % 3]
         if row > 1:
-            foretold(weights, near if row == 2 else far, near, base)
+            predicted(weights, near if row == 2 else far, near, base)
         for col in range(width):
             begins[col] = table_of[np.uint64(levels[col])]
         p = _row(states, p, words, table, depths, direct, deep, begins, values, weights, before, base, near, line)
@@ -356,7 +356,7 @@ def decode(data, out):
     if rows == 1:
         _first(before, first, line)
     else:
-        foretold(weights, near if rows == 2 else far, near, base)
+        predicted(weights, near if rows == 2 else far, near, base)
         _rebuilt(weights, before, base, near, line)
     out[rows - 1] = line[2 : cols + 2]
     if p != count or at + 2 * count != data.size:

@@ -27,9 +27,9 @@ from orograph.store.compact_decode import (
     VERSION,
     WORDS,
     extend,
-    foretold,
     frequencies,
     full_weights,
+    predicted,
 )  # fmt: skip
 
 SAMPLED = 64  # rows that weights are fitted to
@@ -106,7 +106,7 @@ def _values(numbers, weights, first, lowest, highest, values):
     for row in range(rows):
         line, near, far = lines[row % 3], lines[(row + 2) % 3], lines[(row + 1 + (row == 1)) % 3]
         if row:
-            foretold(weights, far, near, base)
+            predicted(weights, far, near, base)
         west = farther = first if row == 0 else near[2]
         for col in range(cols):
             if row:

@@ -1,12 +1,12 @@
 """The codec *progressive*: every level of a store by what it differs from a prediction out of the level above it.
 
-After the compressed pyramid of geometry clipmaps (Losasso and Hoppe 2004, section 5): a level is foretold from every
+After the compressed pyramid of geometry clipmaps (Losasso and Hoppe 2004, section 5): a level is predicted from every
 second of its samples by the tensor product of (-1, 9, 9, -1) / 16. These samples are those of the level above, *as they
 are decoded*, and are kept; of the others the difference is stored, in steps of twice the largest error. Predictions lie
 between these steps, in finer ones (``Packing.factor``), so each level is as close to the terrain as was asked for,
 and smooth ground costs next to nothing. No sample is stored twice.
 
-A chunk is foretold from its own samples alone, so it needs one chunk of the level above, and no other; and what a shard
+A chunk is predicted from its own samples alone, so it needs one chunk of the level above, no other; and what a shard
 of level 0 becomes hangs on nothing beyond it and the row and column that it shares. Levels whose chunks are larger than
 that are whole numbers of the large steps.
 

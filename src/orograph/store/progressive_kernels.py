@@ -1,4 +1,4 @@
-"""The kernels of the codec *progressive*: a level is foretold from the one above it (``progressive``)."""
+"""The kernels of the codec *progressive*: a level is predicted from the one above it (``progressive``)."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _given(k, side, known):
 
 
 @kernel
-def _foretold(coarse, known_row, known_col, factor, exact, out):
+def _predicted(coarse, known_row, known_col, factor, exact, out):
     """As ``predict``; where it is ``exact`` predictions are whole numbers of large steps."""
     predict(coarse, known_row, known_col, out)
     if exact and factor > 1:
@@ -141,7 +141,7 @@ def settle(units, coarse, known_row, known_col, factor, out):
 @kernel
 def subtract(numbers, coarse, known_row, known_col, factor, exact, out):
     """What is stored of a chunk: (rows, cols) int32, in large steps, 0 where the level above has the sample."""
-    _foretold(coarse, known_row, known_col, factor, exact, out)
+    _predicted(coarse, known_row, known_col, factor, exact, out)
     rows, cols = out.shape
     for i in range(rows):
         row = _given(i, rows, known_row)
@@ -158,7 +158,7 @@ def subtract(numbers, coarse, known_row, known_col, factor, exact, out):
 @kernel
 def add(stored, coarse, known_row, known_col, factor, exact, out):
     """A chunk of what is stored of it and the samples that the level above has."""
-    _foretold(coarse, known_row, known_col, factor, exact, out)
+    _predicted(coarse, known_row, known_col, factor, exact, out)
     rows, cols = out.shape
     for i in range(rows):
         row = _given(i, rows, known_row)

@@ -1,6 +1,6 @@
 """The codec *smallest*: as *compact*, with tables that what has just been decoded chooses, too.
 
-A sample is foretold as *compact* does it. How good that is, is told by twelve differences and errors above it and five
+A sample is predicted as *compact* does it. How good that is, is told by twelve differences and errors above it and five
 to its left (weights by least squares). Where between two whole numbers the prediction lies, or on which side of the
 sample above, chooses the table within that, as energy and texture do in CALIC (Wu and Memon 1997). docs/codec.md has
 the format, byte by byte.

@@ -24,10 +24,10 @@ from orograph.store.compact_decode import (
     TABLES,
     TOTAL,
     UNKNOWN,
-    foretold,
     full_weights,
     next_symbol,
     plain_bits,
+    predicted,
     ranged,
     read_mask,
     read_tables,
@@ -186,7 +186,7 @@ def prepared(row, classes, weights, shares, lines, sizes, halves, side, bases, s
         if c and classes == 1:
             break
         if row:
-            foretold(weights[k], far, near, halves[0] if c else bases)
+            predicted(weights[k], far, near, halves[0] if c else bases)
         else:
             bases[:] = np.int32(2048 - (np.int64(near[2]) << 12))
         signs_above(shares[k], far, near, sizes[(row + 1) % 3], sizes[(row + 2) % 3], halves[1] if c else signs)

@@ -38,7 +38,7 @@ def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
             for k in range(NEIGHBOURS):
                 d[k] = float(whole[row + 2 + OFFSETS[k, 0], col + 2 + OFFSETS[k, 1]]) - north
                 said += before[k] * d[k]
-            # A cliff must not outvote the plain, nor what is foretold badly what is foretold well.
+            # A cliff must not outvote the plain, nor what is predicted badly what is predicted well.
             share = 1.0 / (2.0 + abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8]))
             if before[NEIGHBOURS]:
                 off = 0.5 + abs(sought - said)
