@@ -505,7 +505,7 @@ def test_budgets():
 def test_what_is_refused():
     t = plain.terrain(np.zeros((9, 9), np.float32))
     view = plain.random_view(np.random.default_rng(0), plain.terrain(plain.rough(np.random.default_rng(0), (9, 9))))
-    with pytest.raises(UsageError, match="no legs 12"):
+    with pytest.raises(UsageError, match="not 12"):
         plain.refiner(TrianglePatches, t, legs=12)
     with pytest.raises(UsageError, match="no option 'color-tolerance'"):
         plain.refiner(TrianglePatches, t, color_tolerance=1.0, color=lambda *_: np.zeros((1, 1), np.float32))
