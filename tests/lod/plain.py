@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from affine import Affine
 
 from orograph import viewpoint
+from orograph.dem.mosaic import Mosaic
 from orograph.error.diamonds import diamonds as surveyed
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts, triangles
@@ -29,8 +31,26 @@ from orograph.store.diamonds import NESTED, gather
 from orograph.store.diamonds import surface as ground_of
 from orograph.store.levels import subsample
 from orograph.store.memory import MemoryTerrain
+from orograph.store.opening import terrain as opened
+from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
+
+GROUND = {
+    "oblong, 30 m": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
+    "city, 1 m": "nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif",
+    "hills, 1 m": "lsd-topo/gabilan.tif",
+    "voids, 90 m": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
+    "synthetic": "",
+}
+"""What methods are judged on at length: open data, and rough ground."""
+
+
+def ground(shared_data: Path, name: str) -> Terrain:
+    """One of ``GROUND``."""
+    if not GROUND[name]:
+        return terrain(rough(np.random.default_rng(7), (1500, 1100), amplitude=1500.0))
+    return opened(Mosaic.open([shared_data / GROUND[name]]))
 
 
 def rough(rng: np.random.Generator, shape, amplitude=80.0, hurst=0.8, gaps=0.0) -> np.ndarray:

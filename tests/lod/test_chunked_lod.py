@@ -374,26 +374,11 @@ def test_a_build_out_of_core_makes_the_same(tmp_path, monkeypatch):
             assert np.array_equal(one.triangles, other.triangles)
 
 
-GROUND = {
-    "oblong, 30 m": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
-    "city, 1 m": "nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif",
-    "hills, 1 m": "lsd-topo/gabilan.tif",
-    "voids, 90 m": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
-    "synthetic": "",
-}
-
-
 @pytest.mark.stress
-@pytest.mark.parametrize("name", GROUND)
+@pytest.mark.parametrize("name", plain.GROUND)
 def test_what_the_referee_finds(shared_data, name):
     """42 views of each of five terrains: it promises nothing, but leaves no ground out and folds nothing."""
-    from orograph.dem.mosaic import Mosaic
-    from orograph.store import terrain
-
-    if GROUND[name]:
-        t = terrain(Mosaic.open([shared_data / GROUND[name]]))
-    else:
-        t = plain.terrain(plain.rough(np.random.default_rng(7), (1500, 1100), amplitude=1500.0))
+    t = plain.ground(shared_data, name)
     rng, method, ratios = np.random.default_rng(1), make(t, cells=32, skirts=False), []
     for _ in range(42):
         view = plain.random_view(rng, t, width=1280, height=720)

@@ -324,26 +324,11 @@ def test_colors_split_what_is_large_enough_to_be_seen():
                 assert {(c, r) for r, c in np.argwhere(patch).tolist()} <= at
 
 
-GROUND = {
-    "oblong, 30 m": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
-    "city, 1 m": "nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif",
-    "hills, 1 m": "lsd-topo/gabilan.tif",
-    "voids, 90 m": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
-    "synthetic": "",
-}
-
-
 @pytest.mark.stress
-@pytest.mark.parametrize("name", GROUND)
+@pytest.mark.parametrize("name", plain.GROUND)
 def test_the_referee_finds_the_promise_kept(shared_data, name):
     """42 views of each of five terrains, of each triangulation."""
-    from orograph.dem.mosaic import Mosaic
-    from orograph.store import terrain
-
-    if GROUND[name]:
-        t = terrain(Mosaic.open([shared_data / GROUND[name]]))
-    else:
-        t = plain.terrain(plain.rough(np.random.default_rng(7), (1500, 1100), amplitude=1500.0))
+    t = plain.ground(shared_data, name)
     rng = np.random.default_rng(1)
     methods = [make(t, triangulation) for triangulation in KEPT]
     for _ in range(42):

@@ -281,9 +281,7 @@ def _parsed(kind: type[T], value: Any) -> T | None:
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
     """None: there is none."""
-    if value is None or isinstance(value, str):
-        return None if value in (None, "none") else read_water(value)  # type: ignore[return-value]
-    return float(value)
+    return value if value is None or value == "auto" else float(value)
 
 
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:

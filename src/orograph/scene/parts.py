@@ -353,12 +353,13 @@ def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def made_of(name: str, value: Any, terrain: Terrain) -> Any:
-    """What a user gave for an option, made what it is over a terrain.
+    """What a user gave for an option, a text of the command line or a value, made what it is over a terrain.
 
     Raises:
         UsageError: it cannot be that option's value.
     """
     one = OPTIONS[name]
+    value = one.worded(value)
     try:
         return value if one.given is None else one.given(value, terrain)
     except (TypeError, ValueError, AttributeError, LookupError) as error:

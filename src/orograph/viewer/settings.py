@@ -20,7 +20,7 @@ from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
 from orograph.scene.aids import aids_of
 from orograph.scene.methods import mesh_choice
-from orograph.scene.parts import OPTIONS, SHINING, check_options
+from orograph.scene.parts import OPTIONS, SHINING, check_options, made_of
 from orograph.scene.scene import Scene
 from orograph.scene.theming import themed
 from orograph.store.terrain import Terrain
@@ -171,8 +171,7 @@ class Settings:
         if (aids := aids_of(options.get("aids"))) is not None and aids.walls:
             raise UsageError("The aid walls is drawn in pictures and films, not in the window.")
         for name, value in options.items():
-            made = OPTIONS[name].given
-            setattr(self, name, value if made is None else made(value, terrain))
+            setattr(self, name, made_of(name, value, terrain))
         self.options["layers"] = list(self.options["layers"])
         data, first = self.options["data"], self.options["priority"]
         self.options |= {"data": (), "priority": None}
