@@ -339,16 +339,16 @@ HOMES = {one.name: part for part, kind in PARTS.items() for one in described(kin
 
 
 def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Options by the part that they belong to; texts are read as the command line reads them.
+    """Options by the part that they belong to.
 
     Raises:
-        UsageError: there is no such option, or a text cannot be read.
+        UsageError: there is no such option.
     """
     parts: dict[str, dict[str, Any]] = {}
     for name, value in options.items():
         if name not in HOMES:
             raise UsageError(f"A scene has no option {name!r}; there are {', '.join(HOMES)}.")
-        parts.setdefault(HOMES[name], {})[name] = OPTIONS[name].worded(value)
+        parts.setdefault(HOMES[name], {})[name] = value
     return parts
 
 
@@ -375,4 +375,4 @@ def check_options(options: Mapping[str, Any]) -> None:
     Values may be as users give them: which are given is what is looked at.
     """
     for part, values in by_part(options).items():
-        PARTS[part](**values)
+        PARTS[part](**{name: OPTIONS[name].worded(value) for name, value in values.items()})

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -106,13 +107,14 @@ class Focus:
         return _region(self, grid)
 
 
-class Weight:
+class Weight(ABC):
     """How much of a focus shows at the pixels of a picture."""
 
     def shows(self, eye: Array) -> bool:
         """Whether any of it may show to an eye (3,)."""
         return True
 
+    @abstractmethod
     def __call__(self, eye: Array, places: Array, pixels: tuple[Array, Array], aspect: float) -> Array:
         """(rows, cols), 0 to 1.
 
@@ -121,7 +123,6 @@ class Weight:
             pixels: x (cols,) from the left and y (rows,) from the top of the whole picture, in heights of it.
             aspect: its width by its height.
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
