@@ -7,6 +7,8 @@ of the differences above it chooses. docs/codec.md has the format, byte by byte.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,6 +42,15 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
     """
     from orograph.store.compact_decode import decode
 
+    return unpacked(decode, data, shape)
+
+
+def unpacked(decode: Callable[[NDArray[np.uint8], Numbers], int], data: bytes, shape: tuple[int, int]) -> Numbers:
+    """A chunk of its bytes, by a codec's kernel, which fills it and returns what is wrong (``WRONG``), or 0.
+
+    Raises:
+        ValueError: something is.
+    """
     found = np.empty(shape, np.int32)
     wrong = decode(np.frombuffer(data, np.uint8), found)
     if wrong:

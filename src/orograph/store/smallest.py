@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.store.coding import Numbers
-from orograph.store.compact import WRONG
+from orograph.store.compact import unpacked
 
 NAME = "orograph.smallest"
 """In the metadata of arrays, and in Zarr's registry of codecs."""
@@ -40,8 +40,4 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
     """
     from orograph.store.smallest_decode import decode
 
-    found = np.empty(shape, np.int32)
-    wrong = decode(np.frombuffer(data, np.uint8), found)
-    if wrong:
-        raise ValueError(f"A chunk cannot be decoded: {WRONG[wrong]}.")
-    return found
+    return unpacked(decode, data, shape)
