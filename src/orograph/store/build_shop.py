@@ -32,7 +32,7 @@ class BuildRecipe(NamedTuple):
     """All that workers are told once.
 
     Attributes:
-        url: where the store is made. storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
+        url: where the store is made. storage_options: beside the environment, for the bucket (obstore's).
         plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
         files, options: of the source (``Mosaic.open``).
         levels: of the groups of heights; 0: none. memory: bytes a task may take, besides ``base`` of the process.
