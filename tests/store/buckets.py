@@ -87,7 +87,10 @@ class Bucket:
 
     def put(self, path: str, data: bytes | None = None) -> None:
         """Make a bucket, or an object in one, directly."""
-        urllib.request.urlopen(urllib.request.Request(f"{self.url}/{path}", data=data, method="PUT")).close()
+        kind = {"Content-Type": "application/octet-stream"}
+        urllib.request.urlopen(
+            urllib.request.Request(f"{self.url}/{path}", data, kind, method="PUT"), timeout=20
+        ).close()
 
 
 ENVIRONMENT = {"AWS_ACCESS_KEY_ID": "key-of-the-test", "AWS_SECRET_ACCESS_KEY": "secret-of-the-test"}

@@ -15,13 +15,16 @@ from surfaces import rough, source
 from webserver import until
 
 from orograph import store
-from orograph.errors import DamagedChunkError, StoreError, public
+from orograph.errors import DamagedChunkError, StoreError, UsageError, public
+from orograph.lighting.bake import bake
 from orograph.processes import host
 from orograph.store import bucket as buckets
 from orograph.store import bucket_lock, storage
 from orograph.store.addresses import storage_at
 from orograph.store.bucket import BucketStorage
 from orograph.store.lock import alone
+from orograph.store.publishing import publish
+from orograph.store.repair import repair
 from orograph.store.storage import FolderStorage
 
 pytest.importorskip("obstore")
@@ -336,6 +339,71 @@ def test_small_reads_are_put_together(s3, local):
         s3.well()
         terrain.read(0, 0, 128, 0, 128)  # sixteen chunks of one shard
         assert s3.asked == {"GET": 1}
+
+
+def test_a_store_is_published_with_all_its_bytes_and_its_root_last(s3, local):
+    url = "s3://terrain/published/area.oro"
+    put, left = BucketStorage.put, [12]
+
+    def stop(self, key, parts):
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        put(self, key, parts)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(BucketStorage, "put", stop)
+        with pytest.raises(KeyboardInterrupt):
+            publish(local, url, jobs=1)
+    with pytest.raises(StoreError, match="not an Orograph store"):
+        store.open(url)
+    s3.well()
+    done = publish(local, url)
+    assert done.sent == done.objects - 12 and s3.asked["LIST"] == 0
+    assert contents(url) == files(local)
+    puts = [path for kind, path, _ in s3.log if kind == "PUT" and "area.oro/" in path]
+    assert puts[-1].endswith("area.oro/zarr.json")
+    assert publish(local, url).sent == 0
+    with store.open(url) as terrain:  # from one bucket to another place
+        publish(terrain, "s3://terrain/published/again.oro")
+    assert contents("s3://terrain/published/again.oro") == files(local)
+
+
+def test_what_is_damaged_or_in_the_way_is_not_published(s3, local, tmp_path):
+    other = tmp_path / "other.oro"
+    store.build(source(HEIGHTS + 1), other, **SIZES).close()
+    url = "s3://terrain/published/other.oro"
+    publish(other, url)
+    with pytest.raises(StoreError, match="there already"):
+        publish(local, url)
+    shard = other / "heights" / "1" / "height" / "c" / "0" / "0"
+    shard.write_bytes(shard.read_bytes()[:100] + b"!" + shard.read_bytes()[101:])
+    with pytest.raises(DamagedChunkError, match="heights/1/height"):
+        publish(other, "s3://terrain/published/damaged.oro")
+    with pytest.raises(StoreError, match="not an Orograph store"):
+        store.open("s3://terrain/published/damaged.oro")
+    publish(local, url, overwrite=True)
+    assert contents(url) == files(local)
+    with pytest.raises(UsageError, match="at URLs"):
+        publish(local, str(tmp_path / "copy.oro"))
+
+
+def test_a_store_in_a_bucket_is_mended_and_baked_into(s3, tmp_path):
+    url = "s3://terrain/mended.oro"
+    with store.build(source(HEIGHTS), url, **SIZES):
+        pass
+    place = storage_at(url)
+    sound = contents(url)
+    place.put("mean/1/height/c/0/0", [b"damage"])
+    place.remove("tiles/0/minimum/c/0/0")
+    assert sorted(repair(url, source(HEIGHTS))) == ["mean/1/height/c/0/0", "tiles/0/minimum/c/0/0"]
+    assert contents(url) == sound
+    bake(url, "sky-view-factor", azimuths=4, progress=False).close()
+    folder = tmp_path / "area.oro"
+    store.build(source(HEIGHTS), folder, **SIZES).close()
+    bake(folder, "sky-view-factor", azimuths=4, progress=False).close()
+    assert contents(url) == files(folder)
+    assert not storage_at("s3://terrain").exists(".mended.oro.lock")
 
 
 def test_large_objects_go_in_parts(s3, monkeypatch):

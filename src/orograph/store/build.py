@@ -3,8 +3,8 @@
 A store in a folder is built beside its place, in ``STORE.partial``, which becomes ``STORE`` by a rename when everything
 is written; an old store is replaced only then. At a URL there is no rename: the store is built in place, and it is the
 root's ``zarr.json``, written last, that makes it one (with ``overwrite`` the old store is gone from the beginning).
-Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes. All of this is
-done alone (``lock``), from the first look at what is there to the last rename.
+Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes. All of this
+is done alone (``lock``), from the first look at what is there to the last rename.
 """
 
 from __future__ import annotations
