@@ -244,11 +244,12 @@ class BucketStorage(Storage):
         self._may_write()
         if key == ROOT or not key:
             self._roots[ROOT] = None
-        names = [self._at(key)] if key else []
         if not key.endswith((".json", ".lock")):  # (objects by their names)
-            names += [each["path"] for each in self._try("listed", key, lambda: self._below(key)) or ()]
-        if names:
-            self._try("removed", key, lambda: self._client.delete(names), written=True)
+            names = [each["path"] for each in self._try("listed", key, lambda: self._below(key)) or ()]
+            if names:
+                self._try("removed", key, lambda: self._client.delete(names))
+        if key:
+            self._try("removed", key, lambda: self._client.delete(self._at(key)))
 
     def _may_write(self) -> None:
         if self.web:
