@@ -85,6 +85,9 @@ def test_signatures_and_passwords_are_in_no_message_and_no_store(server, raster,
     assert code == 0 and "hidden" not in said, said
     for path in (tmp_path / "b.oro").rglob("*"):
         assert path.is_dir() or b"hidden" not in path.read_bytes(), path
+    again = address.replace("Signature=hidden", "Signature=hidden2")
+    code, said = orograph(server, "build", again, "-o", tmp_path / "b.oro", "--resume")
+    assert code == 0, said  # the same file
     code, said = orograph(server, "info", tmp_path / "b.oro")
     assert code == 0 and "hidden" not in said
 

@@ -30,7 +30,7 @@ from orograph.store.storage import FolderStorage
 pytest.importorskip("obstore")
 pytest.importorskip("moto.server")
 
-HEIGHTS = rough((290, 260), 21, hole=True)
+HEIGHTS = rough((270, 120), 21, hole=True)
 SIZES = {"shard": 128, "chunk": 32}
 
 
@@ -59,7 +59,7 @@ def local(tmp_path_factory):
 
 
 def check(terrain):
-    np.testing.assert_array_equal(terrain.read(0, 0, 290, 0, 260), HEIGHTS)
+    np.testing.assert_array_equal(terrain.read(0, 0, 270, 0, 120), HEIGHTS)
     np.testing.assert_array_equal(terrain.read(0, 30, 90, 20, 101), HEIGHTS[30:90, 20:101])
     assert terrain.check() == []
 
@@ -97,7 +97,7 @@ def test_a_store_in_a_bucket_has_the_bytes_of_one_in_a_folder_and_no_request_lis
         np.testing.assert_array_equal(other.read(0, 0, 5, 0, 5), HEIGHTS[:5, :5] + 1)
 
 
-@pytest.mark.parametrize("fault", [{"cut": 0.1}, {"refuse": 0.2, "cut": 0.05, "slow": 0.002}])
+@pytest.mark.parametrize("fault", [{"refuse": 0.2, "cut": 0.05, "slow": 0.002}])
 def test_faults_change_nothing(s3, local, fault):
     url = f"s3://terrain/faults/{'-'.join(fault)}.oro"
     for name, share in fault.items():
@@ -122,7 +122,7 @@ def test_a_stale_listing_does_not_bring_back_what_an_earlier_build_has_left(s3):
     s3.stale = True
     interrupted(source(HEIGHTS), url, 5, overwrite=True)
     with store.build(source(HEIGHTS), url, resume=True, **SIZES) as terrain:
-        np.testing.assert_array_equal(terrain.read(0, 0, 290, 0, 260), HEIGHTS)
+        np.testing.assert_array_equal(terrain.read(0, 0, 270, 0, 120), HEIGHTS)
         assert terrain.check() == []
 
 
@@ -324,7 +324,7 @@ def test_damage_is_named(s3):
         terrain.read(0, 0, 5, 0, 5)
         place.put("heights/0/height/c/0/0", [whole[: len(whole) // 3]])
         with pytest.raises(DamagedChunkError, match="heights/0/height/c/0/0"):
-            terrain.read(0, 0, 128, 0, 128)
+            terrain.read(0, 0, 128, 0, 120)
     with pytest.raises(StoreError, match="not an Orograph store"):
         store.open("s3://terrain/nothing")
     with pytest.raises(StoreError, match="no such bucket"):
@@ -337,7 +337,7 @@ def test_small_reads_are_put_together(s3, local):
     with store.open(url) as terrain:
         terrain.read(0, 0, 1, 0, 1)
         s3.well()
-        terrain.read(0, 0, 128, 0, 128)  # sixteen chunks of one shard
+        terrain.read(0, 0, 128, 0, 120)  # sixteen chunks of one shard
         assert s3.asked == {"GET": 1}
 
 

@@ -29,7 +29,7 @@ from typing import Any
 
 from orograph.dem.conventions import ACROSS, DOWN
 from orograph.dem.remote import is_remote, network
-from orograph.errors import ReadError
+from orograph.errors import ReadError, public
 
 IDLE = 48
 CACHE = 64 << 20
@@ -198,7 +198,7 @@ def states(names: Iterable[str]) -> list[str]:
         try:
             found = on_disk(name).stat()
         except (OSError, ValueError):
-            said.append(name)
+            said.append(public(name))  # (an address that is signed anew means the same file)
         else:
             said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
     return said

@@ -192,7 +192,7 @@ class BucketStorage(Storage):
             return
         self._know(key, data)
         at = self._at(key)
-        self._try("written", key, lambda: self._client.put(at, data, chunk_size=PART), written=True)
+        self._try("written", key, lambda: self._client.put(at, data, chunk_size=PART, max_concurrency=4), written=True)
 
     def swap(self, key: str, data: bytes, version: Version | None) -> Version | None:
         """Put an object where there is none (``version`` is None), or in the place of this version of it; None if there

@@ -22,7 +22,7 @@ from orograph.store.executing import KNOWN, Stage
 from orograph.store.layout import TABLES_AND_VALID, table_spec
 from orograph.store.places import PLAN
 from orograph.store.source import HeightSource
-from orograph.store.storage import FolderStorage, Storage
+from orograph.store.storage import Storage
 from orograph.store.terrain import TileTable
 from orograph.store.workshop import guarded
 from orograph.store.writer import ShardWriter
@@ -72,7 +72,7 @@ def recipe_of(
         raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Name a folder.")
     files, options = said
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
-    url = str(storage.path.absolute()) if isinstance(storage, FolderStorage) else storage.url
+    url, _ = storage.named()
     return BuildRecipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)
 
 
