@@ -186,7 +186,7 @@ class BucketStorage(Storage):
 
     def put(self, key: str, parts: Sequence[bytes]) -> None:
         data = b"".join(parts)
-        self._may_write()
+        self.may_write()
         if key == ROOT:
             self._publish(data)
             return
@@ -241,7 +241,7 @@ class BucketStorage(Storage):
         self._roots[ROOT] = made
 
     def remove(self, key: str = "") -> None:
-        self._may_write()
+        self.may_write()
         if key == ROOT or not key:
             self._roots[ROOT] = None
         if not key.endswith((".json", ".lock")):  # (objects by their names)
@@ -251,7 +251,8 @@ class BucketStorage(Storage):
         if key:
             self._try("removed", key, lambda: self._client.delete(self._at(key)))
 
-    def _may_write(self) -> None:
+    def may_write(self) -> None:
+        """Raise StoreError if it is a web server, or the lock was lost."""
         if self.web:
             raise StoreError(
                 "It could not be written: web servers are read only.", path=self.url,
@@ -287,6 +288,8 @@ class BucketStorage(Storage):
         why = public(" ".join(text.partition("Debug source")[0].split()))[:300]
         if "kind: Timeout" in text:
             why = f"the server does not answer ({waiting.SILENCE:g} s without a byte)"
+        elif "kind: Connect" in text:
+            why, remedy = "the server cannot be reached", "Check the address and the network."
         elif "RangeNotSupported" in text:
             why = "the server sends whole files where parts of them are asked for"
             remedy = (

@@ -82,9 +82,10 @@ def _in_bucket(storage: Storage, doing: str, shared: str | None) -> Iterator[Non
     from orograph.store.bucket import BucketStorage
     from orograph.store.bucket_lock import Lease
 
-    if not isinstance(storage, BucketStorage) or storage.web:
+    if not isinstance(storage, BucketStorage):
         yield
         return
+    storage.may_write()
     lease = Lease(storage, doing, shared)
     lease.take()
     storage.lease = lease
