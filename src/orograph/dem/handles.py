@@ -12,26 +12,31 @@ memory, would break any promise about ours.
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import errno
+import itertools
 import os
 import re
 import struct
 import tarfile
 import threading
-import warnings
+import time
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from orograph.dem.conventions import ACROSS, DOWN
+from orograph.dem.pool import is_virtual
 from orograph.dem.remote import is_remote, network
 from orograph.errors import ReadError, public
 
 IDLE = 48
+MANIFEST = ".manifest.geojsonl"
+"""How the names of manifests end (``dem.manifest``)."""
 CACHE = 64 << 20
 
 Key = tuple[str, tuple[int, int, int] | None]
@@ -64,6 +69,10 @@ class Seen:
 
         self._files = [(name, str(path), _stamp(path)) for name in dict.fromkeys(names) for path in (on_disk(name),)]
 
+    def states(self) -> list[tuple[int | None, int | None]]:
+        """Size and time of change (ns) of each file then; None, None of what is not on this disk."""
+        return [(None, None) if stamp is None else (stamp[1], stamp[0]) for *_, stamp in self._files]
+
     def changed(self) -> str | None:
         """The first of them that is another now; None if none is."""
         return next((name for name, path, stamp in self._files if _stamp(path) != stamp), None)
@@ -82,6 +91,8 @@ def _settings(location: str) -> dict[str, Any]:
         "VRT_SHARED_SOURCE": "0",
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
         **bounded_cache(), **network(location),
+        # GDAL itself gives up listing such a folder, after the first thousand names each time.
+        **({"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE"} if _crowded(location) else {}),
     }  # fmt: skip
 
 
@@ -164,9 +175,56 @@ def lent(location: str) -> Iterator[tuple[Any, Key]]:
         yield dataset, stamped(location)
 
 
+_FRESH = 2.0
+"""Seconds within which a folder may change without its time of change telling."""
+
+_folders: dict[str, tuple[int, list[str]]] = {}
+_known: dict[str, tuple[Key, list[str], list[str]]] = {}
+
+
+def _crowded(location: str) -> bool:
+    """Whether a file is known to lie among so many that GDAL does not look at their names."""
+    return len(_folders.get(os.path.split(location)[0], (0, []))[1]) > 1000
+
+
+def beside(location: str) -> list[str]:
+    """The names of what lies beside a file on this disk under its name but for the ending: where headers, masks and the
+    like come to lie."""
+    folder, name = os.path.split(location)
+    try:
+        changed = os.stat(folder or ".").st_mtime_ns  # noqa: PTH116 (of mosaics thousands at a time)
+        held = _folders.get(folder)
+        if held is None or held[0] != changed:
+            names = sorted(os.listdir(folder or "."), key=str.lower)  # noqa: PTH208 (names alone are wanted)
+            held = changed, names
+            if time.time() - changed / 1e9 > _FRESH:
+                if len(_folders) > 64:
+                    _folders.clear()
+                _folders[folder] = held
+    except (OSError, ValueError):
+        return []
+    stem = f"{name.rpartition('.')[0] or name}.".lower()
+    at = bisect.bisect_left(held[1], stem, key=str.lower)
+    return [
+        one
+        for one in itertools.takewhile(lambda one: one.lower().startswith(stem), held[1][at : at + 64])
+        if one != name
+    ]
+
+
+def know(location: str, names: Sequence[str]) -> None:
+    """Keep what files decide a raster's samples, for ``files_of``, if all on this disk lie beside it under its name."""
+    folder, name = os.path.split(location)
+    stem = f"{folder}/{name.rpartition('.')[0] or name}.".lower()
+    if is_virtual(location) or not all(one == location or f"{one}".lower().startswith(stem) for one in names):
+        _known.pop(location, None)
+        return
+    _known[location] = stamped(location), beside(location), list(dict.fromkeys([location, *sorted(names)]))
+
+
 def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources',
-    by GDAL's names of them.
+    by GDAL's names of them. Nothing is opened as long as the file, and the names beside it, are what they were.
 
     Raises:
         ReadError: it cannot be opened.
@@ -174,6 +232,11 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     from orograph.dem.whole.files import files_in
     from orograph.dem.whole.virtual import locations
 
+    held = _known.get(location)
+    if held is not None and held[0] == stamped(location) and held[1] == beside(location):
+        return list(held[2])
+    if held is not None:
+        HANDLES.close(location)  # an open dataset would not see what has come to lie beside it
     with HANDLES.borrow(location) as dataset:
         names, virtual = files_in(dataset), dataset.driver == "VRT"
         if virtual:
@@ -185,6 +248,8 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
             if name not in known and name != location:
                 with contextlib.suppress(ReadError):  # a source that is not there matters when it is read
                     found.update(dict.fromkeys(files_of(name, known | {location})))
+    else:
+        know(location, names)
     return list(found)
 
 
@@ -204,6 +269,11 @@ def states(names: Iterable[str]) -> list[str]:
     return said
 
 
+def is_manifest(path: str | os.PathLike[str]) -> bool:
+    """Whether a file lists others (``dem.manifest``), by its name."""
+    return os.fspath(path).lower().endswith(MANIFEST)
+
+
 def locate(path: str | os.PathLike[str]) -> str:
     """What GDAL should open for ``path``: the raster inside a .zip, .tar or .gz, else the path itself (URLs pass
     through).
@@ -218,6 +288,10 @@ def locate(path: str | os.PathLike[str]) -> str:
     if "://" in text or text.startswith("/vsi") or (":" in text and not Path(text).exists() and text[1:2] != ":"):
         return text
     file = Path(text)
+    if is_manifest(text):
+        raise ReadError(
+            "This is a manifest, which lists rasters; here one raster is wanted.", path=text, remedy="Name one of them."
+        )
     if file.is_dir() and not (file / "hdr.adf").exists() and not file.suffix.lower() == ".zarr":
         raise ReadError(
             "This is a directory, not an elevation raster.", path=text, remedy="Name the files in it, e.g. DIR/*.tif."
@@ -267,7 +341,7 @@ def _absent(file: Path, error: OSError | ValueError) -> ReadError:
     )
 
 
-_SIDECARS = {
+SIDE_FILES = {
     ".xml",
     ".txt",
     ".prj",
@@ -312,7 +386,7 @@ def _member(file: Path) -> str:
             path=file,
             remedy="Fetch it again, or unpack it by hand.",
         ) from None
-    rasters = [n for n in names if Path(n).suffix.lower() not in _SIDECARS] if len(names) > 1 else names
+    rasters = [n for n in names if Path(n).suffix.lower() not in SIDE_FILES] if len(names) > 1 else names
     if len(rasters) == 1:
         return rasters[0]
     if not rasters:
@@ -332,7 +406,7 @@ def open_dataset(location: str) -> Any:
         ReadError: GDAL cannot open it, or it is a container of several rasters.
     """
     import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.errors import RasterioError
 
     from orograph.dem.missing import KEEP_RANGE, is_limited
     from orograph.dem.whole import DAMAGED, fault_before
@@ -342,8 +416,7 @@ def open_dataset(location: str) -> Any:
     if fault is not None:
         raise ReadError(fault, path=location, remedy=DAMAGED)
     try:
-        with OPENING, warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with OPENING:
             dataset = rasterio.open(location)
             if is_limited(dataset):
                 dataset.close()

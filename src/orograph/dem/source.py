@@ -34,7 +34,7 @@ from orograph.dem.bands import (
     unit_tag,
 )
 from orograph.dem.encode import decode_rgb
-from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
+from orograph.dem.handles import HANDLES, Seen, cause_of, know, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import Valid, is_default_fill, is_nodata, mask_of, nodata_of, valid_of
@@ -140,7 +140,10 @@ class Source:
         opened = [Seen([location])]
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
-            opened.append(Seen(files_in(dataset)))  # headers, masks and the parts of a VRT, too
+            names = files_in(dataset)
+            opened.append(Seen(names))  # headers, masks and the parts of a VRT, too
+            if dataset.driver not in ("VRT", "Zarr"):
+                know(location, names)
             check_size(dataset, path)
             check_band(dataset, band, path)
             if encoding is not None:

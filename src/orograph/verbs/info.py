@@ -49,6 +49,7 @@ def info(
         ReadError, StoreError: it cannot be read. UsageError: it is nothing that holds heights, or none lie in the area.
     """
     from orograph.dem.area import Area
+    from orograph.dem.handles import is_manifest
     from orograph.store.detect import is_store
     from orograph.store.given import files_of
 
@@ -56,7 +57,7 @@ def info(
     files = files_of(source)
     area = Area.of(bbox, clip)
     store = files is not None and len(files) == 1 and is_store(files[0])
-    if files is None or len(files) > 1 or (store and area is not None):
+    if files is None or len(files) > 1 or is_manifest(files[0]) or (store and area is not None):
         from orograph.store.opening import terrain
 
         part = {} if area is None else {"bbox": bbox, "clip": clip}
