@@ -39,6 +39,7 @@ from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
+from orograph.store.updating import begin, check_updatable
 from orograph.store.ways import AtOnce, check_ways, executor_of
 from orograph.store.writer import ShardWriter
 
@@ -64,6 +65,7 @@ def build(
     *,
     overwrite: bool = False,
     resume: bool = False,
+    update: bool = False,
     max_memory: int = MEMORY,
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
@@ -94,6 +96,7 @@ def build(
     *,
     overwrite: bool = False,
     resume: bool = False,
+    update: bool = False,
     max_memory: int = MEMORY,
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
@@ -120,6 +123,8 @@ def build(
         url: the store's folder or URL (``s3://``, ``gs://``, ``az://``…).
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
+        update: make again only what follows of files that were added, changed or removed since (``updating``); begins a
+            build if there is none. The store keeps what that takes.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
@@ -167,6 +172,9 @@ def build(
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
+    if update:
+        excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
+        check_updatable(final, {**excluded, "workers": workers is not None, "dask": dask is not None})
     if workers is not None:
         jobs = jobs or 1
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
@@ -186,27 +194,32 @@ def build(
     with alone(final, "building this store"):
         count = parts_begun(final, storage) if finish else 0
         resume = resume or finish
-        if overwrite and not finish:
+        if update:
+            assert isinstance(final, FolderStorage) and isinstance(storage, FolderStorage)
+            plan, going_on, complete = begin(final, storage, plan, raster, coding, progress)
+        elif overwrite and not finish:
             check_replaceable(final, storage)
+            complete = going_on = False
         else:
             plan, complete = compared(final, storage, plan, resume)
-            if complete:
-                return open(url, storage_options=storage_options)
-        going_on = resume and begun(storage)
-        if not going_on:
+            going_on = resume and begun(storage)
+        if complete:
+            return open(url, storage_options=storage_options)
+        if not going_on and not update:
             if not final.remote or begun(storage) or is_store(final):
                 storage.remove(ROOT)  # first, lest what is left look complete
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
         if not storage.exists(ROOT):
-            label = "Resuming the store" if going_on else "Building the store"
+            label = "Building the store" if not going_on else "Updating the store" if update else "Resuming the store"
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
             with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
                 _fill(raster, storage, plan, coding, jobs, label, executor, progress)
         if isinstance(storage, FolderStorage) and going_on:
             storage.sweep()
-        storage.remove(PARTS)
+        if not update:
+            storage.remove(PARTS)
         storage.remove(PLAN)
         storage.close()
         if isinstance(final, FolderStorage):

@@ -1,7 +1,8 @@
 """What a store was built from, as its record keeps it: so that it can be built or mended again by one command.
 
 Each input has its own state and that of the files beside it (headers, masks, the parts of a VRT): a change of any is a
-change of the input. Paths are absolute; of URLs what may be secret (user, password, query) is left out.
+change of the input. Its window is what it may decide of the terrain. Paths are absolute; of URLs what may be secret
+(user, password, query) is left out.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
     return {
         "files": [_file(path) for path in files],
         "beside": [_beside(path) for path in files],
+        "windows": [list(window) for window in getattr(source, "windows", ())],
         "geoid": _file(options["geoid"]) if options.get("geoid") else None,
         "options": {k: v for k, v in options.items() if v is not None and v != DEFAULTS.get(k)},
     }
