@@ -92,6 +92,36 @@ def test_times_and_one_scale_of_uncertainties(ground):
     assert len({panel.data[0].uncertainty.range for panel in found}) == 1
 
 
+@pytest.mark.parametrize("measure", ["spread", "ci90"])
+def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
+    found = panels_of((data.but(uncertainty=measure),), "member=2-3", ground)
+    ensemble = np.asarray(data.source, np.float64)
+    low, high = np.quantile(ensemble, [0.05, 0.95], axis=0)
+    truth = ensemble.std(0, ddof=1) if measure == "spread" else (high - low) / 2
+    assert len({panel.data[0].uncertainty.range for panel in found}) == 1
+    for panel in found:
+        doubt = panel.data[0].uncertainty.source
+        np.testing.assert_allclose(doubt.mean, truth, rtol=1e-5)
+        assert doubt.name.endswith("of all 5")
+    view = orograph.camera.whole(ground, (400, 300))
+    options = {"each": "member=2-3", "progress": False, "furniture": True}
+    sheet = orograph.render(ground, view, data=data.but(uncertainty=measure), **options)
+    assert "of all 5" in sheet.describe() and "Their uncertainty is shown" in sheet.describe()
+    assert (sheet.pixels != orograph.render(ground, view, data=data, **options).pixels).any()
+
+
+def test_panels_of_times_with_members_of_their_own_carry_those(ground):
+    xarray = pytest.importorskip("xarray")
+    times = np.array(["2019-03-01T00", "2019-03-01T12"], "M8[ns]")
+    y, x = 5_600_000 - 100 - np.arange(15) * 200.0, 500_100 + np.arange(20) * 200.0
+    values = np.random.default_rng(1).normal(0, 1, (2, 4, 15, 20)).astype(np.float32) * [[[[1]]], [[[3]]]]
+    array = xarray.DataArray(values, dims=("time", "member", "y", "x"), coords={"time": times, "y": y, "x": x})
+    found = panels_of((orograph.Dataset(array, uncertainty="spread"),), "time", ground)
+    assert [panel.data[0].uncertainty.source for panel in found] == ["spread", "spread"]
+    ranges = {panel.data[0].uncertainty.range for panel in found}
+    assert len(ranges) == 1 and ranges.pop()[1] > 3
+
+
 @pytest.mark.parametrize(
     ("each", "says"),
     [

@@ -52,6 +52,9 @@ OUTLINE, CASING = 0.8, 0.65
 FLOWS = ("arrows", "lic")
 """Styles of two components."""
 
+MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
+"""What uncertainties of members are, in words."""
+
 DARKER, LIGHTER = 0.75, 0.22
 """How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
 
@@ -106,8 +109,10 @@ class Shown:
         parts = [self.field.chosen]
         if self.sigma is not None:
             source = self.dataset.uncertainty.source if self.dataset.uncertainty is not None else None
-            words = {"spread": "± standard deviation", "ci90": "± half of the central 90 %"}
-            parts.append(words.get(source, "± standard deviation") if isinstance(source, str) else words["spread"])
+            if isinstance(source, Field):
+                parts.append(source.name)
+            else:
+                parts.append(f"± {MEASURES.get(source if isinstance(source, str) else '', MEASURES['spread'])}")
         told = ", ".join(filter(None, parts))
         return f"{self.title}: {told}" if told else ""
 
