@@ -126,8 +126,11 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
     first, *rest = data
     if has_features(first.source) or is_table(first.source):
         raise UsageError(f"A panel for each {key} is of a raster.", path=str(first.source))
-    if first.derived:
-        raise UsageError("A panel shows one member, of which there is no value= or exceeds=.")
+    if key != "time" and first.derived:
+        raise UsageError(
+            f"A panel for each {key} shows one {key}, but value= or exceeds= is taken over several.",
+            remedy="Leave it out, or make a panel for each time.",
+        )
     first, whole = first.but(uncertainty=None), first
     own = getattr(first, key)
     some = some or ("" if own is None else str(own))
