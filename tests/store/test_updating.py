@@ -36,7 +36,7 @@ def tile(folder: Path, i: int, j: int, seed: int, holes: bool = False) -> Path:
         transform=place, nodata=np.nan,
     ) as file:  # fmt: skip
         file.write(heights, 1)
-    changed = os.stat(path).st_mtime_ns + 1_000_000 * (1 + seed)  # (lest two writes have one time)
+    changed = path.stat().st_mtime_ns + 1_000_000 * (1 + seed)  # (lest two writes have one time)
     os.utime(path, ns=(changed, changed))
     return path
 
