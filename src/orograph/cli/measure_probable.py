@@ -92,9 +92,10 @@ def written(
         told = found.save(path, progress)
         if picture is not None:
             from orograph import Dataset
-            from orograph.cli.camera import camera_view, dpi_of
+            from orograph.cli.camera import camera_view
             from orograph.measuring.probable import looks_of
             from orograph.rendering.api import render
+            from orograph.scene.sizes import dpi_of
 
             data = [Dataset(path, band=len(found.bands), style="continuous", **looks_of(found.bands[-1]))]
             if marks is not None:

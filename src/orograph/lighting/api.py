@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
 from orograph.lighting.context import MEMORY, Context, Options
 from orograph.lighting.products import compute, product
@@ -86,7 +87,7 @@ def make(
     *,
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
-    max_memory: int = MEMORY,
+    max_memory: Amount = MEMORY,
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Any:
@@ -112,7 +113,7 @@ def make(
         UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
         ReadError: the data do not say what is needed of them.
     """
-    progress = reporting(progress)
+    progress, max_memory = reporting(progress), bytes_of(max_memory)
     wanted = product(name)
     reading = {k: options.pop(k) for k in READING if k in options}
     chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})

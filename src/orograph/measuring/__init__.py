@@ -7,7 +7,7 @@
 >>> measuring.line_of_sight(terrain, a, b).obstruction          # doctest: +SKIP
 >>> measuring.viewshed(terrain, a, radius=20_000).save("v.tif")  # doctest: +SKIP
 
-Points are (easting, northing) in the terrain's CRS; ``Places(terrain).of_lonlat`` brings degrees there.
+Points are (easting, northing) in the terrain's CRS, or with ``lonlat=True`` (longitude, latitude) in degrees.
 """
 
 from __future__ import annotations

@@ -107,14 +107,14 @@ def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration:
 
 
 @takes_terrain
-def place(terrain: Terrain, point: ArrayLike) -> Hit:
-    """The ground at a point (easting, northing).
+def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
+    """The ground at a point (easting, northing; with ``lonlat`` longitude, latitude in degrees).
 
     Raises:
         UsageError: the point is not on the terrain. DamagedChunkError: as ``pick``.
     """
     places = Places(terrain)
-    points = places.points(point)
+    points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
         raise UsageError(f"One point is asked for, not {len(points)}.")
     return _at(places, points[0])
@@ -148,13 +148,13 @@ def _known(heights: Array) -> float | None:
 
 
 @takes_terrain
-def slope_aspect(terrain: Terrain, point: ArrayLike) -> tuple[float, float]:
-    """Slope and aspect at a point (easting, northing), degrees; NaN in a hole, the aspect also where it is level.
+def slope_aspect(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> tuple[float, float]:
+    """Slope and aspect at a point (as for ``place``), degrees; NaN in a hole, the aspect also where it is level.
 
     Raises:
         UsageError: the point is not on the terrain.
     """
-    hit = place(terrain, point)
+    hit = place(terrain, point, lonlat=lonlat)
     return (math.nan if hit.slope is None else hit.slope, math.nan if hit.aspect is None else hit.aspect)
 
 

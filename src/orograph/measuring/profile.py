@@ -194,19 +194,20 @@ class Profile:
 
 
 @takes_terrain
-def profile(terrain: Terrain, polyline: ArrayLike) -> Profile:
+def profile(terrain: Terrain, polyline: ArrayLike, *, lonlat: bool = False) -> Profile:
     """The surface along a polyline, exact.
 
     Args:
-        polyline: (v, 2) easting, northing, at least two points, in the terrain's CRS (``Places.of_lonlat`` brings
-            degrees there); straight on the grid from vertex to vertex.
+        polyline: (v, 2) easting, northing, at least two points, in the terrain's CRS; straight on the grid from
+            vertex to vertex.
+        lonlat: the points are longitude and latitude, degrees.
 
     Raises:
         UsageError: a point is not on the terrain, or the line has no length.
         DamagedChunkError: a chunk of a store fails its checksum.
     """
     places = Places(terrain)
-    given = places.points(polyline, least=2, what="A line")
+    given = places.points(polyline, least=2, what="A line", lonlat=lonlat)
     corners = places.samples(given)
     moves = np.append(True, (np.diff(given, axis=0) != 0).any(axis=1))
     given, corners = given[moves], corners[moves]

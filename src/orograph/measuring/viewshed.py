@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.folders import scratch
+from orograph.folders import Amount, bytes_of, scratch
 from orograph.geo.grid import Grid
 from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.ground import heights as surface
@@ -230,7 +230,8 @@ def viewshed(
     curvature: bool = True,
     refraction: float = REFRACTION,
     heights: bool = False,
-    max_memory: int = MEMORY,
+    lonlat: bool = False,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
     progress: Progress = SILENT,
 ) -> Viewshed:
@@ -242,6 +243,7 @@ def viewshed(
         radius: true metres beyond which nothing is looked at; None: all of the terrain.
         curvature, refraction: as for ``line_of_sight``.
         heights: find the height that a target needs to be seen at each sample, instead of whether it is.
+        lonlat: the point is longitude and latitude, degrees.
         max_memory: bytes; apparent heights that take more than a third of them are in a scratch file.
 
     Returns:
@@ -251,13 +253,14 @@ def viewshed(
         UsageError: the point is not on the terrain or in a hole; a height or the radius is negative.
         OutputError: the temporary folder has no room. DamagedChunkError: a chunk of a store fails its checksum.
     """
+    max_memory = bytes_of(max_memory)
     check_heights(**{"eye's height": eye_height, "target's height": target_height})
     if radius is not None and not (radius > 0 and math.isfinite(radius)):
         raise UsageError(f"The radius is a positive number of metres, not {radius!r}.")
     if heights and target_height:
         raise UsageError("The heights that targets need are asked for, so that a target's height has no meaning.")
     places = Places(terrain)
-    points = places.points(point)
+    points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
         raise UsageError(f"A viewshed is that of one point, not of {len(points)}.")
     x, y = places.samples(points)[0]

@@ -21,10 +21,11 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
-from orograph.scene.camera import NO_INSETS, check_size, view_of
+from orograph.scene.camera import NO_INSETS, view_of
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
+from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
@@ -50,7 +51,7 @@ def render(
     terrain: Any,
     view: View | str | os.PathLike[str] | None = None,
     *,
-    size: tuple[int, int] = (1280, 720),
+    size: Size = (1280, 720),
     backend: Literal["cpu", "gpu"] = "cpu",
     conservative: bool = False,
     each: str | None = None,
@@ -95,7 +96,7 @@ def render(
         check_promise(options.get("method", "auto"), backend)
     check_options(options)
     max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
-    check_size(size)
+    size = size_of(size)
     check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.store.build import in_memory
@@ -26,7 +27,7 @@ def terrain(
     source: Any,
     progress: Progress | bool | None = None,
     *,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     errors: Collection[ErrorKind] = (),
     called: str = "terrain",
@@ -58,6 +59,7 @@ def terrain(
         ReadError, StoreError: a file cannot be read, or its heights are no real numbers.
         UsageError: it is nothing that holds heights, or an option does not fit.
     """
+    max_memory = bytes_of(max_memory)
     progress = reporting(progress)
     check_names(reading, called)
     said = {k: v for k, v in reading.items() if v is not None}
