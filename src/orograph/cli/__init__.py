@@ -65,7 +65,7 @@ class Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in VERBS and not name.startswith("-"):
-            close = difflib.get_close_matches(name, VERBS, 2, 0.5)
+            close = _wording().elsewhere(name) or difflib.get_close_matches(name, VERBS, 2, 0.5)
             remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(sorted(VERBS))}."
             ctx.fail(f"There is no verb {name!r}. {remedy}")
         found = super().resolve_command(ctx, args)

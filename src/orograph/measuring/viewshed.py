@@ -25,11 +25,12 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.cards import extent_rows, one_line
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of, scratch
 from orograph.geo.grid import Grid
@@ -41,6 +42,9 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -59,7 +63,7 @@ SEEN = Band("visible", "1", "1: seen from the eye, 0: hidden; missing where no h
 NEEDED = Band("height needed", "m", "how high above the ground a target must be to be seen; 0: the ground itself is")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Viewshed:
     """What an eye sees; made with ``viewshed``, looked at when it is asked for.
 
@@ -86,6 +90,25 @@ class Viewshed:
     quantum: float
     on_disk: bool
     _scene: _Scene = field(repr=False)
+
+    def __repr__(self) -> str:
+        x, y = self.point
+        return one_line(
+            "Viewshed", f"from {x:.10g}, {y:.10g}", [("eye", f"eye {self.eye:g} m"), *extent_rows(self.grid)]
+        )
+
+    def summary(self, progress: Progress = SILENT) -> dict[str, float]:
+        """How much is seen, without keeping it (see ``Summary.result``)."""
+        told = Summary(self)
+        for _ in told.over(self.blocks(progress)):
+            pass
+        return told.result()
+
+    def to_xarray(self) -> xr.DataArray:
+        """``values`` as a DataArray with the dimensions y, x."""
+        from orograph.lighting.api import Map
+
+        return Map(self.values()[None], self.grid, (self.band,)).to_xarray()
 
     @property
     def band(self) -> Band:

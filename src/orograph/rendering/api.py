@@ -26,6 +26,7 @@ from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
+from orograph.scene.wording import MEANT
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
@@ -40,10 +41,7 @@ CAMERA = {
 }
 """What the command line has options for, and here a view."""
 
-FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name} | {
-    "cmap": "colormap", "vertical_exaggeration": "exaggeration", "vert_exag": "exaggeration",
-    "width": "size", "height": "size", "figsize": "size", "n_jobs": "jobs", "verbose": "progress",
-}  # fmt: skip
+FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name}
 """What options are called on the command line, or elsewhere, and here."""
 
 
@@ -122,8 +120,8 @@ def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()
         known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
         if name in CAMERA:
             remedy = f"Where to look from is said by a view here: {CAMERA[name]}."
-        elif name in FLAGS:
-            remedy = f"It is called {FLAGS[name]} here."
+        elif name in FLAGS or name in MEANT:
+            remedy = f"It is called {FLAGS.get(name) or MEANT[name]} here."
         elif close := difflib.get_close_matches(name, known, 3, 0.6):
             remedy = f"Did you mean {' or '.join(close)}?"
         else:

@@ -80,12 +80,19 @@ def terrain(
 def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:
     """Lets a function that begins with a terrain take whatever ``terrain`` does, with its options of reading."""
     own = inspect.signature(function).parameters
+    signature = f"({', '.join(map(str, (one.name for one in own.values())))})"
 
     @functools.wraps(function)
     def taking(terrain_: Any, *args: Any, **options: Any) -> T:
         reading = {name: options.pop(name) for name in READING if name in options and name not in own}
         more = {k: options[k] for k in ("jobs", "max_memory") if options.get(k) is not None}
         found = terrain(terrain_, called=function.__name__, **more, **reading)
+        try:
+            inspect.signature(function).bind(found, *args, **options)
+        except TypeError as error:
+            raise UsageError(
+                f"{function.__name__}: {error}.", remedy=f"It is {function.__name__}{signature}."
+            ) from error
         return function(found, *args, **options)
 
     @functools.wraps(function)
