@@ -9,7 +9,7 @@ import pytest
 from affine import Affine
 
 import orograph
-from orograph.errors import UsageError
+from orograph.errors import ReadError, UsageError
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +93,24 @@ def test_a_profile_is_a_table(dem):
     table = line.to_dataframe(every=100)
     assert isinstance(table, pandas.DataFrame) and len(table) == 20
     assert table.distance_m.iloc[-1] == pytest.approx(line.distance[-1])
+
+
+def test_heights_at_many_points(dem):
+    points = np.column_stack([np.linspace(500_015, 502_385, 1000), np.linspace(3_999_985, 3_998_215, 1000)])
+    found = orograph.measure.heights(dem, points)
+    one = [orograph.measure.place(dem, point).height for point in points[::100]]
+    assert found.shape == (1000,) and found[::100] == pytest.approx(one)
+    degrees = orograph.measure.Places(dem).lonlat(points)
+    assert orograph.measure.heights(dem, degrees, lonlat=True) == pytest.approx(found, abs=1e-4)
+    with pytest.raises(UsageError, match=r"orograph\.measure\.heights"):
+        orograph.measure.place(dem, points)
+
+
+def test_a_pattern_names_the_files_that_it_matches(dem, tmp_path):
+    orograph.export(dem, tmp_path / "a.tif", progress=False)
+    moved = orograph.Grid(dem.grid.shape, Affine.translation(2400, 0) * dem.grid.transform, dem.grid.crs)
+    orograph.export(orograph.Dem(dem.heights, moved), tmp_path / "b.tif", progress=False)
+    both = orograph.terrain(str(tmp_path / "*.tif"))
+    assert both.grid.shape == (60, 160)
+    with pytest.raises(ReadError, match="no such file"):
+        orograph.terrain(str(tmp_path / "*.hgt"))

@@ -126,7 +126,7 @@ def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]
 @click.option("--exceeds", type=Float(), multiple=True, metavar="DEG",
               help="Also how probable it is that the slope is more; may be given several times.")  # fmt: skip
 @outputs_options
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def slope(
     ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, draws: int, seed: int,
@@ -154,7 +154,7 @@ def slope(
               help="Height of a line; may be given several times.")  # fmt: skip
 @click.option("--interval", type=Float(), metavar="M", help="Or the height between lines.")
 @outputs_options
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def contours(
     ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, draws: int, seed: int,

@@ -53,4 +53,4 @@ def elsewhere(name: str) -> list[str]:
     if product in names() or product in MEANT:
         return [f"light --product {MEANT.get(product, product)}"]
     found = wording.ELSEWHERE.get(name.replace("-", "_"), "").partition("(")[0]
-    return [found.replace(".", " ").replace("line_of_sight", "los").replace("place", "pick")] if found else []
+    return [found.replace(".", " ").replace("line_of_sight", "los").replace("heights", "pick")] if found else []

@@ -83,7 +83,12 @@ class Map:
         west, south, east, north = self.grid.bounds()
         image = ax.imshow(self.values[band], extent=(west, east, south, north), **{"cmap": "gray", **options})
         about = self.bands[band]
-        ax.figure.colorbar(image, ax=ax, label=f"{about.name} ({about.unit})" if about.unit else about.name, shrink=0.8)
+        ax.figure.colorbar(
+            image,
+            ax=ax,
+            label=f"{about.name} ({about.unit})" if about.unit not in ("", "1") else about.name,
+            shrink=0.8,
+        )
         return image
 
     def save(self, path: str | os.PathLike[str], *, byte: bool = False) -> None:

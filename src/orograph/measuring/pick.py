@@ -107,6 +107,20 @@ def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration:
 
 
 @takes_terrain
+def heights(terrain: Terrain, points: ArrayLike, *, lonlat: bool = False) -> Array:
+    """Heights (n,) at points, metres: bilinear between the samples of the files, as ``Hit.height``; NaN where missing.
+
+    Args:
+        points: (n, 2) easting, northing. lonlat: they are longitude, latitude in degrees.
+
+    Raises:
+        UsageError: a point is not on the terrain. DamagedChunkError: as ``pick``.
+    """
+    places = Places(terrain)
+    return own_heights(places.terrain, places.points(points, lonlat=lonlat))
+
+
+@takes_terrain
 def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
     """The ground at a point (easting, northing; with ``lonlat`` longitude, latitude in degrees).
 
@@ -116,7 +130,9 @@ def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
     places = Places(terrain)
     points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
-        raise UsageError(f"One point is asked for, not {len(points)}.")
+        raise UsageError(
+            f"One point is asked for, not {len(points)}.", remedy="Heights of many: `orograph.measure.heights`."
+        )
     return _at(places, points[0])
 
 
