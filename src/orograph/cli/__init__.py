@@ -26,6 +26,7 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
     "check": "Read all of a store, and list what is damaged.",
+    "publish": "Copy a finished store into a bucket.",
     "export": "Write heights, or data on the ground, for other tools.",
     "bake": "Bake light into a store: sky, occlusion, apertures.",
     "info": "Describe a DEM or a store, and what is suspicious about it.",
