@@ -163,7 +163,7 @@ class MaxError(click.ParamType[str | float]):
     is_flag=True,
     help="Make again what orograph check finds damaged; DEM may be left out where the store knows its files.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def command(
     ctx: click.Context,

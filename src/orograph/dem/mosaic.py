@@ -73,7 +73,7 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
-        bbox: Sequence[float] | None = None,
+        bbox: Sequence[float] | str | None = None,
         clip: Any = None,
         options: dict[str, Any] | None = None,
     ) -> None:
@@ -145,7 +145,7 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
-        bbox: Sequence[float] | None = None,
+        bbox: Sequence[float] | str | None = None,
         clip: Any = None,
         skip_damaged: bool = False,
         progress: Progress = SILENT,

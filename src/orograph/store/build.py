@@ -18,9 +18,11 @@ import numpy as np
 
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
+from orograph.several import words
 from orograph.store.addresses import storage_at
 from orograph.store.chunked import checked_sizes
 from orograph.store.coding import CODECS, Coding, coding_of
@@ -66,9 +68,9 @@ def build(
     overwrite: bool = False,
     resume: bool = False,
     update: bool = False,
-    max_memory: int = MEMORY,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
-    errors: Sequence[ErrorKind] = ("exact",),
+    errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
     chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
@@ -97,9 +99,9 @@ def build(
     overwrite: bool = False,
     resume: bool = False,
     update: bool = False,
-    max_memory: int = MEMORY,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
-    errors: Sequence[ErrorKind] = ("exact",),
+    errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
     chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
@@ -128,7 +130,7 @@ def build(
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
-            them; none for ().
+            them: several, or a text ("exact,midpoint"); none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``); None: no TINs.
         chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
             from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes. They follow from ``midpoint`` errors,
@@ -157,11 +159,12 @@ def build(
     """
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
-    progress = reporting(progress)
+    progress, max_memory = reporting(progress), bytes_of(max_memory)
     check_ways(overwrite, resume, part, finish, workers, dask)
-    kinds = tuple(kind for kind in KINDS if kind in errors)
-    if len(kinds) != len(set(errors)):
-        raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
+    wanted = words(errors)
+    kinds = tuple(kind for kind in KINDS if kind in wanted)
+    if len(kinds) != len(set(wanted)):
+        raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, wanted))}.")
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
