@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from orograph.scene.ghosts import Ghost
     from orograph.scene.silhouettes import Silhouettes
     from orograph.store import Terrain, build, open, terrain
+    from orograph.store.publishing import publish
     from orograph.tessellation import Tessellation
     from orograph.touring.tour import Tour
     from orograph.verbs.best_view import best_view
@@ -89,6 +90,7 @@ __all__ = [
     "methods",
     "movie",
     "open",
+    "publish",
     "read",
     "render",
     "synth",
@@ -132,6 +134,7 @@ _HOMES = {
     "methods": "orograph.lod.describe",
     "movie": "orograph.verbs.movie",
     "open": "orograph.store",
+    "publish": "orograph.store.publishing",
     "read": "orograph.dem",
     "render": "orograph.rendering.api",
     "synth": "orograph.verbs.synth",

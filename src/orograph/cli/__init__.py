@@ -26,6 +26,7 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
     "check": "Read all of a store, and tell what is damaged.",
+    "publish": "Copy a finished store into a bucket.",
     "export": "Write heights, or data on the ground, for other tools.",
     "bake": "Put light into a store: sky, occlusion, apertures.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",

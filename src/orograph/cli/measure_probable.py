@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from orograph.cli.camera import CAMERA, camera_options, check_camera
 from orograph.cli.files import check_ending
@@ -51,6 +52,13 @@ def height_error(sigma: str | None, reach: float, horizontal: float) -> HeightEr
     """The error of heights that the options describe."""
     from orograph.measuring import HeightError
 
+    if sigma is None and not horizontal:
+        source = click.get_current_context().get_parameter_source
+        for name in ("draws", "seed"):
+            if source(name) is ParameterSource.COMMANDLINE:
+                raise UsageError(
+                    f"--{name} is of uncertain heights, and these are certain.", remedy="Give --sigma or --horizontal."
+                )
     if sigma is None:
         if reach:
             raise UsageError("--range is that of errors, whose size --sigma says.")

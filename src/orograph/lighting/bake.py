@@ -33,13 +33,14 @@ from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.store.addresses import storage_at
 from orograph.store.clusters import check_workers, on_workers
 from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Threads
 from orograph.store.layers import GROUP, LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
 from orograph.store.layout import Record, publish
 from orograph.store.lock import alone
-from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.writer import ShardWriter
 
@@ -96,7 +97,7 @@ def bake(
     interrupted bake into a folder goes on when it is asked for again.
 
     Args:
-        store: a folder, a URL that fsspec can write to, or an opened store of these.
+        store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
         names: of products, those in ``BAKED``.
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures and insolation, else 8).
@@ -104,7 +105,7 @@ def bake(
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: for the fsspec file system.
+        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
         workers: bake in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…

@@ -127,10 +127,12 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
     if has_features(first.source) or is_table(first.source):
         raise UsageError(f"A panel for each {key} is of a raster.", path=str(first.source))
     doubt = first.uncertainty
-    if (doubt is not None and doubt.of_members) or first.derived:
-        first = first.but(uncertainty=None if doubt is not None and doubt.of_members else doubt)
-        if first.derived:
-            raise UsageError("A panel shows one member, of which there is no value= or exceeds=.")
+    if key != "time" and (first.derived or (doubt is not None and doubt.of_members)):
+        what = f"uncertainty={doubt.source}" if doubt is not None and doubt.of_members else "value= or exceeds="
+        raise UsageError(
+            f"A panel for each {key} shows one {key}, but {what} is taken over several.",
+            remedy="Leave it out, or make a panel for each time.",
+        )
     own = getattr(first, key)
     some = some or ("" if own is None else str(own))
     if key == "time":

@@ -3,8 +3,8 @@
 A store in a folder is built beside its place, in ``STORE.partial``, which becomes ``STORE`` by a rename when everything
 is written; an old store is replaced only then. At a URL there is no rename: the store is built in place, and it is the
 root's ``zarr.json``, written last, that makes it one (with ``overwrite`` the old store is gone from the beginning).
-Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes. In a folder
-all of this is done alone (``lock``), from the first look at what is there to the last rename.
+Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes. All of this
+is done alone (``lock``), from the first look at what is there to the last rename.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from orograph.errors import StoreError, UsageError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
+from orograph.store.addresses import storage_at
 from orograph.store.chunked import checked_sizes
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
@@ -34,7 +35,7 @@ from orograph.store.memory import MemoryTerrain, check_metric
 from orograph.store.places import PLAN, ROOT, begun, is_store, partial, publish
 from orograph.store.plan import check_replaceable, compared, plan_for
 from orograph.store.source import ArraySource, HeightSource
-from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
@@ -116,7 +117,7 @@ def build(
     Args:
         source: DEM files, or whatever else heights come as (``store.terrain``), such as what reads windows of them
             (``HeightSource``).
-        url: the store's folder, or a URL fsspec can write to.
+        url: the store's folder or URL (``s3://``, ``gs://``, ``az://``…).
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
@@ -136,7 +137,7 @@ def build(
             twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
             feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: for the fsspec file system.
+        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
         part: make only this part of the heights, "3/64" or (3, 64), and return nothing: for job arrays (``in_parts``).
         finish: make the rest of a store whose parts are all there.

@@ -6,10 +6,10 @@ change of the input. Paths are absolute; of URLs what may be secret (user, passw
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
+from orograph.errors import public
 from orograph.progress import SILENT, Progress
 from orograph.store.source import HeightSource
 
@@ -45,14 +45,9 @@ def _file(path: str) -> dict[str, Any]:
 
     file = on_disk(path)
     if not file.is_file():
-        return {"path": absolute(path) if file.exists() else _public(path), "size": None, "time_ns": None}
+        return {"path": absolute(path) if file.exists() else public(path), "size": None, "time_ns": None}
     found = file.stat()
     return {"path": absolute(path), "size": found.st_size, "time_ns": found.st_mtime_ns}
-
-
-def _public(url: str) -> str:
-    """A URL without user, password and query."""
-    return re.sub(r"://[^/@]*@", "://", url).partition("?")[0]
 
 
 def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSource:

@@ -11,6 +11,7 @@ from orograph.cards import Row, amount
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
 from orograph.progress import SILENT, Progress
+from orograph.store.addresses import storage_at
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamond_table import DIAMONDS
@@ -27,7 +28,7 @@ from orograph.store.layout import (
 from orograph.store.places import ROOT, missing
 from orograph.store.points import POINTS, StoredPoints
 from orograph.store.registry import kind_of
-from orograph.store.storage import Storage, storage_at
+from orograph.store.storage import Storage
 from orograph.store.terrain import Heights, Terrain, TileTable
 from orograph.store.watch import Watch
 
@@ -235,10 +236,10 @@ def open(
     """Open a store for reading.
 
     Args:
-        url: a folder, or any URL fsspec reads (``file://``, ``memory://``, ``s3://``, ``http://``…).
+        url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads).
         cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
         jobs: threads for large windows (default: all processors).
-        storage_options: for the fsspec file system (``endpoint_url``, ``anon``…).
+        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
 
     Raises:
         StoreError: there is no store, its build is not finished, it has another format than this reader, or its
