@@ -76,10 +76,10 @@ def bounded_cache() -> dict[str, Any]:
 
 def _settings(location: str) -> dict[str, Any]:
     """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
-    what its first lines look like; VRTs do not share their parts, for one that could not be opened once would be 0 in
-    all of them, even when it is there again."""
+    what its first lines look like; vertical datums of GeoTIFF 1.0 count, too; VRTs do not share their parts, for one
+    that could not be opened once would be 0 in all of them, even when it is there again."""
     return {
-        "VRT_SHARED_SOURCE": "0",
+        "VRT_SHARED_SOURCE": "0", "GTIFF_REPORT_COMPD_CS": True,
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
         **bounded_cache(), **network(location),
     }  # fmt: skip
