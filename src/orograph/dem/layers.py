@@ -54,7 +54,7 @@ def layer_of(lattice: SourceLattice, target: Grid, resampling: str) -> LatticeMa
         return LatticeMap(lattice, offset, None, (1, 1), everything)
     coordinates = Coordinates(target, lattice.grid)
     means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
-    return LatticeMap(lattice, None, coordinates, means, _box(lattice.grid, target))
+    return LatticeMap(lattice, None, coordinates, means, box_of(lattice.grid, target))
 
 
 def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
@@ -71,7 +71,7 @@ def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
     return (round(down) if down >= COARSER else 1), (round(across) if across >= COARSER else 1)
 
 
-def _box(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
+def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
     """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at.
 
     Args:
@@ -102,7 +102,7 @@ def reaches(layer: LatticeMap, target: Grid) -> Iterator[tuple[Raster, tuple[int
             box = top - r, bottom - r, left - c, right - c
         else:
             place = compose(lattice.grid.transform, Affine.translation(left, top))
-            box = _box(Grid((bottom - top, right - left), place, lattice.grid.crs), target, 17)
+            box = box_of(Grid((bottom - top, right - left), place, lattice.grid.crs), target, 17)
         yield member, (max(box[0], 0), min(box[1], target.rows), max(box[2], 0), min(box[3], target.cols))
 
 
