@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -242,3 +244,35 @@ def test_errors_depend_on_samples_at_multiples(monkeypatch):
     assert [w[1] - w[0] for w in wide[1:]] == [64 + 1 + 128, 64 + 1 + 256, 1 + 512]
     assert updating._multiples(1000, 1025, 512, 1025) == (1024, 1024)
     assert updating._multiples(1000, 1024, 512, 1025) is None
+
+
+@pytest.mark.stress
+def test_updates_that_are_killed_again_and_again(tmp_path):
+    files = grid_of_tiles(tmp_path / "tiles", 8)
+    store = tmp_path / "area.oro"
+    command = [
+        sys.executable, "-c",
+        "import sys; from orograph.store.build import build\n"
+        "build(sys.argv[2:], sys.argv[1], update=True, shard=64, chunk=32, progress=False, jobs=1)",
+        str(store), *map(str, files),
+    ]  # fmt: skip
+    subprocess.run(command, check=True)
+    rng = np.random.default_rng(5)
+    kills = 0
+    for step in range(1, 5):
+        for k in rng.choice(64, 3, replace=False):
+            tile(tmp_path / "tiles", k // 8, k % 8, 20 + step)
+        for _ in range(6):
+            process = subprocess.Popen(command)
+            try:
+                process.wait(rng.uniform(0.8, 4.0))
+                break
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+                kills += 1
+                with orograph.open(store) as terrain:
+                    assert terrain.check() == []
+    subprocess.run(command, check=True)
+    assert kills >= 6
+    assert objects(store) == fresh(files, tmp_path / "other.oro")
