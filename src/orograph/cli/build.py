@@ -195,7 +195,8 @@ def command(
 
     A file of points (CSV with x, y, z or longitude, latitude, height; LAS, LAZ; GeoPackage, GeoJSON and what else OGR
     reads) is gridded by linear interpolation over its Delaunay triangulation, and the points are kept: --resolution is
-    how far samples are apart (by default as far as the points are on average), --max-edge leaves long triangles out.
+    how far samples are apart (by default as far as the points are on average), --max-edge leaves long triangles out,
+    --slivers keeps those along the hull.
 
     A build that is interrupted (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the
     same bytes. Nothing that is incomplete opens as a store.

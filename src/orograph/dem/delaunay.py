@@ -3,11 +3,19 @@
 Points lie on a *lattice* of 2^-``bits`` of a sample, ``bits`` such that the lattice has fewer than 2^30 places a side:
 whether a place is inside a triangle, and how triangles turn, are exact in int64. Moving a point there moves it by less
 than a hundred-thousandth of a sample (a hundredth on the largest grids). Triangles are Qhull's (Barber, Dobkin &
-Huhdanpaa 1996, by SciPy). Units: samples; metres.
+Huhdanpaa 1996, by SciPy).
+
+A Delaunay triangulation fills the convex hull of its points. Along it lie *slivers*, which join points that have
+nothing to do with each other: their heights stand like spikes at the rim. A triangle on the rim counts for one if the
+angle opposite its side on the rim is over 120 degrees and its third corner lies within. They are taken away one by
+one, the longest side first, as long as there are any: every point stays a corner, and the surface whole. (Duckham,
+Kulik, Worboys & Galton 2008 do so by the length of sides. Angles need no length: lines of soundings far apart stay.)
+Units: samples; metres.
 """
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -75,8 +83,11 @@ def on_lattice(col: NDArray[np.float64], row: NDArray[np.float64], z: NDArray[np
     return Merged(places & 0xFFFFFFFF, places >> 32, (sums / counts).astype(np.float32), len(z) - len(places), apart)
 
 
-def triangulate(points: Merged, bits: int, path: str) -> Surface:
+def triangulate(points: Merged, bits: int, path: str, slivers: bool = False) -> Surface:
     """The Delaunay triangulation of points.
+
+    Args:
+        slivers: keep those along the hull.
 
     Raises:
         UsageError: fewer than three points, or all on one line.
@@ -98,15 +109,58 @@ def triangulate(points: Merged, bits: int, path: str) -> Surface:
         raise line
     centred = np.stack([points.x - points.x.mean(), points.y - points.y.mean()], -1)
     try:
-        found = Delaunay(centred).simplices
+        made = Delaunay(centred)
     except QhullError as error:
         raise line from error
+    found = made.simplices
     a, b, c = found.T
     area = (points.x[b] - points.x[a]) * (points.y[c] - points.y[a]) - (points.y[b] - points.y[a]) * (
         points.x[c] - points.x[a]
     )
-    turned = np.where((area > 0)[:, None], found, found[:, ::-1])[area != 0]
+    keep = area != 0 if slivers else without_slivers(points.x, points.y, found, made.neighbors, area != 0)
+    turned = np.where((area > 0)[:, None], found, found[:, ::-1])[keep]
     return Surface(points.x, points.y, points.z, np.ascontiguousarray(turned, np.int32), bits)
+
+
+def without_slivers(
+    x: Ints, y: Ints, triangles: NDArray[np.int32], beside: NDArray[np.int32], there: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which triangles (m,) are left when the slivers along the rim are taken away.
+
+    Args:
+        x, y: (n,) places of the points.
+        triangles: (m, 3), their corners. beside: (m, 3), the triangle opposite each corner, -1: none.
+        there: (m,), those that there are.
+    """
+    left = there.copy()
+    rim = (beside < 0) | ~there[beside]
+    rim[~there] = False
+    at, corner = np.nonzero(rim)
+    on_rim = np.zeros(len(x), bool)
+    for turn in (1, 2):
+        on_rim[triangles[at, (corner + turn) % 3]] = True
+    waiting: list[tuple[int, int, int]] = []
+
+    def look(triangle: int, corner: int) -> None:
+        """Let a triangle wait whose side opposite a corner is on the rim, if it is a sliver."""
+        p, a, b = (int(triangles[triangle, (corner + turn) % 3]) for turn in range(3))
+        ux, uy, vx, vy = (int(v) for v in (x[a] - x[p], y[a] - y[p], x[b] - x[p], y[b] - y[p]))
+        inner = ux * vx + uy * vy
+        if inner < 0 and 4 * inner**2 > (ux**2 + uy**2) * (vx**2 + vy**2):  # cos < -1/2, exactly: Python's integers
+            heapq.heappush(waiting, (-((ux - vx) ** 2) - (uy - vy) ** 2, triangle, corner))
+
+    for one, opposite in zip(at.tolist(), corner.tolist()):
+        look(one, opposite)
+    while waiting:
+        _, one, opposite = heapq.heappop(waiting)
+        apex = triangles[one, opposite]
+        if on_rim[apex]:
+            continue
+        left[one], on_rim[apex] = False, True
+        for turn in (1, 2):
+            other = int(beside[one, (opposite + turn) % 3])
+            look(other, beside[other].tolist().index(one))
+    return left
 
 
 def sides(surface: Surface, across: tuple[float, float]) -> NDArray[np.float64]:

@@ -1,8 +1,9 @@
 """Scattered points as a raster: linear interpolation over their Delaunay triangulation, read by windows.
 
 The terrain's grid is metric: points in degrees go to their UTM zone, as rasters do. Its rectangle of samples holds all
-points; outside their hull, and in triangles with a side longer than ``max_edge``, heights are missing. The points stay
-with the terrain (``surface``): what is drawn of samples is an interpolation of them. Units: metres; samples.
+points; outside their hull, in the slivers along it (``dem.delaunay``), and in triangles with a side longer than
+``max_edge``, heights are missing. The points stay with the terrain (``surface``): what is drawn of samples is an
+interpolation of them. Units: metres; samples.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class PointRaster:
 
     def __init__(
         self, points: Scattered, *, crs: str | CRS | None = None, resolution: float | None = None,
-        max_edge: float | None = None,
+        max_edge: float | None = None, slivers: bool = False,
     ) -> None:  # fmt: skip
         for called, length in (("resolution", resolution), ("max_edge", max_edge)):
             if length is not None and not (math.isfinite(length) and length > 0):
@@ -65,25 +66,26 @@ class PointRaster:
                 f"Of its {len(points):,} points {merged.doubled:,} {lie} where another does; such points become one, "
                 f"of their mean height (they differ by up to {merged.apart:.3g} m)."
             )
-        surface = triangulate(merged, self.bits, points.path)
+        surface = triangulate(merged, self.bits, points.path, slivers)
         longest = sides(surface, self.grid.spacing)
         self.surface = self._within(surface, longest, max_edge)
         self._gridded = Gridded(self.surface)
-        self._said = repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical, max_edge))
+        self._said = repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical, max_edge, slivers))
 
     @classmethod
     def open(
         cls, path: str | os.PathLike[str], *, progress: Progress = SILENT, crs: str | CRS | None = None,
-        resolution: float | None = None, max_edge: float | None = None, height_column: str | None = None,
-        point_layer: str | None = None, point_classes: Sequence[int] | None = None, assume_crs: Any = None,
-        vertical_unit: str | None = None, assume_vertical: str | None = None,
+        resolution: float | None = None, max_edge: float | None = None, slivers: bool = False,
+        height_column: str | None = None, point_layer: str | None = None, point_classes: Sequence[int] | None = None,
+        assume_crs: Any = None, vertical_unit: str | None = None, assume_vertical: str | None = None,
     ) -> PointRaster:  # fmt: skip
         """The points of a file as a raster.
 
         Args:
             crs: projected CRS of the terrain; by default the points' own, or their UTM zone.
             resolution: metres between samples; by default as far as the points are apart on average.
-            max_edge: metres: triangles with a longer side are left out; None: all count.
+            max_edge: metres: triangles with a longer side are left out; None: none is.
+            slivers: keep the slivers along the points' hull.
             height_column, point_layer, point_classes, assume_crs, vertical_unit, assume_vertical: as of
                 ``read_scattered``.
 
@@ -96,7 +98,7 @@ class PointRaster:
                 assume_crs=assume_crs, vertical_unit=vertical_unit, assume_vertical=assume_vertical,
             )  # fmt: skip
         with progress.task("Triangulating points"):
-            made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge)
+            made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge, slivers=slivers)
         for note in made.notes:
             progress.note(note)
         return made

@@ -22,9 +22,6 @@ from orograph.store.terrain import Terrain
 BYTES_PER_TRIANGLE = 120
 """Of the truth, while a hierarchy is made of it: about."""
 
-SLIVER = 10
-"""Length over width of triangles that count for slivers."""
-
 ROUNDING = 1e-9
 """Deviations of this part of the largest height are none."""
 
@@ -74,7 +71,7 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     """The surface that a QuadTIN is to be, and the lattice's bits."""
     if has_points(terrain):
         surface: Surface = terrain.derived("points")
-        used, places = np.unique(peeled(surface), return_inverse=True)
+        used, places = np.unique(surface.triangles, return_inverse=True)
         corners: NDArray[np.int32] = places.reshape(-1, 3).astype(np.int32)
         z = surface.z[used].astype(np.float64)
         return Truth(surface.x[used], surface.y[used], z, corners, build.rim_of(corners, len(used))), surface.bits
@@ -90,24 +87,6 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     triangles = np.stack([one, two], 1).reshape(-1, 3).astype(np.int32)
     triangles = np.ascontiguousarray(triangles[~np.isnan(z[triangles]).any(1)])
     return Truth(col << bits, row << bits, z, triangles, build.rim_of(triangles, len(z))), bits
-
-
-def peeled(surface: Surface) -> NDArray[np.int32]:
-    """The triangles of a surface without the slivers along its rim: those ``SLIVER`` times as long as wide, as long as
-    there are any. They join points on the hull that have nothing to do with each other, and stand like walls.
-    """
-    x, y, triangles = surface.x.astype(np.float64), surface.y.astype(np.float64), surface.triangles
-    while True:
-        rim = build.rim_of(triangles, len(surface.z)) > 0
-        a, b, c = triangles[rim].T
-        area = np.abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
-        longest = np.max([np.hypot(x[p] - x[q], y[p] - y[q]) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-        thin = SLIVER * area < longest**2
-        if not thin.any() or (thin.all() and rim.all()):
-            return np.asarray(triangles, np.int32)
-        keep = np.ones(len(triangles), bool)
-        keep[np.flatnonzero(rim)[thin]] = False
-        triangles = np.ascontiguousarray(triangles[keep])
 
 
 def check_room(terrain: Terrain, max_memory: int) -> None:

@@ -30,7 +30,7 @@ TAKES = (
 
 OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
 """How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
-OF_POINTS = ("max_edge", "height_column", "point_layer", "point_classes")
+OF_POINTS = ("max_edge", "slivers", "height_column", "point_layer", "point_classes")
 """How points are read and become a surface (``dem.gridding``)."""
 OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
 OF_AREAS = ("bbox", "clip")
