@@ -49,6 +49,7 @@ class PointRaster:
             if length is not None and not (math.isfinite(length) and length > 0):
                 raise UsageError(f"`{called}` is a length in metres, not {length}.")
         self.name, self.vertical, self.path = points.name, points.vertical, points.path
+        self._options: dict[str, Any] | None = None
         self.warnings, self.notes = list(points.warnings), list[str]()
         x, y, flat = _flat(points, None if crs is None else parse_crs(crs))
         if resolution is None:
@@ -99,9 +100,21 @@ class PointRaster:
             )  # fmt: skip
         with progress.task("Triangulating points"):
             made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge, slivers=slivers)
+        made._options = {
+            "crs": _name(crs), "resolution": resolution, "max_edge": max_edge, "slivers": slivers or None,
+            "height_column": height_column, "point_layer": point_layer,
+            "point_classes": None if point_classes is None else list(point_classes), "assume_crs": _name(assume_crs),
+            "vertical_unit": vertical_unit, "assume_vertical": assume_vertical,
+        }  # fmt: skip
         for note in made.notes:
             progress.note(note)
         return made
+
+    def recipe(self) -> tuple[list[str], dict[str, Any]] | None:
+        """Path and options with which ``open`` makes the same raster again; None if it was made otherwise."""
+        if self._options is None:
+            return None
+        return [self.path], {k: v for k, v in self._options.items() if v is not None}
 
     def _within(self, surface: Surface, longest: Array, max_edge: float | None) -> Surface:
         """The triangles that count."""
@@ -140,6 +153,11 @@ class PointRaster:
         for array in self.surface[:4]:
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)
         return digest.hexdigest()[:32]
+
+
+def _name(crs: Any) -> str | None:
+    """A CRS as text."""
+    return None if crs is None else CRS.from_user_input(crs).to_string()
 
 
 def _metres(length: float) -> str:
