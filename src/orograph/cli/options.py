@@ -197,7 +197,7 @@ def source_options(function: F) -> F:
 def points_options(function: F) -> F:
     """Give a verb the options that say how files of points are to be understood."""
     return with_options(
-        function,
+        point_file_options(function),
         click.option(
             "--max-edge",
             type=Float(),
@@ -210,6 +210,13 @@ def points_options(function: F) -> F:
             default=None,
             help="Of points: keep the slivers along their hull.  [default: they are left out, as missing ground]",
         ),
+    )
+
+
+def point_file_options(function: F) -> F:
+    """Give a verb the options that say what of a file of points is read."""
+    return with_options(
+        function,
         click.option(
             "--height-column",
             metavar="NAME",

@@ -51,7 +51,7 @@ class PointRaster:
         self.name, self.vertical, self.path = points.name, points.vertical, points.path
         self._options: dict[str, Any] | None = None
         self.warnings, self.notes = list(points.warnings), list[str]()
-        x, y, flat = _flat(points, None if crs is None else parse_crs(crs))
+        x, y, flat = in_plane(points, None if crs is None else parse_crs(crs))
         if resolution is None:
             resolution = _usual(spacing_of(x, y), points)
             self.notes.append(
@@ -165,8 +165,8 @@ def _metres(length: float) -> str:
     return f"{length:,.0f} m" if length >= 100 else f"{length:.3g} m"
 
 
-def _flat(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:
-    """Places in a projected CRS in metres."""
+def in_plane(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:
+    """Places in a projected CRS in metres, and the CRS: the wanted one, else the points' own or their UTM zone."""
     from orograph.geo.transform import transformer
 
     own = points.crs
