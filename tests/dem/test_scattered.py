@@ -337,6 +337,13 @@ def test_facts_of_points(tmp_path):
         orograph.info(path, progress=False, height_column="depth", band=2)
 
 
+def test_facts_of_points_all_over_the_earth(tmp_path):
+    path = table(tmp_path / "p.csv", {"lon": [-170, 170, 0, 20.0], "lat": [-60, 60, 0, 10.0], "z": [1, 2, 3, 4.0]})
+    found = orograph.info(str(path), progress=False)
+    assert found["spacing_m"] == [None, None] and found["bounds"] == [-170, -60, 170, 60]
+    assert any("too wide to be shown flat" in text for text in found["warnings"]) and "unknown" in str(found)
+
+
 def test_facts_of_points_in_degrees_and_of_an_area(tmp_path):
     x, y, z = cloud()
     lon, lat = Transformer.from_crs(32632, 4326, always_xy=True).transform(x, y)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from orograph.progress import Progress
 
 
@@ -21,12 +23,17 @@ def facts_of_points(path: str, progress: Progress, options: Mapping[str, Any]) -
     from orograph.dem.gridding import in_plane
     from orograph.dem.inspect import crs_text
     from orograph.dem.scattered import read_scattered
+    from orograph.errors import ReadError, UsageError
     from orograph.store.given import said_of_points
 
     with progress.task("Reading points"):
         points = read_scattered(path, **said_of_points(options))
-        x, y, flat = in_plane(points, None)
-        spacing = spacing_of(x, y)
+        warnings, size, spacing, flat = list(points.warnings), None, 0.0, None
+        try:
+            x, y, flat = in_plane(points, None)
+            spacing, size = spacing_of(x, y), (float(np.ptp(x)), float(np.ptp(y)))
+        except (ReadError, UsageError) as error:  # of the whole Earth
+            warnings.append(error.what)
     return {
         "kind": "points",
         "crs": crs_text(points.crs),
@@ -36,11 +43,11 @@ def facts_of_points(path: str, progress: Progress, options: Mapping[str, Any]) -
         "height_range": [float(points.z.min()), float(points.z.max())],
         "height_range_exact": True,
         "vertical_datum": points.vertical,
-        "warnings": list(points.warnings),
+        "warnings": warnings,
         "_format": "points",
         "_crs": points.crs,
         "_georeferenced": True,
-        "_size_m": (float(x.max() - x.min()), float(y.max() - y.min())),
+        "_size_m": size,
         "_terrain": None if flat is None else crs_text(flat),
     }
 
@@ -56,12 +63,12 @@ def lines_of_points(
     west, south, east, north = facts["bounds"]
     low, high = facts["height_range"]
     spacing, terrain = facts["spacing_m"][0], facts["_terrain"]
-    across = " × ".join(length(side) for side in facts["_size_m"])
+    across = "" if facts["_size_m"] is None else ", " + " × ".join(length(side) for side in facts["_size_m"])
     made = "" if terrain in (None, facts["crs"]) else f"; a terrain of them is in {terrain}"
     return [
         ("points", f"{facts['points']:,}"),
-        ("spacing", "unknown: they lie on a line" if spacing is None else f"one to {spacing:.3g} × {spacing:.3g} m"),
+        ("spacing", "unknown" if spacing is None else f"one to {spacing:.3g} × {spacing:.3g} m"),
         ("CRS", crs + made),
-        ("extent", f"x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}, {across}"),
+        ("extent", f"x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}{across}"),
         ("heights", f"{low:.7g} to {high:.7g} m ({facts['vertical_datum'] or 'vertical datum unknown'})"),
     ]
