@@ -23,10 +23,10 @@ from orograph.cli.wording import spoken
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], as_json: bool, exact: bool, jobs: int | None, **options: Any
 ) -> None:
-    """Tell what a DEM, a file of points or a store is, and what is suspicious about it.
+    """Describe a DEM, a file of points or a store, and what is suspicious about it.
 
     PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a file of points, or a terrain store. Heights
-    are in metres, after scale, offset and unit. --bbox and --clip tell what one area of it holds.
+    are in metres, after scale, offset and unit. --bbox and --clip describe one area of it.
 
     \b
     Examples:

@@ -202,13 +202,8 @@ def points_options(function: F) -> F:
             "--max-edge",
             type=Float(),
             metavar="METRES",
-            help="Of points: leave triangles with a longer side out, as missing ground.  [default: none]",
-        ),
-        click.option(
-            "--slivers",
-            is_flag=True,
-            default=None,
-            help="Of points: keep the slivers along their hull.  [default: they are left out, as missing ground]",
+            help="Of points: leave triangles with a longer side out, as missing ground; inf: none, not even slivers "
+            "along the rim.  [default: only slivers]",
         ),
     )
 

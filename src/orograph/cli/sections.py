@@ -19,8 +19,7 @@ PARTS = {
 
 READING = (
     "bbox", "clip", "crs", "resolution", "band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit",
-    "assume_vertical", "to_vertical", "geoid", "max_edge", "slivers", "height_column", "point_layer",
-    "point_classes",
+    "assume_vertical", "to_vertical", "geoid", "max_edge", "height_column", "point_layer", "point_classes",
 )  # fmt: skip
 
 SECTION = {

@@ -3,19 +3,11 @@
 Points lie on a *lattice* of 2^-``bits`` of a sample, ``bits`` such that the lattice has fewer than 2^30 places a side:
 whether a place is inside a triangle, and how triangles turn, are exact in int64. Moving a point there moves it by less
 than a hundred-thousandth of a sample (a hundredth on the largest grids). Triangles are Qhull's (Barber, Dobkin &
-Huhdanpaa 1996, by SciPy).
-
-A Delaunay triangulation fills the convex hull of its points. Along it lie *slivers*, which join points that have
-nothing to do with each other: their heights stand like spikes at the rim. A triangle on the rim counts for one if the
-angle opposite its side on the rim is over 120 degrees and its third corner lies within. They are taken away one by
-one, the longest side first, as long as there are any: every point stays a corner, and the surface whole. (Duckham,
-Kulik, Worboys & Galton 2008 do so by the length of sides. Angles need no length: lines of soundings far apart stay.)
-Units: samples; metres.
+Huhdanpaa 1996, by SciPy). Units: samples; metres.
 """
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -31,6 +23,9 @@ MOST_BITS = 18
 
 SIDE_BITS = 30
 """Places along the lattice's side, as a power of two: products of differences fit int64."""
+
+SLIVER = 160.0
+"""Degrees: a triangle whose corner opposite a side on the rim is wider than this is a sliver."""
 
 Ints = NDArray[np.int64]
 
@@ -83,11 +78,8 @@ def on_lattice(col: NDArray[np.float64], row: NDArray[np.float64], z: NDArray[np
     return Merged(places & 0xFFFFFFFF, places >> 32, (sums / counts).astype(np.float32), len(z) - len(places), apart)
 
 
-def triangulate(points: Merged, bits: int, path: str, slivers: bool = False) -> Surface:
+def triangulate(points: Merged, bits: int, path: str) -> Surface:
     """The Delaunay triangulation of points.
-
-    Args:
-        slivers: keep those along the hull.
 
     Raises:
         UsageError: fewer than three points, or all on one line.
@@ -109,58 +101,15 @@ def triangulate(points: Merged, bits: int, path: str, slivers: bool = False) -> 
         raise line
     centred = np.stack([points.x - points.x.mean(), points.y - points.y.mean()], -1)
     try:
-        made = Delaunay(centred)
+        found = Delaunay(centred).simplices
     except QhullError as error:
         raise line from error
-    found = made.simplices
     a, b, c = found.T
     area = (points.x[b] - points.x[a]) * (points.y[c] - points.y[a]) - (points.y[b] - points.y[a]) * (
         points.x[c] - points.x[a]
     )
-    keep = area != 0 if slivers else without_slivers(points.x, points.y, found, made.neighbors, area != 0)
-    turned = np.where((area > 0)[:, None], found, found[:, ::-1])[keep]
+    turned = np.where((area > 0)[:, None], found, found[:, ::-1])[area != 0]
     return Surface(points.x, points.y, points.z, np.ascontiguousarray(turned, np.int32), bits)
-
-
-def without_slivers(
-    x: Ints, y: Ints, triangles: NDArray[np.int32], beside: NDArray[np.int32], there: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Which triangles (m,) are left when the slivers along the rim are taken away.
-
-    Args:
-        x, y: (n,) places of the points.
-        triangles: (m, 3), their corners. beside: (m, 3), the triangle opposite each corner, -1: none.
-        there: (m,), those that there are.
-    """
-    left = there.copy()
-    rim = (beside < 0) | ~there[beside]
-    rim[~there] = False
-    at, corner = np.nonzero(rim)
-    on_rim = np.zeros(len(x), bool)
-    for turn in (1, 2):
-        on_rim[triangles[at, (corner + turn) % 3]] = True
-    waiting: list[tuple[int, int, int]] = []
-
-    def look(triangle: int, corner: int) -> None:
-        """Let a triangle wait whose side opposite a corner is on the rim, if it is a sliver."""
-        p, a, b = (int(triangles[triangle, (corner + turn) % 3]) for turn in range(3))
-        ux, uy, vx, vy = (int(v) for v in (x[a] - x[p], y[a] - y[p], x[b] - x[p], y[b] - y[p]))
-        inner = ux * vx + uy * vy
-        if inner < 0 and 4 * inner**2 > (ux**2 + uy**2) * (vx**2 + vy**2):  # cos < -1/2, exactly: Python's integers
-            heapq.heappush(waiting, (-((ux - vx) ** 2) - (uy - vy) ** 2, triangle, corner))
-
-    for one, opposite in zip(at.tolist(), corner.tolist()):
-        look(one, opposite)
-    while waiting:
-        _, one, opposite = heapq.heappop(waiting)
-        apex = triangles[one, opposite]
-        if on_rim[apex]:
-            continue
-        left[one], on_rim[apex] = False, True
-        for turn in (1, 2):
-            other = int(beside[one, (opposite + turn) % 3])
-            look(other, beside[other].tolist().index(one))
-    return left
 
 
 def sides(surface: Surface, across: tuple[float, float]) -> NDArray[np.float64]:
@@ -173,6 +122,34 @@ def sides(surface: Surface, across: tuple[float, float]) -> NDArray[np.float64]:
     t = surface.triangles
     lengths = [np.hypot(x[t[:, i]] - x[t[:, i - 1]], y[t[:, i]] - y[t[:, i - 1]]) for i in range(3)]
     return np.asarray(np.max(lengths, axis=0))
+
+
+def without_slivers(surface: Surface) -> NDArray[np.int32]:
+    """The triangles (m, 3) of a surface without the slivers along its rim.
+
+    A sliver has a side on the rim, and opposite to it a corner wider than ``SLIVER``. It joins points of the hull that
+    have nothing to do with each other, and stands like a wall. What a sliver covered is peeled in turn. Long triangles
+    between the tracks of a survey are none: their corners opposite the rim are about right angles.
+    """
+    t = surface.triangles
+    ends = np.stack([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]], 1)  # (m, 3, 2): the sides opposite the corners
+    _, side, count = np.unique(
+        ends.min(-1).astype(np.int64) << 32 | ends.max(-1), return_inverse=True, return_counts=True
+    )  # fmt: skip
+    side = side.reshape(-1, 3)
+    x, y = surface.x.astype(np.float64)[t], surface.y.astype(np.float64)[t]
+    ux, uy = np.roll(x, -1, 1) - x, np.roll(y, -1, 1) - y
+    vx, vy = np.roll(x, -2, 1) - x, np.roll(y, -2, 1) - y
+    wide = ux * vx + uy * vy < math.cos(math.radians(SLIVER)) * np.hypot(ux, uy) * np.hypot(vx, vy)
+    left = np.ones(len(t), bool)
+    near = np.flatnonzero(wide.any(1))
+    while True:
+        peel = near[(wide[near] & (count[side[near]] == 1)).any(1)]
+        if not len(peel) or len(peel) == left.sum():
+            return np.ascontiguousarray(t[left])
+        left[peel] = False
+        np.subtract.at(count, side[peel], 1)
+        near = near[left[near]]
 
 
 class Gridded:

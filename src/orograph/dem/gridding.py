@@ -1,9 +1,9 @@
 """Scattered points as a raster: linear interpolation over their Delaunay triangulation, read by windows.
 
 The terrain's grid is metric: points in degrees go to their UTM zone, as rasters do. Its rectangle of samples holds all
-points; outside their hull, in the slivers along it (``dem.delaunay``), and in triangles with a side longer than
-``max_edge``, heights are missing. The points stay with the terrain (``surface``): what is drawn of samples is an
-interpolation of them. Units: metres; samples.
+points; outside their hull, in slivers along it, and in triangles with a side longer than ``max_edge``, heights are
+missing. The points stay with the terrain (``surface``): what is drawn of samples is an interpolation of them. Units:
+metres; samples.
 """
 
 from __future__ import annotations
@@ -19,7 +19,16 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from orograph.dem.delaunay import Gridded, Surface, lattice_bits, on_lattice, sides, spacing_of, triangulate
+from orograph.dem.delaunay import (
+    Gridded,
+    Surface,
+    lattice_bits,
+    on_lattice,
+    sides,
+    spacing_of,
+    triangulate,
+    without_slivers,
+)
 from orograph.dem.projection import flat_crs, geodetic_base, in_metres
 from orograph.dem.scattered import Scattered, read_scattered
 from orograph.dem.target import MAX_SIDE, parse_crs
@@ -43,10 +52,10 @@ class PointRaster:
 
     def __init__(
         self, points: Scattered, *, crs: str | CRS | None = None, resolution: float | None = None,
-        max_edge: float | None = None, slivers: bool = False,
+        max_edge: float | None = None,
     ) -> None:  # fmt: skip
         for called, length in (("resolution", resolution), ("max_edge", max_edge)):
-            if length is not None and not (math.isfinite(length) and length > 0):
+            if length is not None and not (length > 0 and (math.isfinite(length) or called == "max_edge")):
                 raise UsageError(f"`{called}` is a length in metres, not {length}.")
         self.name, self.vertical, self.path = points.name, points.vertical, points.path
         self._options: dict[str, Any] | None = None
@@ -67,26 +76,25 @@ class PointRaster:
                 f"Of its {len(points):,} points {merged.doubled:,} {lie} where another does; such points become one, "
                 f"of their mean height (they differ by up to {merged.apart:.3g} m)."
             )
-        surface = triangulate(merged, self.bits, points.path, slivers)
-        longest = sides(surface, self.grid.spacing)
-        self.surface = self._within(surface, longest, max_edge)
+        surface = triangulate(merged, self.bits, points.path)
+        self.surface = self._within(surface, max_edge)
         self._gridded = Gridded(self.surface)
-        self._said = repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical, max_edge, slivers))
+        self._said = repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical, max_edge))
 
     @classmethod
     def open(
         cls, path: str | os.PathLike[str], *, progress: Progress = SILENT, crs: str | CRS | None = None,
-        resolution: float | None = None, max_edge: float | None = None, slivers: bool = False,
-        height_column: str | None = None, point_layer: str | None = None, point_classes: Sequence[int] | None = None,
-        assume_crs: Any = None, vertical_unit: str | None = None, assume_vertical: str | None = None,
+        resolution: float | None = None, max_edge: float | None = None, height_column: str | None = None,
+        point_layer: str | None = None, point_classes: Sequence[int] | None = None, assume_crs: Any = None,
+        vertical_unit: str | None = None, assume_vertical: str | None = None,
     ) -> PointRaster:  # fmt: skip
         """The points of a file as a raster.
 
         Args:
             crs: projected CRS of the terrain; by default the points' own, or their UTM zone.
             resolution: metres between samples; by default as far as the points are apart on average.
-            max_edge: metres: triangles with a longer side are left out; None: none is.
-            slivers: keep the slivers along the points' hull.
+            max_edge: metres: triangles with a longer side are left out, and slivers along the rim
+                (``delaunay.without_slivers``); None: slivers only; infinite: all count.
             height_column, point_layer, point_classes, assume_crs, vertical_unit, assume_vertical: as of
                 ``read_scattered``.
 
@@ -99,9 +107,9 @@ class PointRaster:
                 assume_crs=assume_crs, vertical_unit=vertical_unit, assume_vertical=assume_vertical,
             )  # fmt: skip
         with progress.task("Triangulating points"):
-            made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge, slivers=slivers)
+            made = cls(points, crs=crs, resolution=resolution, max_edge=None if max_edge is None else float(max_edge))
         made._options = {
-            "crs": _name(crs), "resolution": resolution, "max_edge": max_edge, "slivers": slivers or None,
+            "crs": _name(crs), "resolution": resolution, "max_edge": "inf" if max_edge == math.inf else max_edge,
             "height_column": height_column, "point_layer": point_layer,
             "point_classes": None if point_classes is None else list(point_classes), "assume_crs": _name(assume_crs),
             "vertical_unit": vertical_unit, "assume_vertical": assume_vertical,
@@ -116,8 +124,17 @@ class PointRaster:
             return None
         return [self.path], {k: v for k, v in self._options.items() if v is not None}
 
-    def _within(self, surface: Surface, longest: Array, max_edge: float | None) -> Surface:
+    def _within(self, surface: Surface, max_edge: float | None) -> Surface:
         """The triangles that count."""
+        whole = len(surface.triangles)
+        if max_edge != math.inf:
+            surface = surface._replace(triangles=without_slivers(surface))
+            slivers = whole - len(surface.triangles)
+            if slivers:
+                self.notes.append(
+                    f"{self.path}: {slivers:,} of {whole:,} triangles are slivers along the rim and left out"
+                )
+        longest = sides(surface, self.grid.spacing)
         usual, most = float(np.median(longest)), float(longest.max())
         if max_edge is None:
             if most > LONG * usual:

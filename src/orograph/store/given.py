@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +31,7 @@ TAKES = (
 
 OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
 """How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
-OF_POINTS = ("max_edge", "slivers", "height_column", "point_layer", "point_classes")
+OF_POINTS = ("max_edge", "height_column", "point_layer", "point_classes")
 """How points are read and become a surface (``dem.gridding``)."""
 OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
 OF_AREAS = ("bbox", "clip")
@@ -57,7 +58,7 @@ def is_dataset(thing: Any) -> bool:
 def files_of(given: Any) -> list[str] | None:
     """The files and stores that something names, by path, or as open datasets of them; None of all else."""
     if isinstance(given, str | os.PathLike):
-        return [os.fspath(given)]
+        return _matching(os.fspath(given))
     from orograph.dem.datasets import file_of
 
     if is_dataset(given):
@@ -68,6 +69,14 @@ def files_of(given: Any) -> list[str] | None:
         if len(found) == len(given) and None not in found:
             return [path for one in found for path in one or ()]
     return None
+
+
+def _matching(path: str) -> list[str]:
+    """The files that a pattern ("tiles/*.tif") matches, sorted by name; any other path alone."""
+    if "://" in path or not ("*" in path or "?" in path) or os.path.lexists(path):
+        return [path]
+    anchor = Path(Path(path).anchor)
+    return sorted(map(str, anchor.glob(str(Path(path).relative_to(anchor))))) or [path]
 
 
 def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain", **options: Any) -> HeightSource:
@@ -138,7 +147,7 @@ def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) ->
         )  # fmt: skip
     from orograph.dem.gridding import PointRaster
 
-    how = said_of_points(said, "crs", "resolution", "max_edge", "slivers", *OF_AREAS)
+    how = said_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
     area = {name: how.pop(name) for name in OF_AREAS if name in how}
     return _part(PointRaster.open(found[0], progress=progress, **how), area)
 
@@ -158,7 +167,7 @@ def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
     Raises:
         UsageError: others are said.
     """
-    reading = (*OF_POINTS[2:], "assume_crs", "vertical_unit", "assume_vertical", *more)
+    reading = (*OF_POINTS[1:], "assume_crs", "vertical_unit", "assume_vertical", *more)
     return _fitting({k: v for k, v in said.items() if v is not None and _asked(k, v)}, reading, "points")
 
 
