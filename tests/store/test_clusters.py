@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 
 import numpy as np
@@ -58,7 +59,8 @@ def test_workers_grid_points_as_one_process_does(tmp_path, client, area):
     rows = np.c_[rng.uniform(500_000, 500_900, 500), rng.uniform(0, 700, 500), rng.normal(0, 9, 500)].round(2)
     path = tmp_path / "p.csv"
     path.write_text("x,y,z,depth\n" + "".join(f"{a},{b},{c},{-c}\n" for a, b, c in rows))
-    how = {**SIZES, **area, "resolution": 4, "assume_crs": "EPSG:32633", "height_column": "depth", "max_edge": 90}
+    how = {**SIZES, **area, "resolution": 4, "assume_crs": "EPSG:32633", "height_column": "depth"}
+    how["max_edge"] = 90 if area else math.inf
     store.build(str(path), tmp_path / "whole", **how).close()
     store.build(str(path), tmp_path / "s", dask=client, **how).close()
     assert files(tmp_path / "s") == files(tmp_path / "whole") and len(files(tmp_path / "s")) > 9

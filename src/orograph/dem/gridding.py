@@ -118,6 +118,12 @@ class PointRaster:
             progress.note(note)
         return made
 
+    @property
+    def windows(self) -> list[tuple[int, int, int, int]]:
+        """The rows and columns (half-open) that its file decides: all, for one point may change any triangle."""
+        rows, cols = self.grid.shape
+        return [(0, rows, 0, cols)]
+
     def recipe(self) -> tuple[list[str], dict[str, Any]] | None:
         """Path and options with which ``open`` makes the same raster again; None if it was made otherwise."""
         if self._options is None:
