@@ -73,3 +73,16 @@ def test_a_scale_that_tells_no_heights_apart(tmp_path: Path, scale: float, offse
         file.scales, file.offsets = (scale,), (offset,)
     with pytest.raises(ReadError, match="tells none apart"):
         read(path)
+
+
+@pytest.mark.parametrize("kind", ["float32", "float64", "int16", "uint8"])
+def test_lerc_with_the_high_byte_first(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=5, width=6, count=1, dtype=kind, crs="EPSG:32611",
+                       transform=Affine(30, 0, 5e5, 0, -30, 4e6), compress="LERC", ENDIANNESS="BIG") as file:  # fmt: skip
+        file.write(HEIGHTS.astype(kind), 1)
+    if kind.startswith("float"):
+        with pytest.raises(ReadError, match="LERC with their high byte first.*ENDIANNESS=LITTLE"):
+            read(path)
+    else:
+        np.testing.assert_array_equal(read(path).heights, HEIGHTS)

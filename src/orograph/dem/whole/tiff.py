@@ -66,6 +66,25 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
     )
 
 
+_LERC = 34887
+_FLOATS = 3
+TURNED = "Write it anew with the byte order that LERC has (gdal_translate -co ENDIANNESS=LITTLE) from its source."
+
+
+def turned_floats(file: IO[bytes]) -> bool:
+    """Whether a TIFF holds floats by LERC with their high byte first: GDAL turns the bytes of what it gives to LERC and
+    of what comes back, so that the codec rounds other numbers, and what is read is not what was written."""
+    size = file.seek(0, 2)
+    file.seek(0)
+    try:
+        tiff = _Tiff(file, size)
+        first = tiff.directory(tiff.first)
+    except (struct.error, ValueError):
+        return False
+    codec, kinds = tiff.numbers(first, 259), tiff.numbers(first, 339)
+    return tiff.order == ">" and _LERC in codec and _FLOATS in kinds
+
+
 def _places_fault(tiff: _Tiff, found: list[Directory]) -> str | None:
     """Blocks that lie where they cannot."""
     tiff.file.seek(0)
