@@ -74,10 +74,10 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
     """
     value: float | None = dataset.nodatavals[band - 1]
     if value is not None and dataset.driver == "GTiff":
-        _check_text(dataset, _nodata_text(dataset, band))
+        _check_text(dataset, nodata_text(dataset, band))
     if value is None or dtype not in ("int64", "uint64") or not 0 < abs(value) < 10:
         return value
-    text = _nodata_text(dataset, band)
+    text = nodata_text(dataset, band)
     if text is None:
         raise ReadError(
             f"Its nodata value is read as {value:g}, which may be the first digit of another such as {value:g}e+18.",
@@ -105,7 +105,7 @@ def is_default_fill(dataset: Any, band: int) -> bool:
     return bool(dataset.driver == "Zarr" and dataset.nodatavals[band - 1] == 0 and "_FillValue" not in said)
 
 
-def _nodata_text(dataset: Any, band: int) -> str | None:
+def nodata_text(dataset: Any, band: int) -> str | None:
     """The nodata value as the text that a GeoTIFF or a VRT holds; None of other formats."""
     name = main_file(dataset)
     if not here(name):
