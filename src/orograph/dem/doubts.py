@@ -6,7 +6,7 @@ from typing import Any
 
 from pyproj import CRS
 
-from orograph.dem import geotiff
+from orograph.dem import geotiff, virtual_bands
 from orograph.dem.header import vertical_axis
 
 
@@ -27,4 +27,7 @@ def doubts(
     """
     axis = vertical_axis(crs) if unit is None else None
     metres = None if axis is None else float(axis.unit_conversion_factor)
-    return geotiff.doubts(dataset, band, nodata, masked, metres)
+    return [
+        *geotiff.doubts(dataset, band, nodata, masked, metres),
+        *virtual_bands.doubts(dataset, band, nodata=nodata, unit=unit, masked=masked, crs=crs),
+    ]
