@@ -6,7 +6,7 @@ from typing import Any
 
 from pyproj import CRS
 
-from orograph.dem import geotiff, virtual_bands
+from orograph.dem import beside, geotiff, virtual_bands
 from orograph.dem.header import vertical_axis
 
 
@@ -29,5 +29,6 @@ def doubts(
     metres = None if axis is None else float(axis.unit_conversion_factor)
     return [
         *geotiff.doubts(dataset, band, nodata, masked, metres),
+        *beside.doubts(dataset, band),
         *virtual_bands.doubts(dataset, band, nodata=nodata, unit=unit, masked=masked, crs=crs),
     ]
