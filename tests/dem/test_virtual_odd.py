@@ -143,3 +143,10 @@ def test_warped(tmp_path: Path, nodata: float | None) -> None:
     with rasterio.open(path) as file, WarpedVRT(file, crs="EPSG:32612") as warped:
         rasterio.shutil.copy(warped, str(tmp_path / "w.vrt"), driver="VRT")
     assert ("It is warped and declares no nodata" in warnings_of(tmp_path / "w.vrt")) == (nodata is None)
+
+
+def test_a_nodata_value_that_its_type_cannot_hold(tmp_path: Path) -> None:
+    part(tmp_path / "a.tif", kind="uint16")
+    path = virtual(tmp_path, NODATA.format(-9999) + source("a.tif"), "UInt16")
+    assert "stored as 55537" in warnings_of(path)
+    assert "stored as" not in warnings_of(virtual(tmp_path, NODATA.format(7) + source("a.tif"), "UInt16"))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.missing import nodata_of, nodata_text
+from orograph.dem.missing import impossible_nodata, nodata_of
 from orograph.dem.whole.files import here, main_file, stream
 from orograph.dem.whole.tiff import TiffFile
 from orograph.dem.whole.tiff_tags import COUNTS, Directory
@@ -57,7 +57,7 @@ def doubts(dataset: Any, band: int, asked: float | str | None, masked: bool, uni
         keys = _keys(tiff, first, name)
         found += _place_doubts(dataset, tiff, first, name)
         if asked is None and nodata_of(dataset, band, None, dataset.dtypes[band - 1]) is None:
-            found += _nodata_doubts(dataset, band)
+            found += impossible_nodata(dataset, band)
             found += [] if masked else _sparse_doubts(tiff, first)
         found += _image_doubts(tiff, first, name)
     said = _UNITS.get(keys.get(_VERTICAL_UNITS, 0))
@@ -132,23 +132,6 @@ def _far(matrix: NDArray[np.float64], dataset: Any) -> tuple[float, float]:
         float((matrix[0] - a) * cols + (matrix[1] - b) * rows + matrix[3] - c),
         float((matrix[4] - d) * cols + (matrix[5] - e) * rows + matrix[7] - f),
     )
-
-
-def _nodata_doubts(dataset: Any, band: int) -> Iterator[str]:
-    """A nodata value that the type of the band cannot hold."""
-    kind = np.dtype(dataset.dtypes[band - 1])
-    text = (nodata_text(dataset, band) or "").partition("\0")[0].strip()
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
-        return
-    if kind.kind not in "iu" or np.isnan(value):
-        return
-    stored = ""
-    if value == np.trunc(value) and abs(value) < 2**63:
-        wrapped = int(np.array(int(value), np.int64).astype(kind))
-        stored = f"; what is missing may be stored as {wrapped} (give `nodata={wrapped}` if it is)"
-    yield f"Its nodata value ({text}) cannot occur in {kind.name}, so that nothing is missing by it{stored}."
 
 
 def _sparse_doubts(tiff: TiffFile, first: Directory) -> Iterator[str]:
