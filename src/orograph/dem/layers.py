@@ -7,6 +7,7 @@ blocks of its samples have been averaged where the target is coarser. Units: sam
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from orograph.dem.coordinates import Coordinates, NodeMesh
-from orograph.dem.lattice import Lattice, SourceLattice, offset_between
+from orograph.dem.lattice import Lattice, Raster, SourceLattice, offset_between
 from orograph.dem.resample import box_means, sample
 from orograph.geo.grid import Grid, compose
 
@@ -53,7 +54,7 @@ def layer_of(lattice: SourceLattice, target: Grid, resampling: str) -> LatticeMa
         return LatticeMap(lattice, offset, None, (1, 1), everything)
     coordinates = Coordinates(target, lattice.grid)
     means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
-    return LatticeMap(lattice, None, coordinates, means, _box(lattice.grid, target))
+    return LatticeMap(lattice, None, coordinates, means, box_of(lattice.grid, target))
 
 
 def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
@@ -70,7 +71,7 @@ def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
     return (round(down) if down >= COARSER else 1), (round(across) if across >= COARSER else 1)
 
 
-def _box(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
+def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
     """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at.
 
     Args:
@@ -89,22 +90,20 @@ def _box(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int
     return max(0, r0), min(target.rows, r1), max(0, c0), min(target.cols, c1)
 
 
-def reaches(layer: LatticeMap, target: Grid) -> list[tuple[int, int, int, int]]:
-    """Of each member of a layer the rows and columns of the target (half-open) that it may decide, generously."""
+def reaches(layer: LatticeMap, target: Grid) -> Iterator[tuple[Raster, tuple[int, int, int, int]]]:
+    """The members of a layer, with the rows and columns of the target (half-open) that each may decide, generously."""
     lattice = layer.lattice
     assert isinstance(lattice, Lattice)
-    if lattice.circle:
-        return [layer.box] * len(lattice.members)
-    found = []
-    for top, bottom, left, right in lattice.corners.tolist():
-        if layer.offset is not None:
+    for member, (top, bottom, left, right) in zip(lattice.members, lattice.corners.tolist(), strict=True):
+        if lattice.circle:
+            box = layer.box
+        elif layer.offset is not None:
             r, c = layer.offset
             box = top - r, bottom - r, left - c, right - c
         else:
             place = compose(lattice.grid.transform, Affine.translation(left, top))
-            box = _box(Grid((bottom - top, right - left), place, lattice.grid.crs), target, 17)
-        found.append((max(box[0], 0), min(box[1], target.rows), max(box[2], 0), min(box[3], target.cols)))
-    return found
+            box = box_of(Grid((bottom - top, right - left), place, lattice.grid.crs), target, 17)
+        yield member, (max(box[0], 0), min(box[1], target.rows), max(box[2], 0), min(box[3], target.cols))
 
 
 def averaged(layer: LatticeMap, row0: int, row1: int, col0: int, col1: int) -> Heights:

@@ -250,11 +250,7 @@ class Mosaic:
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:
         """Of each source the rows and columns of the grid (half-open) that it may decide, generously."""
-        found = {
-            id(member): window
-            for layer in self._layers
-            for member, window in zip(layer.lattice.members, reaches(layer, self.grid), strict=True)
-        }
+        found = {id(member): window for layer in self._layers for member, window in reaches(layer, self.grid)}
         return [found[id(source)] for source in self.sources]
 
     def fingerprint(self) -> str:

@@ -9,7 +9,8 @@ takes its place.
 What reaches how far: heights of a shard depend on its own samples and a row and a column beyond. The errors of an area
 depend on samples within ``REACH``, on the lowest heights of tiles there, and, for octave k ≥ ``SMALL``, on the samples
 at multiples of 2^k within 2^(k+1) of it. (The codes depend on the terrain's height range: parts made with another one
-do not count, see ``survey``.) Units: samples.
+do not count, see ``survey``.) What is kept of a source lattice depends on the samples of the terrain that lie there.
+Units: samples.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from orograph.store.layout import PARTS, Record, dumps, heights_spec
 from orograph.store.places import PLAN, ROOT, begun, is_store
 from orograph.store.plan import compared, differing, plan_of
 from orograph.store.pyramid import part_key, tasks
+from orograph.store.resampling import look_key
 from orograph.store.source import HeightSource
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import read_record
@@ -148,6 +150,7 @@ def seeded(
     near = list(_of_errors(shape, changed))
     errors = [spot for spot in sides if not _meets(_grown(spot, area_of(record.shard), 0), near)]
     _link(final, storage, _keys(record, heights, errors))
+    _link(final, storage, _keys_of_lattices(record, changed))
     left = len(every) - len(heights)
     progress.note(
         f"{final.url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
@@ -246,6 +249,24 @@ def _keys(record: Record, heights: Iterable[Spot], errors: Iterable[Spot]) -> It
         for spec in specs:
             rows, cols = (range(at * area // spec.shard, (at + 1) * area // spec.shard) for at in spot)
             yield from (spec.key((i, j)) for i in rows for j in cols)
+
+
+def _keys_of_lattices(record: Record, changed: list[Window]) -> Iterator[str]:
+    """What tasks wrote and kept of source lattices; their windows are looked for on the terrain, generously."""
+    from affine import Affine
+
+    from orograph.dem.layers import box_of
+    from orograph.geo.grid import Grid, compose
+
+    for number, lattice in enumerate(record.lattices):
+        spec = lattice.spec(number, record.shard, record.chunk)
+        for spot in tasks(spec.shape, spec.shard):
+            row0, row1, col0, col1 = spec.window(spot)
+            place = compose(lattice.grid.transform, Affine.translation(col0, row0))
+            grid = Grid((row1 - row0, col1 - col0), place, lattice.grid.crs)
+            if not _meets(box_of(grid, record.grid, 17), changed):
+                yield look_key(number, spot)
+                yield spec.key(spot)
 
 
 def _link(final: FolderStorage, storage: FolderStorage, keys: Iterable[str]) -> None:
