@@ -15,15 +15,15 @@ import numpy as np
 from pyproj import CRS
 
 from orograph.dem.bands import unit_tag
-from orograph.dem.handles import lent, stamped
+from orograph.dem.handles import IDLE, lent, stamped
 from orograph.dem.header import full_crs, unit_of, vertical_axis
 from orograph.dem.missing import impossible_nodata
 from orograph.dem.whole.files import on_disk
 from orograph.dem.whole.virtual import Part, parts_of
 from orograph.errors import ReadError
 
-_OPENED = 64
-"""Files of a VRT that are opened to be asked, evenly spread among them."""
+_OPENED = IDLE
+"""Files of a VRT that are opened to be asked, evenly spread among them: as many as stay open to be read."""
 
 _MOST_RECTANGLES = 4096
 
