@@ -281,7 +281,7 @@ def _fill(
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
-    levels = executor.groups(raster.grid.shape, plan["shard"])
+    levels = executor.groups(Pyramid.name, raster.grid.shape, plan["shard"])
     finest = Finest(raster, writer, plan["shard"], plan["chunk"], coding)
     pyramid = Pyramid(finest, label, levels)
     executor.run(Groups(finest, levels, pyramid) if levels else pyramid, progress)

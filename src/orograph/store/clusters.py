@@ -37,7 +37,7 @@ AHEAD = 2
 """Tasks that are under way for each thread of the workers."""
 
 EACH = 8
-"""Groups of heights for each thread of the workers, at least, if there are so many."""
+"""Groups of heights or errors for each thread of the workers, at least, if there are so many."""
 
 PAUSE = 0.5
 """Seconds before workers are told again."""
@@ -114,7 +114,7 @@ def threads_of(client: Any) -> int:
 
 
 def levels_of(client: Any, shape: Shape, shard: int) -> int:
-    """Levels of the groups of heights."""
+    """Levels of the groups of heights and errors."""
     return group_levels(shape, shard, EACH * threads_of(client))
 
 
@@ -148,7 +148,7 @@ class Cluster:
     """Runs stages on a cluster, whose workers know of the work while it is entered.
 
     Args:
-        client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights.
+        client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights and errors.
 
     Attributes:
         busy: seconds that each worker was at work, by its name.
@@ -181,7 +181,7 @@ class Cluster:
         with contextlib.suppress(Exception):  # the scheduler may be gone
             self.client.unregister_worker_plugin(self.ident)
 
-    def groups(self, shape: Shape, shard: int) -> int:
+    def groups(self, stage: str, shape: Shape, shard: int) -> int:
         return self.levels
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
