@@ -13,6 +13,7 @@ import contextlib
 import itertools
 import os
 import queue
+import signal
 import time
 import uuid
 from collections import Counter, defaultdict
@@ -81,8 +82,10 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
     limit = max((max_memory // (workers or 1)), needed * 5 // 4)  # Dask ends processes that come near their limit
     with (
         _quiet_tracker(),
+        _loop_apart() as loop,
         local(
             n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
+            loop=loop,
         ) as cluster,
         made(cluster) as client,
     ):  # fmt: skip
@@ -106,6 +109,29 @@ def _quiet_tracker() -> Iterator[None]:
         else:
             os.environ[name] = before
     yield
+
+
+@contextlib.contextmanager
+def _loop_apart() -> Iterator[Any]:
+    """An event loop of Dask whose thread, and all threads and processes begun from there, do not hear Ctrl-C.
+
+    A terminal sends it to all processes of a command. Workers would tell of it with a traceback each, above all those
+    that are still starting; they end with this process instead.
+    """
+    from distributed.utils import LoopRunner
+
+    runner: Any = LoopRunner(asynchronous=False)
+    masks = getattr(signal, "pthread_sigmask", None)  # threads and processes inherit what is blocked
+    before = None if masks is None else masks(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        runner.start()
+    finally:
+        if masks is not None:
+            masks(signal.SIG_SETMASK, before)
+    try:
+        yield runner.loop
+    finally:
+        runner.stop()
 
 
 def threads_of(client: Any) -> int:
