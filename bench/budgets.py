@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from orograph.errors import UsageError
 from orograph.lod.method import Goal, Method, Resources
 from orograph.lod.registry import chosen, method_of, names
 from orograph.lod.right_triangles import FINEST
@@ -96,7 +97,12 @@ def main() -> None:
     print(f"{'':28s} {'asked':>6s} {'median':>8s} {'95th':>8s} {'triangles':>10s} {'px':>8s} {'at best':>8s}")
     for text in given.method or [name for name in names() if "seconds" in method_of(name).info.goals]:
         for ms in given.ms or (5.0, 10.0, 20.0, 50.0):
-            found = frames(make(text, t), views, Goal(seconds=ms / 1e3))
+            try:
+                method = make(text, t)
+            except UsageError as error:
+                print(f"{text:28s} left out: {error}")
+                break
+            found = frames(method, views, Goal(seconds=ms / 1e3))
             taken, count, reached = np.nanmedian(found, axis=0)
             best = "" if given.no_best else f"{at_best(text, t, few, ms):8.2f}"
             print(

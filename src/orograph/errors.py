@@ -19,6 +19,21 @@ code  meaning
 from __future__ import annotations
 
 import os
+import re
+
+_SECRETS = re.compile(
+    r"""(\b[a-z][a-z0-9+.-]*://)      # of a URL
+        (?:[^\s/@'"]*@)?            # user and password,
+        ([^\s?'"<>]*)
+        (?:\?[^\s'"<>]*?(?=[.,;:]?(?:[\s'"<>]|$)))?  # and the query (but not a sentence's end)
+    """,
+    re.VERBOSE | re.IGNORECASE,
+)
+
+
+def public(text: str) -> str:
+    """A text without what may be secret in its URLs: user, password and query, which signatures are in."""
+    return _SECRETS.sub(r"\1\2", text) if "://" in text else text
 
 
 class OrographError(Exception):
@@ -33,9 +48,9 @@ class OrographError(Exception):
     exit_code = 1
 
     def __init__(self, what: str, *, path: str | os.PathLike[str] | None = None, remedy: str = "") -> None:
-        self.what = what
-        self.path = None if path is None else os.fspath(path)
-        self.remedy = remedy
+        self.what = public(what)
+        self.path = None if path is None else public(os.fspath(path))
+        self.remedy = public(remedy)
         super().__init__(str(self))
 
     def __str__(self) -> str:

@@ -1,6 +1,7 @@
 """Scattered points: what files say, the Delaunay surface at samples, points that stay with their terrain."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from pyproj import CRS, Transformer
 from scipy.interpolate import LinearNDInterpolator
 
 import orograph
-from orograph.dem.delaunay import Merged, lattice_bits, on_lattice, triangulate
+from orograph.dem.delaunay import Merged, lattice_bits, on_lattice, triangulate, without_slivers
 from orograph.dem.gridding import PointRaster
 from orograph.dem.scattered import is_points, read_scattered
 from orograph.errors import ReadError, UsageError
@@ -47,7 +48,7 @@ def las(path, x, y, z, kinds=None, crs=32632):
 
 def test_a_plane_is_the_plane_within_the_hull_and_nothing_outside(tmp_path):
     x, y, z = cloud()
-    raster = PointRaster.open(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z}), resolution=7)
+    raster = PointRaster.open(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z}), resolution=7, max_edge=math.inf)
     rows, cols = raster.grid.shape
     heights = raster.read(0, rows, 0, cols)
     col, row = np.meshgrid(np.arange(cols), np.arange(rows))
@@ -112,6 +113,45 @@ def test_long_triangles_are_left_out(tmp_path):
     assert any("max_edge" in note for note in whole.notes) and any("left out" in note for note in cut.notes)
     with pytest.raises(UsageError, match="No triangle has sides of at most 0"):
         PointRaster.open(path, resolution=20, max_edge=0.1)
+
+
+def area(surface, triangles):
+    at = np.stack([surface.x, surface.y], -1)[triangles].astype(float)
+    u, v = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]
+    return np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()
+
+
+def test_slivers_along_the_hull_are_left_out():
+    col, row = np.array([0, 10, 20, 10, 10.0]), np.array([0, 0.02, 0, 10, 4.0])
+    bits = lattice_bits(11, 21)
+    surface = triangulate(on_lattice(col, row, np.arange(5.0), bits), bits, "p")
+    left = without_slivers(surface)
+    assert len(left) == len(surface.triangles) - 1
+    corners = np.stack([surface.x, surface.y], -1)
+    flat = [i for i, p in enumerate(corners.tolist()) if p[1] < 1 << bits]
+    assert not any(set(t) == set(flat) for t in left.tolist())
+
+
+def test_what_slivers_cover_is_peeled_in_turn_but_not_the_tracks_of_a_survey():
+    """Points on an arc that bends slightly inwards leave one sliver under another; tracks have long triangles only."""
+    col = np.linspace(0, 100, 21)
+    arc = np.r_[col, 50.0], np.r_[8 * (1 - ((col - 50) / 50) ** 2), 100.0]
+    bits = lattice_bits(128, 128)
+    surface = triangulate(on_lattice(*arc, np.zeros(22), bits), bits, "p")
+    assert len(without_slivers(surface)) == 20  # those that have the far point
+    rng = np.random.default_rng(2)
+    track, along = (v.ravel() for v in np.meshgrid(np.arange(5) * 20.0, np.arange(60.0)))
+    track, along = track + rng.normal(0, 0.05, 300), along + rng.normal(0, 0.05, 300)
+    surface = triangulate(on_lattice(track + 5, along + 5, np.zeros(300), bits), bits, "p")
+    assert area(surface, without_slivers(surface)) > 0.995 * area(surface, surface.triangles)
+
+
+def test_an_infinite_side_keeps_slivers(tmp_path):
+    x, y, z = cloud()
+    path = table(tmp_path / "p.csv", {"x": x, "y": y, "z": z})
+    usual, whole = PointRaster.open(path, resolution=20), PointRaster.open(path, resolution=20, max_edge=math.inf)
+    assert len(usual.surface.triangles) < len(whole.surface.triangles)
+    assert any("slivers along the rim" in note for note in usual.notes) and not any("sliver" in n for n in whole.notes)
 
 
 def test_degrees_become_the_utm_zone(tmp_path):

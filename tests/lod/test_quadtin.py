@@ -13,7 +13,6 @@ from orograph import verify
 from orograph.dem.delaunay import Gridded, lattice_bits, on_lattice, triangulate
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lod import quadtin_build as build
 from orograph.lod import quadtin_tree as trees
 from orograph.lod.method import Goal, Resources
 from orograph.lod.quadtin import QuadTin
@@ -246,15 +245,6 @@ def test_what_does_not_fit_is_refused():
         QuadTin(t, resources=Resources(max_memory=1 << 20))
     with pytest.raises(UsageError, match="There is no ground"):
         QuadTin(plain.terrain(np.full((5, 5), np.nan, np.float32)))
-
-
-def test_slivers_along_the_hull_are_peeled():
-    col, row = np.array([0, 10, 20, 10, 10.0]), np.array([0, 0.02, 0, 10, 4.0])
-    bits = lattice_bits(11, 21)
-    surface = triangulate(on_lattice(col, row, np.arange(5.0), bits), bits, "p")
-    left = trees.peeled(surface)
-    assert len(left) == len(surface.triangles) - 1
-    assert build.rim_of(surface.triangles, 5).astype(bool).sum() >= 3
 
 
 # ---- the referee over points ---------------------------------------------------------------------------------------

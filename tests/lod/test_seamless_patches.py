@@ -201,7 +201,7 @@ def test_errors_of_blocks_are_the_largest_of_their_cells():
             box = errors.heights.around(
                 *(np.array([v]) for v in (cols.start, rows.start, cols.stop - 1, rows.stop - 1)), side
             )
-            here, _ = errors.around(level, box, side)
+            (here,), _ = errors.around(range(level, level + 1), box, side)
             part = z[rows, cols].astype(np.float64)
             if part.shape != ((1 << side) + 1,) * 2:
                 continue

@@ -8,7 +8,7 @@ from affine import Affine
 
 import orograph
 from orograph.errors import UsageError
-from orograph.rendering.panels import _boxes, panels_of
+from orograph.rendering.panels import _boxes, deviations, panels_of, read_data
 
 PLACE = Affine(50, 0, 500_000, 0, -50, 5_600_000)
 
@@ -92,6 +92,24 @@ def test_times_and_one_scale_of_uncertainties(ground):
     assert len({panel.data[0].uncertainty.range for panel in found}) == 1
 
 
+@pytest.mark.parametrize("measure", ["spread", "ci90"])
+def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
+    found = panels_of((data.but(uncertainty=measure),), "member=2-3", ground)
+    ensemble = np.asarray(data.source, np.float64)
+    low, high = np.quantile(ensemble, [0.05, 0.95], axis=0)
+    truth = ensemble.std(0, ddof=1) if measure == "spread" else (high - low) / 2
+    assert len({panel.data[0].uncertainty.range for panel in found}) == 1
+    for panel in found:
+        doubt = panel.data[0].uncertainty.source
+        np.testing.assert_allclose(doubt.mean, truth, rtol=1e-5)
+        assert doubt.name.endswith("of all 5")
+    view = orograph.camera.whole(ground, (400, 300))
+    options = {"each": "member=2-3", "progress": False, "furniture": True}
+    sheet = orograph.render(ground, view, data=data.but(uncertainty=measure), **options)
+    assert "of all 5" in sheet.describe() and "Their uncertainty is shown" in sheet.describe()
+    assert (sheet.pixels != orograph.render(ground, view, data=data, **options).pixels).any()
+
+
 @pytest.mark.parametrize(
     ("each", "says"),
     [
@@ -107,5 +125,22 @@ def test_panels_that_cannot_be_are_refused(ground, data, each, says):
     assert says in f"{told.value.what} {told.value.remedy}"
     with pytest.raises(UsageError, match="there are none"):
         panels_of((), "member", ground)
-    with pytest.raises(UsageError, match="no value="):
+    with pytest.raises(UsageError, match="value= or exceeds= is taken over several"):
         panels_of((data.but(exceeds=1.0),), "member", ground)
+
+
+def test_each_time_has_the_spread_of_its_own_members(ground):
+    xarray = pytest.importorskip("xarray")
+    times = np.array(["2019-03-01T00", "2019-03-01T12"], "M8[ns]")
+    y, x = 5_600_000 - 100 - np.arange(15) * 200.0, 500_100 + np.arange(20) * 200.0
+    values = np.random.default_rng(1).normal(0, 1, (2, 6, 15, 20)).astype(np.float32)
+    values[1] *= 3
+    array = xarray.DataArray(values, dims=("time", "member", "y", "x"), coords={"time": times, "y": y, "x": x})
+    data = orograph.Dataset(array, uncertainty=orograph.Uncertainty("spread"))
+    found = [panel.data[0] for panel in panels_of((data,), "time", ground)]
+    spans = {one.uncertainty.range for one in found}
+    assert len(spans) == 1 and spans.pop()[1] == pytest.approx(3 * 1.9, rel=0.3)
+    fields = [read_data(one, ground.grid) for one in found]
+    spreads = [deviations(one, field, ground.grid)[1] for one, field in zip(found, fields)]
+    for spread, members in zip(spreads, values):
+        np.testing.assert_allclose(np.sort(spread, None), np.sort(members.std(0, ddof=1), None), rtol=1e-4)

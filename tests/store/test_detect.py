@@ -20,6 +20,7 @@ from orograph import store
 from orograph.cli import cli
 from orograph.dem import Dem
 from orograph.geo import Grid
+from orograph.store import detect
 from orograph.store.detect import is_store
 
 HEIGHTS = np.add.outer(np.arange(40, dtype=np.float32), np.arange(50, dtype=np.float32))
@@ -62,7 +63,7 @@ def test_in_memory() -> None:
 
 
 def test_over_http_whatever_it_is_called(served: tuple[Path, str]) -> None:
-    pytest.importorskip("aiohttp")
+    pytest.importorskip("obstore")
     folder, address = served
     for name in ("a.oro", "a.zarr", "plain"):
         store.build(DEM, folder / name).close()
@@ -76,5 +77,5 @@ def test_a_raster_s_name_is_not_looked_at(name: str, monkeypatch: pytest.MonkeyP
     def look(*_: object, **__: object) -> None:
         pytest.fail("a request was made")
 
-    monkeypatch.setattr(fsspec, "url_to_fs", look)
+    monkeypatch.setattr(detect, "storage_at", look)
     assert not is_store(f"https://example.invalid/{name}")

@@ -230,9 +230,9 @@ def test_the_lock_file_is_beside_the_store(tmp_path):
 
 
 def test_storage_without_folders_has_no_lock():
-    from orograph.store.storage import RemoteStorage
+    from orograph.store.fsspec_storage import FsspecStorage
 
-    with alone(RemoteStorage("memory://lock/s"), "x"), alone(RemoteStorage("memory://lock/s"), "x"):
+    with alone(FsspecStorage("memory://lock/s"), "x"), alone(FsspecStorage("memory://lock/s"), "x"):
         pass
 
 

@@ -1,4 +1,4 @@
-"""Stores elsewhere: file and memory URLs, S3 (a local moto server), and a web server that gives ranges."""
+"""Stores elsewhere: file and memory URLs, and a web server that gives ranges (buckets: ``test_buckets``)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from webserver import serving
 
 from orograph import store
 from orograph.errors import DamagedChunkError, StoreError
+from orograph.store.addresses import storage_at
+from orograph.store.fsspec_storage import FsspecStorage
 from orograph.store.ranges import merged
-from orograph.store.storage import FolderStorage, RemoteStorage, storage_at
+from orograph.store.storage import FolderStorage
 
 HEIGHTS = rough((290, 260), 21, hole=True)
 SIZES = {"shard": 128, "chunk": 32}
@@ -40,7 +42,7 @@ def objects(storage, folder):
 
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 300), st.integers(1, 60)), min_size=1))
 def test_neighbouring_ranges_are_fetched_together(wanted):
-    storage = RemoteStorage("memory://orograph-ranges")
+    storage = FsspecStorage("memory://orograph-ranges")
     data = {key: np.random.default_rng(ord(key)).bytes(400) for key in "ab"}
     for key, content in data.items():
         storage.put(key, [content])
@@ -78,7 +80,7 @@ def test_memory_urls(local):
 
 def test_an_interrupted_build_at_a_url_is_resumed(local, monkeypatch):
     url = "memory://orograph-test/resumed"
-    put, left = RemoteStorage.put, [30]
+    put, left = FsspecStorage.put, [30]
 
     def stop(self, key, parts):
         left[0] -= 1
@@ -87,7 +89,7 @@ def test_an_interrupted_build_at_a_url_is_resumed(local, monkeypatch):
         put(self, key, parts)
 
     with monkeypatch.context() as patch:
-        patch.setattr(RemoteStorage, "put", stop)
+        patch.setattr(FsspecStorage, "put", stop)
         with pytest.raises(KeyboardInterrupt):
             store.build(source(HEIGHTS), url, jobs=1, **SIZES)
     with pytest.raises(StoreError, match=r"incomplete.*resume=True"):
@@ -111,7 +113,7 @@ def web(local):
 
 
 def test_http(web, local, tmp_path):
-    pytest.importorskip("aiohttp")
+    pytest.importorskip("obstore")
     terrain = store.open(f"{web}/area.oro")
     np.testing.assert_array_equal(terrain.read(0, 0, 290, 0, 260), HEIGHTS)
     assert terrain.tiles(0).valid.shape == (2, 2)
@@ -119,39 +121,6 @@ def test_http(web, local, tmp_path):
         store.open(f"{web}/other.oro")
     with pytest.raises(StoreError, match="could not be written"):
         store.build(source(HEIGHTS), f"{web}/new.oro", **SIZES)
-
-
-@pytest.fixture(scope="module")
-def bucket():
-    server = pytest.importorskip("moto.server")
-    s3fs = pytest.importorskip("s3fs")
-    running = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    running.start()
-    host, port = running.get_host_and_port()
-    options = {"endpoint_url": f"http://{host}:{port}", "key": "k", "secret": "s"}
-    s3fs.S3FileSystem(**options).mkdir("terrain")
-    yield options
-    running.stop()
-
-
-def test_s3(bucket, local):
-    url = "s3://terrain/area.oro"
-    terrain = store.build(source(HEIGHTS), url, storage_options=bucket, **SIZES)
-    check(terrain)
-    assert all(a == b for a, b in objects(terrain.storage, local).values())
-    assert terrain.size_bytes == FolderStorage(local).size()
-    terrain.storage.fs.rm("terrain/area.oro/heights/0/height/c/1/0")
-    with pytest.raises(DamagedChunkError, match="heights/0/height/c/1/0"):
-        store.open(url, storage_options=bucket).read(0, 130, 140, 0, 10)
-    with pytest.raises(StoreError, match="not an Orograph store"):
-        store.open("s3://terrain/nothing", storage_options=bucket)
-
-
-def test_s3_by_environment(bucket, monkeypatch):
-    monkeypatch.setenv("AWS_ENDPOINT_URL", bucket["endpoint_url"])
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "k")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "s")
-    check(store.build(source(HEIGHTS), "s3://terrain/by-environment", **SIZES))
 
 
 def test_a_folder_that_is_gone_is_no_damage(tmp_path):

@@ -13,7 +13,7 @@ from orograph import store
 from orograph.errors import DamagedChunkError, StoreError
 from orograph.store import storage
 
-pytest.importorskip("aiohttp")
+pytest.importorskip("obstore")
 
 HEIGHTS = rough((290, 260), 22)
 NEVER = {"cache_bytes": 0}

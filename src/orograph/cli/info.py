@@ -22,10 +22,10 @@ from orograph.cli.wording import spoken
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], as_json: bool, exact: bool, jobs: int | None, **options: Any
 ) -> None:
-    """Tell what a DEM or a store is, and what is suspicious about it.
+    """Describe a DEM or a store, and what is suspicious about it.
 
     PATH is anything GDAL reads (also inside .zip and .gz, or a URL), or a terrain store. Heights are in metres, after
-    scale, offset and unit. --bbox and --clip tell what one area of it holds.
+    scale, offset and unit. --bbox and --clip describe one area of it.
 
     \b
     Examples:

@@ -202,7 +202,8 @@ def points_options(function: F) -> F:
             "--max-edge",
             type=Float(),
             metavar="METRES",
-            help="Of points: leave triangles with a longer side out, as missing ground.  [default: all count]",
+            help="Of points: leave triangles with a longer side out, as missing ground; inf: none, not even slivers "
+            "along the rim.  [default: only slivers]",
         ),
         click.option(
             "--height-column",

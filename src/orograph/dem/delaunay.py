@@ -24,6 +24,9 @@ MOST_BITS = 18
 SIDE_BITS = 30
 """Places along the lattice's side, as a power of two: products of differences fit int64."""
 
+SLIVER = 160.0
+"""Degrees: a triangle whose corner opposite a side on the rim is wider than this is a sliver."""
+
 Ints = NDArray[np.int64]
 
 
@@ -119,6 +122,34 @@ def sides(surface: Surface, across: tuple[float, float]) -> NDArray[np.float64]:
     t = surface.triangles
     lengths = [np.hypot(x[t[:, i]] - x[t[:, i - 1]], y[t[:, i]] - y[t[:, i - 1]]) for i in range(3)]
     return np.asarray(np.max(lengths, axis=0))
+
+
+def without_slivers(surface: Surface) -> NDArray[np.int32]:
+    """The triangles (m, 3) of a surface without the slivers along its rim.
+
+    A sliver has a side on the rim, and opposite to it a corner wider than ``SLIVER``. It joins points of the hull that
+    have nothing to do with each other, and stands like a wall. What a sliver covered is peeled in turn. Long triangles
+    between the tracks of a survey are none: their corners opposite the rim are about right angles.
+    """
+    t = surface.triangles
+    ends = np.stack([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]], 1)  # (m, 3, 2): the sides opposite the corners
+    _, side, count = np.unique(
+        ends.min(-1).astype(np.int64) << 32 | ends.max(-1), return_inverse=True, return_counts=True
+    )  # fmt: skip
+    side = side.reshape(-1, 3)
+    x, y = surface.x.astype(np.float64)[t], surface.y.astype(np.float64)[t]
+    ux, uy = np.roll(x, -1, 1) - x, np.roll(y, -1, 1) - y
+    vx, vy = np.roll(x, -2, 1) - x, np.roll(y, -2, 1) - y
+    wide = ux * vx + uy * vy < math.cos(math.radians(SLIVER)) * np.hypot(ux, uy) * np.hypot(vx, vy)
+    left = np.ones(len(t), bool)
+    near = np.flatnonzero(wide.any(1))
+    while True:
+        peel = near[(wide[near] & (count[side[near]] == 1)).any(1)]
+        if not len(peel) or len(peel) == left.sum():
+            return np.ascontiguousarray(t[left])
+        left[peel] = False
+        np.subtract.at(count, side[peel], 1)
+        near = near[left[near]]
 
 
 class Gridded:

@@ -1,8 +1,9 @@
 """Scattered points as a raster: linear interpolation over their Delaunay triangulation, read by windows.
 
 The terrain's grid is metric: points in degrees go to their UTM zone, as rasters do. Its rectangle of samples holds all
-points; outside their hull, and in triangles with a side longer than ``max_edge``, heights are missing. The points stay
-with the terrain (``surface``): what is drawn of samples is an interpolation of them. Units: metres; samples.
+points; outside their hull, in slivers along it, and in triangles with a side longer than ``max_edge``, heights are
+missing. The points stay with the terrain (``surface``): what is drawn of samples is an interpolation of them. Units:
+metres; samples.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from orograph.dem.delaunay import Gridded, Surface, lattice_bits, on_lattice, sides, spacing_of, triangulate
+from orograph.dem.delaunay import (
+    Gridded,
+    Surface,
+    lattice_bits,
+    on_lattice,
+    sides,
+    spacing_of,
+    triangulate,
+    without_slivers,
+)
 from orograph.dem.projection import flat_crs, geodetic_base, in_metres
 from orograph.dem.scattered import Scattered, read_scattered
 from orograph.dem.target import MAX_SIDE, parse_crs
@@ -45,7 +55,7 @@ class PointRaster:
         max_edge: float | None = None,
     ) -> None:  # fmt: skip
         for called, length in (("resolution", resolution), ("max_edge", max_edge)):
-            if length is not None and not (math.isfinite(length) and length > 0):
+            if length is not None and not (length > 0 and (math.isfinite(length) or called == "max_edge")):
                 raise UsageError(f"`{called}` is a length in metres, not {length}.")
         self.name, self.vertical, self.path = points.name, points.vertical, points.path
         self.warnings, self.notes = list(points.warnings), list[str]()
@@ -66,8 +76,7 @@ class PointRaster:
                 f"of their mean height (they differ by up to {merged.apart:.3g} m)."
             )
         surface = triangulate(merged, self.bits, points.path)
-        longest = sides(surface, self.grid.spacing)
-        self.surface = self._within(surface, longest, max_edge)
+        self.surface = self._within(surface, max_edge)
         self._gridded = Gridded(self.surface)
         self._said = repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical, max_edge))
 
@@ -83,7 +92,8 @@ class PointRaster:
         Args:
             crs: projected CRS of the terrain; by default the points' own, or their UTM zone.
             resolution: metres between samples; by default as far as the points are apart on average.
-            max_edge: metres: triangles with a longer side are left out; None: all count.
+            max_edge: metres: triangles with a longer side are left out, and slivers along the rim
+                (``delaunay.without_slivers``); None: slivers only; infinite: all count.
             height_column, point_layer, point_classes, assume_crs, vertical_unit, assume_vertical: as of
                 ``read_scattered``.
 
@@ -101,8 +111,17 @@ class PointRaster:
             progress.note(note)
         return made
 
-    def _within(self, surface: Surface, longest: Array, max_edge: float | None) -> Surface:
+    def _within(self, surface: Surface, max_edge: float | None) -> Surface:
         """The triangles that count."""
+        whole = len(surface.triangles)
+        if max_edge != math.inf:
+            surface = surface._replace(triangles=without_slivers(surface))
+            slivers = whole - len(surface.triangles)
+            if slivers:
+                self.notes.append(
+                    f"{self.path}: {slivers:,} of {whole:,} triangles are slivers along the rim and left out"
+                )
+        longest = sides(surface, self.grid.spacing)
         usual, most = float(np.median(longest)), float(longest.max())
         if max_edge is None:
             if most > LONG * usual:

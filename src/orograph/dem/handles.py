@@ -28,7 +28,8 @@ from pathlib import Path
 from typing import Any
 
 from orograph.dem.conventions import ACROSS, DOWN
-from orograph.errors import ReadError
+from orograph.dem.remote import is_remote, network
+from orograph.errors import ReadError, public
 
 IDLE = 48
 CACHE = 64 << 20
@@ -73,14 +74,14 @@ def bounded_cache() -> dict[str, Any]:
     return {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE}
 
 
-def _settings() -> dict[str, Any]:
+def _settings(location: str) -> dict[str, Any]:
     """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
-    what its first lines look like; VRTs do not share their parts, for one that could not be opened once would be 0 in
-    all of them, even when it is there again."""
+    what its first lines look like; vertical datums of GeoTIFF 1.0 count, too; VRTs do not share their parts, for one
+    that could not be opened once would be 0 in all of them, even when it is there again."""
     return {
-        "VRT_SHARED_SOURCE": "0",
+        "VRT_SHARED_SOURCE": "0", "GTIFF_REPORT_COMPD_CS": True,
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
-        **bounded_cache(),
+        **bounded_cache(), **network(location),
     }  # fmt: skip
 
 
@@ -109,7 +110,7 @@ class Handles:
         from orograph.dem.whole import DAMAGED, check_file
 
         key = stamped(location)
-        with rasterio.Env(**_settings()):
+        with rasterio.Env(**_settings(location)):
             with self._lock:
                 found = next((i for i in reversed(range(len(self._idle))) if self._idle[i][0] == key), None)
                 dataset = None if found is None else self._idle.pop(found)[1]
@@ -197,7 +198,7 @@ def states(names: Iterable[str]) -> list[str]:
         try:
             found = on_disk(name).stat()
         except (OSError, ValueError):
-            said.append(name)
+            said.append(public(name))  # (an address that is signed anew means the same file)
         else:
             said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
     return said
@@ -392,6 +393,6 @@ def _remedy(location: str, error: BaseException) -> str:
         return "Tile archives must be made one raster first (gdal_translate to GeoTIFF)."
     if location.startswith(("/vsizip/{", "/vsigzip/")):
         return "Name an archive that holds an elevation raster, or unpack it and name the raster."
-    if "://" in location or location.startswith("/vsi"):
+    if is_remote(location):
         return "Check the address, the network and the credentials."
     return "Check that it is a raster that gdalinfo can read and that it is whole (fetch it again if it was cut short)."

@@ -229,14 +229,22 @@ def horizontal(crs: CRS | None) -> CRS | None:
     return crs
 
 
-def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
-    """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
+def crs_datum(crs: CRS | None) -> str | None:
+    """The name of the vertical datum of a CRS; None if it has none."""
     if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
         # "NAVD88 height (ftUS)" is NAVD88 height once it is in metres
         name = re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
         return re.sub(r" depth$", " height", name)  # which it is once its sign is changed (unit_of)
     if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
         return ELLIPSOIDAL
+    return None
+
+
+def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
+    """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
+    datum = crs_datum(crs)
+    if datum is not None:
+        return datum
     if dataset.driver == "SRTMHGT":
         return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
@@ -286,7 +294,7 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
                 f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
             )
         return factor
-    axis = _vertical_axis(crs)
+    axis = vertical_axis(crs)
     by_crs = float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else None
     sign = 1.0
     if (axis is not None and axis.direction == "down" and dataset.driver != "BAG") or is_depth_of(dataset, band):
@@ -301,7 +309,8 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
     return sign * (said or by_crs or 1.0)
 
 
-def _vertical_axis(crs: CRS | None) -> Any:
+def vertical_axis(crs: CRS | None) -> Any:
+    """The axis of a CRS along which heights or depths grow; None if it has none."""
     try:
         return next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
     except ProjError:

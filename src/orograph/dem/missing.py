@@ -73,6 +73,8 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
         ReadError: GDAL may have cut it off: of integers of 64 bits it reads −9.22e+18 as −9.
     """
     value: float | None = dataset.nodatavals[band - 1]
+    if value is not None and dataset.driver == "GTiff":
+        _check_text(dataset, _nodata_text(dataset, band))
     if value is None or dtype not in ("int64", "uint64") or not 0 < abs(value) < 10:
         return value
     text = _nodata_text(dataset, band)
@@ -82,6 +84,19 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
             path=dataset.name, remedy="Say which number means missing: `nodata=N`, or none.",
         )  # fmt: skip
     return int(float(text))
+
+
+_NUMBER = re.compile(r"[+-]?(?:nan|inf(?:inity)?|1\.#\w+|(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)", re.I)
+
+
+def _check_text(dataset: Any, text: str | None) -> None:
+    """Raise ReadError if a GeoTIFF's nodata value is no number, of which GDAL takes what it begins with, else 0."""
+    said = None if text is None else text.partition("\0")[0].strip()
+    if said and not _NUMBER.fullmatch(said.replace(",", ".") if re.fullmatch(r"[+-]?\d+,0*", said) else said):
+        raise ReadError(
+            f"Its nodata value ({said!r}) is no number.", path=dataset.name,
+            remedy="Say which number means missing: `nodata=N`, or none.",
+        )  # fmt: skip
 
 
 def is_default_fill(dataset: Any, band: int) -> bool:

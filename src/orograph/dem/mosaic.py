@@ -25,7 +25,7 @@ from pyproj import CRS
 from orograph.dem.area import Area, said
 from orograph.dem.handles import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
-from orograph.dem.layers import fill, layer_of
+from orograph.dem.layers import fill, layer_of, reaches
 from orograph.dem.placing import placed, scale_at_centre, scales, turned
 from orograph.dem.points import heights_at
 from orograph.dem.resample import METHODS
@@ -73,7 +73,7 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
-        bbox: Sequence[float] | None = None,
+        bbox: Sequence[float] | str | None = None,
         clip: Any = None,
         options: dict[str, Any] | None = None,
     ) -> None:
@@ -145,7 +145,7 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
-        bbox: Sequence[float] | None = None,
+        bbox: Sequence[float] | str | None = None,
         clip: Any = None,
         skip_damaged: bool = False,
         progress: Progress = SILENT,
@@ -246,6 +246,12 @@ class Mosaic:
     def resampled_from(self) -> tuple[SourceLattice, ...]:
         """The lattices that were resampled, the finest first; none if every sample is a source's own."""
         return () if self.lossless else tuple(layer.lattice for layer in self._own)
+
+    @property
+    def windows(self) -> list[tuple[int, int, int, int]]:
+        """Of each source the rows and columns of the grid (half-open) that it may decide, generously."""
+        found = {id(member): window for layer in self._layers for member, window in reaches(layer, self.grid)}
+        return [found[id(source)] for source in self.sources]
 
     def fingerprint(self) -> str:
         """A hash of all files (``handles.files_of``: absolute path, size, time of change) and all options: if equal, so

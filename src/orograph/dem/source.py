@@ -27,6 +27,7 @@ from orograph.dem.bands import (
     band_warnings,
     check_band,
     check_encoding,
+    check_scale,
     check_size,
     description_of,
     is_palette,
@@ -161,6 +162,8 @@ class Source:
             mask, alpha = mask_of(dataset, band, nodata)
             unit = unit_of(dataset, band, crs, vertical_unit, warnings)
             plain = encoding is None
+            if plain:
+                check_scale(dataset, band)
             return cls(
                 path=os.fspath(path),
                 location=location,

@@ -29,6 +29,7 @@ from orograph.geovis.color import TINTS_VERSION
 from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
+from orograph.store.addresses import storage_at
 from orograph.store.colors import COLORS, color_spec
 from orograph.store.diamonds import blank_top, place
 from orograph.store.digests import Spot
@@ -37,7 +38,6 @@ from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
 from orograph.store.pyramid import spans, tasks
 from orograph.store.shards import go_through
-from orograph.store.storage import storage_at
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.terrain import Terrain, diamond_shape, level_count, level_shape
 from orograph.store.writer import Canvas, ShardWriter
@@ -141,7 +141,7 @@ def store_colors(
     when it is asked for again.
 
     Args:
-        store: a folder, or a URL that fsspec can write to.
+        store: a folder, or a URL (``s3://``, ``gs://``, ``az://``…).
         drape: an image laid over the terrain; None: the tint of heights.
         overwrite: make them anew.
         max_memory: bytes the process should stay within.

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from orograph.errors import OutputError, StoreError, UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
@@ -33,13 +34,15 @@ from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.several import words
+from orograph.store.addresses import storage_at
 from orograph.store.clusters import check_workers, on_workers
 from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Threads
 from orograph.store.layers import GROUP, LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
 from orograph.store.layout import Record, publish
 from orograph.store.lock import alone
-from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.writer import ShardWriter
 
@@ -82,7 +85,7 @@ def bake(
     *,
     bits: Bits | None = None,
     overwrite: bool = False,
-    max_memory: int = MEMORY,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
@@ -96,15 +99,15 @@ def bake(
     interrupted bake into a folder goes on when it is asked for again.
 
     Args:
-        store: a folder, a URL that fsspec can write to, or an opened store of these.
-        names: of products, those in ``BAKED``.
+        store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
+        names: of products, those in ``BAKED``: one, several, or a text ("openness,sky-view-factor").
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures and insolation, else 8).
         overwrite: bake also what is there already, and begin anew what was interrupted.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: for the fsspec file system.
+        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
         workers: bake in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…
@@ -113,11 +116,10 @@ def bake(
         UsageError: there is no such product, it cannot be baked, or its options make no sense.
         StoreError: there is no store, another bake is at work or was interrupted, or it cannot be written.
     """
-    progress = reporting(progress)
+    progress, max_memory = reporting(progress), bytes_of(max_memory)
     if options is not None and more:
         raise UsageError("Give the products' options as Options, or by their names, not both.")
-    names = [names] if isinstance(names, str) else names
-    chosen, wanted = options or Options.of(**more), list(dict.fromkeys(names))
+    chosen, wanted = options or Options.of(**more), list(dict.fromkeys(words(names)))
     products = [_bakeable(name) for name in wanted]
     for each in products:
         each.check(chosen)

@@ -156,6 +156,7 @@ class Bdam(TrianglePatches):
             wanted = wanted[:0]
         else:
             wanted = wanted[ready.tiles[self.tiling.places(wanted)] == 0]
+        self._last.selected(began)
         return TinBatches(
             method=self.info.name, bound=tolerance if promised else None, lacking=wanted, stats=stats, batches=batches
         )

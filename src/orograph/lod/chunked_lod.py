@@ -131,6 +131,7 @@ class ChunkedLod(Method):
             stats["within_budget"] = found.within
         self._let_go()
         kept = [batch for batch in batches if len(batch.triangles)]
+        self._last.selected(began)
         return TinBatches(method=self.info.name, bound=None, stats=stats, batches=kept)
 
     # ---- selecting ----

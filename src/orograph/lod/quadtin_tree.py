@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.delaunay import Surface, lattice_bits
+from orograph.dem.delaunay import Surface, lattice_bits, without_slivers
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lod import quadtin_build as build
@@ -21,9 +21,6 @@ from orograph.store.terrain import Terrain
 
 BYTES_PER_TRIANGLE = 120
 """Of the truth, while a hierarchy is made of it: about."""
-
-SLIVER = 10
-"""Length over width of triangles that count for slivers."""
 
 ROUNDING = 1e-9
 """Deviations of this part of the largest height are none."""
@@ -41,6 +38,7 @@ class Hierarchy(NamedTuple):
         parents: (v, 2) int32, the vertices that it depends on, twice the same on the border.
         corners: (t, 3) int32; child, node: (t,) int32; state: (t,) uint8: as of ``Tree``.
         off, reach: (t,) float64, metres: how far a triangle is from the truth; from its apex to what it stands for.
+        low, high: (t,) float64, metres: of the ground under a triangle, infinite where there is none.
         nodes: (v, 4) int32, the vertices that depend on it, −1: none.
         points: how many vertices are the truth's. steiner: how many are not. finest: metres.
         stuck: triangles that could not be split although they are further off.
@@ -57,6 +55,8 @@ class Hierarchy(NamedTuple):
     state: NDArray[np.uint8]
     off: Floats
     reach: Floats
+    low: Floats
+    high: Floats
     nodes: NDArray[np.int32]
     points: int
     steiner: int
@@ -74,7 +74,7 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     """The surface that a QuadTIN is to be, and the lattice's bits."""
     if has_points(terrain):
         surface: Surface = terrain.derived("points")
-        used, places = np.unique(peeled(surface), return_inverse=True)
+        used, places = np.unique(without_slivers(surface), return_inverse=True)
         corners: NDArray[np.int32] = places.reshape(-1, 3).astype(np.int32)
         z = surface.z[used].astype(np.float64)
         return Truth(surface.x[used], surface.y[used], z, corners, build.rim_of(corners, len(used))), surface.bits
@@ -90,24 +90,6 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     triangles = np.stack([one, two], 1).reshape(-1, 3).astype(np.int32)
     triangles = np.ascontiguousarray(triangles[~np.isnan(z[triangles]).any(1)])
     return Truth(col << bits, row << bits, z, triangles, build.rim_of(triangles, len(z))), bits
-
-
-def peeled(surface: Surface) -> NDArray[np.int32]:
-    """The triangles of a surface without the slivers along its rim: those ``SLIVER`` times as long as wide, as long as
-    there are any. They join points on the hull that have nothing to do with each other, and stand like walls.
-    """
-    x, y, triangles = surface.x.astype(np.float64), surface.y.astype(np.float64), surface.triangles
-    while True:
-        rim = build.rim_of(triangles, len(surface.z)) > 0
-        a, b, c = triangles[rim].T
-        area = np.abs((x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a]))
-        longest = np.max([np.hypot(x[p] - x[q], y[p] - y[q]) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-        thin = SLIVER * area < longest**2
-        if not thin.any() or (thin.all() and rim.all()):
-            return np.asarray(triangles, np.int32)
-        keep = np.ones(len(triangles), bool)
-        keep[np.flatnonzero(rim)[thin]] = False
-        triangles = np.ascontiguousarray(triangles[keep])
 
 
 def check_room(terrain: Terrain, max_memory: int) -> None:
@@ -251,6 +233,7 @@ def finished(tree: Tree, grid: Grid, bits: int, finest: float) -> Hierarchy:
     steiner = int(tree.steiner[4:v].sum())
     return Hierarchy(
         np.stack([col, row, z], -1), error, radius, np.ascontiguousarray(parents, np.int32), corners,
-        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach, nodes, v - 4 - steiner, steiner,
-        finest, int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
+        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach,
+        tree.low[:count].copy(), tree.high[:count].copy(), nodes, v - 4 - steiner, steiner, finest,
+        int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
     )  # fmt: skip

@@ -53,6 +53,9 @@ GROWTH = 1.5
 PART = 0.9
 """The part of the time there is that a pass is expected to take."""
 
+LEFT = 0.25
+"""The part of the time that passes have at least, however long a selection takes after them."""
+
 WORTH = 1.4
 """How many times the last pass the time left must be for another one."""
 
@@ -265,14 +268,26 @@ M = TypeVar("M", bound=Coarsened)
 
 @dataclass(slots=True)
 class Pass:
-    """The last pass that a budget asked for: its tolerance, and the seconds it took; 0: there was none."""
+    """What a budget learns from the frame before.
+
+    Attributes:
+        tolerance, seconds: of the last pass; 0: there was none.
+        passes: seconds that all passes of the frame took.
+        after: seconds that the method took after its passes, to make a selection of what they found.
+    """
 
     tolerance: float = 0.0
     seconds: float = 0.0
+    passes: float = 0.0
+    after: float = 0.0
 
     def reaching(self, seconds: float) -> float:
         """The tolerance at which a pass may take so many seconds, if time goes with the number of triangles."""
         return float(self.tolerance * (self.seconds / seconds) ** (1 / GROWTH))
+
+    def selected(self, began: float) -> None:
+        """A selection that began at a time of ``time.perf_counter`` is complete."""
+        self.after = max(time.perf_counter() - began - self.passes, 0.0)
 
 
 def by_tolerance(refine: Callable[[float], M], goal: Goal, last: Pass) -> M:
@@ -290,10 +305,14 @@ def by_tolerance(refine: Callable[[float], M], goal: Goal, last: Pass) -> M:
         last.tolerance, last.seconds = tolerance, time.perf_counter() - began
         return found
 
+    start = time.perf_counter()
     if goal.seconds is not None:
-        return _in_time(at, goal.seconds, last)
-    assert goal.triangles is not None
-    return _in_number(at, goal.triangles)
+        found = _in_time(at, max(goal.seconds - last.after, LEFT * goal.seconds), last)
+    else:
+        assert goal.triangles is not None
+        found = _in_number(at, goal.triangles)
+    last.passes = time.perf_counter() - start
+    return found
 
 
 def _in_time(at: Callable[[float], M], seconds: float, last: Pass) -> M:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from orograph.error import ErrorKind
 from orograph.lod.method import Resources
-from orograph.lod.squares import BlockHeights, pooled, touched
+from orograph.lod.squares import BlockHeights, Index, pooled, touched
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Boxes
 from orograph.store.diamond_table import DiamondTable
@@ -98,15 +98,21 @@ class BlockErrors:
         """All blocks of a level, of sides 2^side (one of those that are kept)."""
         return self._blocks[level, side]
 
-    def around(self, level: int, boxes: Boxes, side: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """The largest errors of a level in boxes (m,), and whether ground and missing ground meet there.
+    def around(self, levels: range, boxes: Boxes, side: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """The largest errors of levels in boxes (k, m), and whether ground and missing ground meet there.
 
         Args:
             boxes: of two blocks by two at most, of sides 2^side.
         """
-        if level == 0:
-            return np.zeros(len(boxes.west)), np.zeros(len(boxes.west), bool)  # (samples are as they are)
-        side = max(side, self._least(level))
-        block = self._blocks[level, side]
-        i, j = touched(boxes, side, block.error.shape)
-        return block.error[i, j].max(0).astype(np.float64), np.asarray(block.mixed[i, j].any(0))
+        errors, mixed = np.zeros((len(levels), len(boxes.west))), np.zeros((len(levels), len(boxes.west)), bool)
+        places: dict[int, tuple[Index, Index]] = {}
+        for n, level in enumerate(levels):
+            if level == 0:
+                continue  # (samples are as they are)
+            least = max(side, self._least(level))
+            block = self._blocks[level, least]
+            if least not in places:
+                places[least] = touched(boxes, least, block.error.shape)
+            errors[n] = block.error[places[least]].max(0)
+            mixed[n] = block.mixed[places[least]].any(0)
+        return errors, mixed

@@ -121,13 +121,12 @@ class Layout:
                 lengths.
         """
         boxes = self._around(p, across, row, col)
-        found = np.full(len(row), p - self.errors.big - 1)
-        terrain, (view, exaggeration) = self.errors.terrain, (self.camera.view, self.camera.exaggeration)
-        for level in range(max(p - self.errors.big, 0), p + 1):
-            error, mixed = self.errors.around(level, boxes, p - 1)
-            fits = ~mixed & (moved(terrain, view, exaggeration, self.times * error, boxes) <= self.tolerance)
-            found = np.where(fits, level, found)
-        return found
+        levels = range(max(p - self.errors.big, 0), p + 1)
+        errors, mixed = self.errors.around(levels, boxes, p - 1)
+        view, exaggeration = self.camera.view, self.camera.exaggeration
+        fits = ~mixed & (moved(self.errors.terrain, view, exaggeration, self.times * errors, boxes) <= self.tolerance)
+        coarsest: Index = np.where(fits, np.array(levels)[:, None], p - self.errors.big - 1).max(0)
+        return coarsest
 
     def _around(self, p: int, across: bool, row: Index, col: Index) -> Boxes:
         """The boxes around edges: half a length on either side."""

@@ -230,10 +230,12 @@ class TrianglePatches(RightTriangles):
         if ready.tiles is not None:
             lacking = wanted[ready.tiles[self.tiling.places(wanted)] == 0]
             promised = promised and not (len(lacking) or patches.stats["absent"])
+        instances = patches.instances.copy()
+        self._last.selected(began)
         return PatchSet(
             method=self.info.name, bound=tolerance if promised else None, lacking=lacking, stats=stats,
             topologies=(_topology(self.legs),),
-            instances=patches.instances.copy(), shapes=np.zeros(len(patches.instances), np.uint8), expand=self._expand,
+            instances=instances, shapes=np.zeros(len(instances), np.uint8), expand=self._expand,
         )  # fmt: skip
 
     def _expand(self, selection: PatchSet) -> Tessellation:

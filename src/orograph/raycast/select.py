@@ -69,10 +69,11 @@ def distances(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -
     """A lower bound of the distance from the eye to each box, metres of stretched space."""
     col, row = terrain.grid.index(view.eye[0], view.eye[1])
     a, b, _, d, e, _ = terrain.grid.samples[:6]
-    linear = np.array([[a, b], [d, e]])
     # Metres per sample along the least stretched direction: exact for the square, unrotated cells of most terrain.
-    scale = np.linalg.svd(linear, compute_uv=False)
-    sx, sy = (math.hypot(a, d), math.hypot(b, e)) if abs(a * b + d * e) < 1e-9 * scale[0] ** 2 else (scale[1], scale[1])
+    if abs(a * b + d * e) < 1e-9 * (a * a + b * b + d * d + e * e):
+        sx, sy = math.hypot(a, d), math.hypot(b, e)
+    else:
+        sx = sy = float(np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)[1])
     dx = np.maximum(np.maximum(boxes.west - col, col - boxes.east), 0) * sx
     dy = np.maximum(np.maximum(boxes.north - row, row - boxes.south), 0) * sy
     dz = np.maximum(np.maximum(boxes.low - view.eye[2], view.eye[2] - boxes.high), 0) * exaggeration
@@ -98,7 +99,10 @@ def pixel_error(terrain: Terrain, view: View, exaggeration: float, level: int, b
 
 
 def moved(terrain: Terrain, view: View, exaggeration: float, error: Array, boxes: Boxes) -> Array:
-    """An upper bound, in pixels, of what vertical distances (metres) within boxes displace on the screen."""
+    """An upper bound, in pixels, of what vertical distances (metres) within boxes displace on the screen.
+
+    Distances are of the shape of the boxes, or stacks of such arrays.
+    """
     if view.projection == "plan":
         return np.zeros(error.shape)
     error, focal = error * exaggeration, 1.0 / view.pixel_slope

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from orograph.errors import StoreError, UsageError
+from orograph.store.addresses import storage_at
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
@@ -21,7 +22,7 @@ from orograph.store.executing import KNOWN, Stage
 from orograph.store.layout import TABLES_AND_VALID, table_spec
 from orograph.store.places import PLAN
 from orograph.store.source import HeightSource
-from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.storage import Storage
 from orograph.store.terrain import TileTable
 from orograph.store.workshop import guarded
 from orograph.store.writer import ShardWriter
@@ -31,7 +32,7 @@ class BuildRecipe(NamedTuple):
     """All that workers are told once.
 
     Attributes:
-        url: where the store is made. storage_options: for the fsspec file system.
+        url: where the store is made. storage_options: beside the environment, for the bucket (obstore's).
         plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
         files, options: of the source (``Mosaic.open``).
         levels: of the groups of heights and errors; 0: none.
@@ -72,7 +73,7 @@ def recipe_of(
         raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Name a folder.")
     files, options = said
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
-    url = str(storage.path.absolute()) if isinstance(storage, FolderStorage) else storage.url
+    url, _ = storage.named()
     return BuildRecipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from orograph.errors import ReadError
+from orograph.errors import ReadError, StoreError
+from orograph.store.addresses import storage_at
 from orograph.store.places import PLAN, ROOT, left_over
 
 
@@ -22,12 +23,9 @@ def is_store(path: str | os.PathLike[str]) -> bool:
     last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
     if Path(last).suffix not in ("", ".oro", ".zarr"):
         return False
-    import fsspec
-
     try:
-        filesystem, root = fsspec.url_to_fs(text)
-        return bool(filesystem.exists(f"{root.rstrip('/')}/zarr.json"))
-    except (OSError, ValueError, ImportError) as error:
+        return storage_at(text).exists(ROOT)
+    except StoreError as error:
         raise ReadError(
-            f"It cannot be reached: {error}.", path=text, remedy="Check the URL and the network."
+            f"It cannot be reached: {error.what}", path=text, remedy="Check the URL and the network."
         ) from error

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,7 +58,7 @@ def is_dataset(thing: Any) -> bool:
 def files_of(given: Any) -> list[str] | None:
     """The files and stores that something names, by path, or as open datasets of them; None of all else."""
     if isinstance(given, str | os.PathLike):
-        return [os.fspath(given)]
+        return _matching(os.fspath(given))
     from orograph.dem.datasets import file_of
 
     if is_dataset(given):
@@ -68,6 +69,14 @@ def files_of(given: Any) -> list[str] | None:
         if len(found) == len(given) and None not in found:
             return [path for one in found for path in one or ()]
     return None
+
+
+def _matching(path: str) -> list[str]:
+    """The files that a pattern ("tiles/*.tif") matches, sorted by name; any other path alone."""
+    if "://" in path or not ("*" in path or "?" in path) or os.path.lexists(path):
+        return [path]
+    anchor = Path(Path(path).anchor)
+    return sorted(map(str, anchor.glob(str(Path(path).relative_to(anchor))))) or [path]
 
 
 def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain", **options: Any) -> HeightSource:

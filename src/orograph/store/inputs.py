@@ -1,15 +1,16 @@
 """What a store was built from, as its record keeps it: so that it can be built or mended again by one command.
 
 Each input has its own state and that of the files beside it (headers, masks, the parts of a VRT): a change of any is a
-change of the input. Paths are absolute; of URLs what may be secret (user, password, query) is left out.
+change of the input. Its window is what it may decide of the terrain. Paths are absolute; of URLs what may be secret
+(user, password, query) is left out.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
+from orograph.errors import public
 from orograph.progress import SILENT, Progress
 from orograph.store.source import HeightSource
 
@@ -27,6 +28,7 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
     return {
         "files": [_file(path) for path in files],
         "beside": [_beside(path) for path in files],
+        "windows": [list(window) for window in getattr(source, "windows", ())],
         "geoid": _file(options["geoid"]) if options.get("geoid") else None,
         "options": {k: v for k, v in options.items() if v is not None and v != DEFAULTS.get(k)},
     }
@@ -45,14 +47,9 @@ def _file(path: str) -> dict[str, Any]:
 
     file = on_disk(path)
     if not file.is_file():
-        return {"path": absolute(path) if file.exists() else _public(path), "size": None, "time_ns": None}
+        return {"path": absolute(path) if file.exists() else public(path), "size": None, "time_ns": None}
     found = file.stat()
     return {"path": absolute(path), "size": found.st_size, "time_ns": found.st_mtime_ns}
-
-
-def _public(url: str) -> str:
-    """A URL without user, password and query."""
-    return re.sub(r"://[^/@]*@", "://", url).partition("?")[0]
 
 
 def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSource:

@@ -10,7 +10,8 @@ Parts of one build share it: ``shared`` says what they have in common, and other
 On a network file system this relies on ``flock`` reaching all machines: NFS from version 3 with its lock manager or 4,
 SMB, CephFS, GPFS, and Lustre mounted with ``-o flock`` do that. Where the system says that it has no such locks, a file
 ``.area.oro.owner`` that only one process can create takes their place. It names its process; it is taken over when that
-one has ended on this machine. Object storage has neither: there nobody keeps two builds apart.
+one has ended on this machine. In buckets a lock is an object (``bucket_lock``); at other addresses nobody keeps two
+builds apart.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ NO_LINKS = frozenset({errno.EPERM, errno.EMLINK}) | UNSUPPORTED
 
 @contextmanager
 def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[None]:
-    """Keep every other process, and every other thread, from writing to a store in a folder.
+    """Keep every other process, and every other thread, from writing to a store.
 
     Args:
         storage: of the store, not of the folder in which it is made.
@@ -56,7 +57,8 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
         StoreError: another process is at work, or no lock can be made there.
     """
     if not isinstance(storage, FolderStorage):
-        yield
+        with _in_bucket(storage, doing, shared):
+            yield
         return
     real = Path(os.path.realpath(storage.path))
     path = real.with_name(f".{real.name}.lock")
@@ -72,6 +74,26 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
         yield
     finally:
         lock.release()
+
+
+@contextmanager
+def _in_bucket(storage: Storage, doing: str, shared: str | None) -> Iterator[None]:
+    """The same of a store in a bucket; elsewhere there are no locks."""
+    from orograph.store.bucket import BucketStorage
+    from orograph.store.bucket_lock import Lease
+
+    if not isinstance(storage, BucketStorage):
+        yield
+        return
+    storage.may_write()
+    lease = Lease(storage, doing, shared)
+    lease.take()
+    storage.lease = lease
+    try:
+        yield
+    finally:
+        storage.lease = None
+        lease.release()
 
 
 class _Flock:

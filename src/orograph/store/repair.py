@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from orograph.errors import OrographError, StoreError
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.store.addresses import storage_at
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
@@ -35,7 +36,7 @@ from orograph.store.pyramid import Finest, Pyramid, tasks
 from orograph.store.registry import KINDS
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
-from orograph.store.storage import Storage, storage_at
+from orograph.store.storage import Storage
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import Heights
 from orograph.store.tin_kind import TINS

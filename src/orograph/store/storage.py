@@ -1,11 +1,12 @@
-"""Where a store's bytes lie: a folder, or anything fsspec reaches (``memory://``, ``s3://``, ``http://``…).
+"""Where a store's bytes lie: a folder, or another place (``addresses``).
 
 A store needs very little of its storage: whole objects by key, ranges of them, and a put after which the object is
 there entirely or not at all. A folder gives that by writing beside the place and renaming; object stores by nature.
 Keys are paths with ``/``. Every failure other than absence is a StoreError that says where.
 
 A web server that accepts and never answers must not hold a reader for long: after ``SILENCE`` seconds without a byte it
-is an error. One that answers that it is busy, or drops the connection, is asked again, ``AGAIN`` seconds later.
+is an error. A server that answers that it is busy, or drops the connection, is asked again, ``AGAIN`` seconds later; a
+bucket for longer.
 """
 
 from __future__ import annotations
@@ -14,27 +15,22 @@ import errno
 import os
 import shutil
 import threading
-import time
-import zlib
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from orograph.errors import StoreError, UsageError
+from orograph.errors import StoreError
 from orograph.output import remove
 from orograph.processes import host
-from orograph.store.ranges import Range, cut, merged
+from orograph.store.ranges import Range
 
 OPEN_FILES = 128
 WRITING = ".writing"  # how the names of files end that are not complete
 SILENCE = 10.0  # seconds that a web server may let pass without a byte
 AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
-BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})  # HTTP: not now
-
-T = TypeVar("T")
+LONGER = (2.0, 4.0, 8.0, 16.0)  # and then of a bucket
 
 
 class Storage(ABC):
@@ -71,7 +67,7 @@ class Storage(ABC):
     def size(self) -> int | None:
         """Bytes of all objects together, None where that cannot be told."""
 
-    def stamp(self, key: str) -> tuple[int, ...] | None:
+    def stamp(self, key: str) -> tuple[Any, ...] | None:
         """Differs when an object was replaced, at the cost of a look; None if it is not there, or nothing tells."""
         return None
 
@@ -205,7 +201,7 @@ class FolderStorage(Storage):
         for path in self.path.rglob(f".*{WRITING}"):
             remove(path)
 
-    def stamp(self, key: str) -> tuple[int, ...] | None:
+    def stamp(self, key: str) -> tuple[Any, ...] | None:
         try:
             found = (self.path / key).stat()
         except OSError:
@@ -254,163 +250,3 @@ else:  # Windows has no pread
         with _seek_lock:
             os.lseek(fd, start, os.SEEK_SET)
             return os.read(fd, length)
-
-
-class RemoteStorage(Storage):
-    """Anything fsspec reaches.
-
-    Args:
-        url: of the store's root.
-        options: passed to the fsspec file system (``endpoint_url``, ``key``, ``anon``, ``client_kwargs``…).
-    """
-
-    remote = True
-
-    def __init__(self, url: str, options: dict[str, Any] | None = None) -> None:
-        import fsspec
-
-        self.url, self._options = url.rstrip("/"), options
-        given = dict(options or {})
-        try:
-            if self.url.partition("://")[0] in ("http", "https"):
-                from aiohttp import ClientTimeout
-
-                patience = ClientTimeout(total=None, sock_connect=SILENCE, sock_read=SILENCE)
-                given["client_kwargs"] = {"timeout": patience, **given.get("client_kwargs", {})}
-            self.fs, self.root = fsspec.core.url_to_fs(self.url, **given)
-        except (ImportError, ValueError) as error:
-            raise StoreError(
-                f"Its kind of address cannot be opened: {error}.",
-                path=url,
-                remedy="pip install 'orograph[remote]' brings http and s3; other protocols need their fsspec package.",
-            ) from error
-
-    def named(self) -> tuple[str, dict[str, Any] | None]:
-        return self.url, self._options
-
-    def _at(self, key: str) -> str:
-        return f"{self.root.rstrip('/')}/{key}" if key else self.root
-
-    @contextmanager
-    def _reporting(self, what: str, key: str) -> Iterator[None]:
-        try:
-            yield
-        except (FileNotFoundError, StoreError):
-            raise
-        except Exception as error:  # every fsspec backend has its own family of errors
-            why = f"{type(error).__name__}: {error}"
-            if isinstance(error, TimeoutError):
-                why = f"the server does not answer ({SILENCE:g} s without a byte)"
-            raise StoreError(f"{key or 'It'} could not be {what}: {why}.", path=self.url) from error
-
-    def _read(self, key: str, read: Callable[[], T]) -> T:
-        """What ``read`` returns, tried again where it failed for the moment only."""
-        with self._reporting("read", key):
-            for pause in AGAIN:
-                try:
-                    return read()
-                except Exception as error:
-                    if not _passing(error):
-                        raise
-                time.sleep(pause)
-            return read()
-
-    def get(self, key: str) -> bytes | None:
-        try:
-            return self._read(key, lambda: bytes(self.fs.cat_file(self._at(key))))
-        except FileNotFoundError:
-            return None
-
-    def tail(self, key: str, length: int) -> bytes | None:
-        try:
-            found = self._read(key, lambda: bytes(self.fs.cat_file(self._at(key), start=-length)))
-        except FileNotFoundError:
-            return None
-        return self._part(key, found, length)
-
-    def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
-        if not wanted:
-            return []
-        together = merged(wanted)
-        keys, starts, stops = zip(*together, strict=True)
-
-        def fetch() -> list[Any]:
-            found = self.fs.cat_ranges([self._at(k) for k in keys], list(starts), list(stops), on_error="return")
-            for part in found:
-                if isinstance(part, Exception) and not isinstance(part, FileNotFoundError):
-                    raise part
-            return list(found)
-
-        pieces: dict[str, list[tuple[int, bytes]]] = {}
-        for (key, start, stop), part in zip(together, self._read(keys[0], fetch), strict=True):
-            data = b"" if isinstance(part, Exception) else self._part(key, bytes(part), stop - start)
-            pieces.setdefault(key, []).append((start, data))
-        return [cut(pieces[key], start, stop) for key, start, stop in wanted]
-
-    def _part(self, key: str, data: bytes, length: int) -> bytes:
-        """What was asked for as a part of an object; a server that ignores ranges sends all of it, for each part."""
-        if len(data) > length:
-            raise StoreError(
-                f"{key} could not be read: the server sends whole files where parts of them are asked for.",
-                path=self.url,
-                remedy="Serve the store by one that understands ranges (nginx, Apache, Caddy, any object storage; "
-                "python -m http.server does not), or copy it to a disk.",
-            )
-        return data
-
-    def stamp(self, key: str) -> tuple[int, ...] | None:
-        data = self.get(key)  # (what servers say of an object besides differs from one to the next)
-        return None if data is None else (len(data), zlib.crc32(data))
-
-    def put(self, key: str, parts: Sequence[bytes]) -> None:
-        with self._reporting("written", key):
-            self.fs.pipe_file(self._at(key), b"".join(parts))
-
-    def exists(self, key: str) -> bool:
-        with self._reporting("read", key):
-            return bool(self.fs.exists(self._at(key)))
-
-    def remove(self, key: str = "") -> None:
-        try:
-            with self._reporting("removed", key):
-                self.fs.rm(self._at(key), recursive=True)
-                self.fs.invalidate_cache()
-        except FileNotFoundError:
-            pass
-
-    def size(self) -> int | None:
-        try:
-            self.fs.invalidate_cache()
-            return int(self.fs.du(self.root))
-        except Exception:  # a web server need not list what it has
-            return None
-
-
-def _passing(error: Exception) -> bool:
-    """Whether what failed may go well in a moment: the server is busy, or the connection broke. Silence is no such."""
-    if isinstance(error, TimeoutError):
-        return False
-    status = getattr(error, "status", None)
-    if isinstance(status, int):
-        return status in BUSY
-    return isinstance(error, ConnectionError) or type(error).__name__ in (
-        "ServerDisconnectedError", "ClientPayloadError", "ClientOSError",
-    )  # fmt: skip
-
-
-def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
-    """The storage of a path, a ``file://`` URL, or any other URL fsspec knows."""
-    if not isinstance(url, str | os.PathLike):
-        raise UsageError(
-            f"A store is a folder or a URL, not {type(url).__name__}.",
-            remedy="Build one of it: `orograph.build(heights, 'area.oro')`.",
-        )
-    text = os.fspath(url)
-    if text.startswith("file://"):
-        from urllib.parse import unquote, urlsplit
-        from urllib.request import url2pathname
-
-        return FolderStorage(url2pathname(unquote(urlsplit(text).path)))
-    if "://" in text:
-        return RemoteStorage(text, options)
-    return FolderStorage(text)

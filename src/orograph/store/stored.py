@@ -10,7 +10,9 @@ from typing import Any
 from orograph.cards import Row, amount
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
+from orograph.folders import Amount, bytes_of
 from orograph.progress import SILENT, Progress
+from orograph.store.addresses import storage_at
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamond_table import DIAMONDS
@@ -27,7 +29,7 @@ from orograph.store.layout import (
 from orograph.store.places import ROOT, missing
 from orograph.store.points import POINTS, StoredPoints
 from orograph.store.registry import kind_of
-from orograph.store.storage import Storage, storage_at
+from orograph.store.storage import Storage
 from orograph.store.terrain import Heights, Terrain, TileTable
 from orograph.store.watch import Watch
 
@@ -228,23 +230,24 @@ def _key(name: str, options: dict[str, Any]) -> Key:
 def open(
     url: str | os.PathLike[str],
     *,
-    cache_bytes: int = CACHE_BYTES,
+    cache_bytes: Amount = CACHE_BYTES,
     jobs: int | None = None,
     storage_options: dict[str, Any] | None = None,
 ) -> StoredTerrain:
     """Open a store for reading.
 
     Args:
-        url: a folder, or any URL fsspec reads (``file://``, ``memory://``, ``s3://``, ``http://``…).
+        url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads).
         cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
         jobs: threads for large windows (default: all processors).
-        storage_options: for the fsspec file system (``endpoint_url``, ``anon``…).
+        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
 
     Raises:
         StoreError: there is no store, its build is not finished, it has another format than this reader, or its
             metadata is damaged.
     """
-    return _open(storage_at(url, storage_options), cache_bytes, jobs)
+    kept = 0 if cache_bytes == 0 else bytes_of(cache_bytes, "cache_bytes")
+    return _open(storage_at(url, storage_options), kept, jobs)
 
 
 def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain:

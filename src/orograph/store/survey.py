@@ -40,6 +40,16 @@ Codes = dict[tuple[int, str], NDArray[np.uint8]]
 Surveyed = tuple[Codes, list[Rest]]
 
 
+def errors_key(spot: Spot) -> str:
+    """Where what was found of an area is kept."""
+    return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
+
+
+def area_of(shard: int) -> int:
+    """Samples along the side of a task's area."""
+    return max(shard, 32)
+
+
 class Errors(ShardStage[Surveyed]):
     """The diamonds' arrays of a store under construction.
 
@@ -67,12 +77,13 @@ class Errors(ShardStage[Surveyed]):
         self.coding = coding
         self.shape, self.writer, self.sizes = grid.shape, writer, (shard, chunk)
         self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
-        self.area = max(shard, 32)
+        self.area = area_of(shard)
         low, high = _range(first)
         self.codes = {kind: ErrorCode.of(high - low, kind, n) for kind in kinds}
         self.radius = RadiusCode.of(high - low, metric(grid), n)
         self.encoder = Encoder(self.codes, self.radius)
         self.names = [*kinds, "radius"]
+        self.coded = np.frombuffer(repr((self.codes, self.radius, low)).encode(), np.uint8)
         self.survey = Survey(
             self._nested(),
             surface(grid, first.minimum, low),
@@ -109,7 +120,7 @@ class Errors(ShardStage[Surveyed]):
             self.survey.add(rest)
 
     def key(self, spot: Spot) -> str:
-        return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
+        return errors_key(spot)
 
     def make(self, spot: Spot) -> Surveyed:
         """Survey an area, write its shards of octave 0, and keep the rest."""
@@ -132,7 +143,7 @@ class Errors(ShardStage[Surveyed]):
                     self._encode(part, row, col, codes)
                 if rest is not None:
                     rests.append(rest)
-        kept: dict[str, NDArray[Any]] = {
+        kept: dict[str, NDArray[Any]] = {"coded.0.": self.coded} | {
             f"codes.{octave}.{name}": values for (octave, name), values in codes.items() if octave or not self.top
         }
         if self.top:
@@ -186,7 +197,10 @@ class Errors(ShardStage[Surveyed]):
         try:
             for key, array in unpack(data).items():
                 what, number, name = key.split(".", 2)
-                if what == "codes":
+                if what == "coded":
+                    if array.tobytes() != self.coded.tobytes():
+                        return None  # the heights had another range
+                elif what == "codes":
                     codes[int(number), name] = array
                 elif what == "digest":
                     digests[name].append(array.tobytes())
@@ -253,7 +267,7 @@ def _range(first: TileTable) -> tuple[float, float]:
 
 def memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     """About what this stage holds at once: its tasks, open coarse shards, and the octaves that are made at the end."""
-    area = max(shard, 32)
+    area = area_of(shard)
     window = min(area, shape[0]) * min(area, shape[1])
     block = min(BLOCK + 2 * ALIGNED, shape[0]) * min(BLOCK + 2 * ALIGNED, shape[1])
     task = window * (5 + 2 * (kinds + 1)) + block * (24 + 14 * kinds)

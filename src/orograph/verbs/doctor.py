@@ -19,7 +19,7 @@ EXTRAS = {
     "mesh": ("trimesh",),
     "sample": ("matplotlib",),
     "xarray": ("xarray", "rioxarray", "zarr"),
-    "remote": ("aiohttp", "s3fs"),
+    "remote": ("obstore",),
 }
 """Optional groups of libraries and what they bring."""
 

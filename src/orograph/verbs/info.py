@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def info(
-    source: Any, *, exact: bool | None = None, bbox: Sequence[float] | None = None, clip: Any = None,
+    source: Any, *, exact: bool | None = None, bbox: Sequence[float] | str | None = None, clip: Any = None,
     jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
 ) -> Facts:  # fmt: skip
     """What heights are, and what is suspicious about them.

@@ -29,7 +29,7 @@ from orograph.store import storage
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
-pytest.importorskip("aiohttp")
+pytest.importorskip("obstore")
 
 SIZE = (120, 80)
 FRAME = 1 / 30

@@ -1,0 +1,38 @@
+"""``orograph publish``: a finished store copied into a bucket."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from orograph.cli.options import progress_of
+
+
+@click.command("publish", short_help="Copy a finished store into a bucket.")
+@click.argument("store", metavar="STORE")
+@click.argument("url", metavar="URL")
+@click.option("--overwrite", is_flag=True, help="Replace a store that is there; it is gone from the beginning.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Objects under way at once (default: 16).")
+@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.pass_context
+def command(ctx: click.Context, /, store: str, url: str, overwrite: bool, jobs: int | None, as_json: bool) -> None:
+    """Copy a finished store to a URL (s3://, gs://, az://…), where it opens when all of it is there.
+
+    Every object is compared with what the store's root says of it before it is sent, and read back by its end after.
+    The root comes last. When it is broken off, the same command goes on. Credentials are those of the environment.
+
+    \b
+    Examples:
+      orograph publish area.oro s3://bucket/area.oro
+      orograph check s3://bucket/area.oro
+    """
+    from orograph.store.publishing import publish
+
+    done = publish(store, url, overwrite=overwrite, jobs=jobs, progress=progress_of(ctx))
+    if as_json:
+        click.echo(json.dumps({"store": url, "objects": done.objects, "sent": done.sent, "bytes": done.size}))
+        return
+    from orograph.cli.memory import megabytes
+
+    click.echo(f"{url}: {done.objects} objects, {done.sent} sent ({megabytes(done.size)})")

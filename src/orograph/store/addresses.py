@@ -1,0 +1,29 @@
+"""Which storage a path or URL means: a folder, a bucket or web server, or what else fsspec reaches."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+from urllib.parse import unquote, urlsplit
+from urllib.request import url2pathname
+
+from orograph.errors import UsageError
+from orograph.store.bucket import SCHEMES, BucketStorage
+from orograph.store.fsspec_storage import FsspecStorage
+from orograph.store.storage import FolderStorage, Storage
+
+
+def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
+    """The storage of a path, a ``file://`` URL, a bucket's or a web server's, or any other that fsspec knows."""
+    if not isinstance(url, str | os.PathLike):
+        raise UsageError(
+            f"A store is a folder or a URL, not {type(url).__name__}.",
+            remedy="Build one of it: `orograph.build(heights, 'area.oro')`.",
+        )
+    text = os.fspath(url)
+    if text.startswith("file://"):
+        return FolderStorage(url2pathname(unquote(urlsplit(text).path)))
+    scheme, found, _ = text.partition("://")
+    if found:
+        return (BucketStorage if scheme in SCHEMES else FsspecStorage)(text, options)
+    return FolderStorage(text)

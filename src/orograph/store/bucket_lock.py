@@ -1,0 +1,215 @@
+"""One writer at a time in a bucket: an object ``.area.oro.lock`` beside the store, made and changed under conditions.
+
+It says who holds it (host, process, since when) and is written anew every ``BEAT`` seconds, each time on condition that
+it is still what it was. A holder that could not do so for ``LEASE`` seconds has lost it and writes nothing any more.
+A lock is taken over when its process has ended on this machine; or when it is older than ``LEASE`` by the server's
+clock, and then does not change for half of that while one looks: clocks that differ do not end anybody's lease.
+
+Parts of one build share it: ``shared`` says what they have in common. Who of them finds that another has just beaten
+for all need not; who leaves last removes it.
+
+The bucket's guarantee rests on the server: it must write under conditions (If-None-Match, If-Match). Whether it does is
+tried when a lock is taken: one that is already there must not be made again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import threading
+import time
+import uuid
+from datetime import UTC, datetime
+from typing import Any
+
+from orograph.errors import StoreError
+from orograph.processes import host, running
+from orograph.store.bucket import BucketStorage, Seen, Version
+
+LEASE = 60.0
+"""Seconds that a lock holds without a sign of life."""
+
+BEAT = 15.0
+"""Seconds between two signs of life."""
+
+TRIES = 100
+PAUSE = 0.1
+"""How often, and after how many seconds, it is tried again while the lock changes hands."""
+
+
+class Lease:
+    """A lock on a store in a bucket.
+
+    Args:
+        storage: of the store.
+        doing: what others are told.
+        shared: what those have in common who may work at the same time; None: nobody may.
+    """
+
+    def __init__(self, storage: BucketStorage, doing: str, shared: str | None) -> None:
+        self.url, self.doing, self.shared = storage.url, doing, shared
+        self.place, name = storage.above()
+        self.key = f".{name}.lock"
+        self.token = uuid.uuid4().hex
+        self._me = {
+            "token": self.token, "host": host(), "pid": os.getpid(),
+            "since": datetime.now(UTC).isoformat(timespec="seconds"),
+        }  # fmt: skip
+        self._version: Version | None = None
+        self._renewed = 0.0
+        self._beats = 0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._live, name="orograph-lease", daemon=True)
+
+    def must_hold(self) -> None:
+        """Raise StoreError if the lock may be another's by now."""
+        if time.monotonic() - self._renewed > LEASE:
+            raise StoreError(
+                f"The lock on this store was lost: the bucket was out of reach for {LEASE:g} s, or another process has "
+                "taken it over.", path=self.url, remedy="Run it again, with `resume=True` if it is a build.",
+            )  # fmt: skip
+
+    def take(self) -> None:
+        """Take the lock.
+
+        Raises:
+            StoreError: another process is at work, or the storage has no conditional writes.
+        """
+        said: dict[str, Any] = {}
+        for _ in range(TRIES):
+            began = time.monotonic()
+            seen = self.place.look(self.key)
+            if seen is None:
+                if self._put([self._me], None, began):
+                    self._must_be_kept()
+                    break
+                continue
+            said = _read(seen)
+            if said.get("leaving"):
+                time.sleep(PAUSE)
+            if self.shared is not None and said.get("shared") == self.shared and not said.get("leaving"):
+                others = [each for each in _holders(said) if not _ended(each)]
+                if self._put([*others, self._me], seen.version, began):
+                    break
+            elif self._stale(seen, said):
+                if self._put([self._me], seen.version, time.monotonic()):
+                    break
+            elif not said.get("leaving"):
+                raise self._busy(seen, said)
+        else:
+            raise self._busy(None, said)
+        self._thread.start()
+
+    def release(self) -> None:
+        """Let go of the lock; what cannot be said any more is left to its lease."""
+        self._over.set()
+        self._thread.join()
+        with contextlib.suppress(StoreError):
+            while time.monotonic() - self._renewed < LEASE / 2:  # else another may be about to take it over
+                began = time.monotonic()
+                seen = self.place.look(self.key)
+                if seen is None or self.token not in [each.get("token") for each in _holders(_read(seen))]:
+                    return
+                left = [each for each in _holders(_read(seen)) if each.get("token") != self.token and not _ended(each)]
+                if not self._put(left or [self._me], seen.version, began, leaving=not left):
+                    continue
+                if not left:
+                    self.place.remove(self.key)
+                return
+
+    def _live(self) -> None:
+        """Beat, until it is over."""
+        while not self._over.wait(BEAT):
+            with contextlib.suppress(StoreError):
+                began = time.monotonic()
+                seen = self.place.look(self.key)
+                holders = [] if seen is None else _holders(_read(seen))
+                if seen is None or self.token not in [each.get("token") for each in holders]:
+                    self._renewed = -LEASE  # it is another's
+                    return
+                if seen.version != self._version:  # of those who share it one has beaten, come or gone
+                    self._version, self._renewed = seen.version, began
+                    continue
+                self._put([each for each in holders if not _ended(each)], seen.version, began)
+
+    def _put(self, holders: list[dict[str, Any]], version: Version | None, began: float, leaving: bool = False) -> bool:
+        """Write the lock; whether it was still what it was."""
+        self._beats += 1
+        said = {
+            "doing": self.doing, "shared": self.shared, "lease": LEASE, "beat": f"{self.token} {self._beats}",
+            "leaving": leaving, "holders": holders,
+        }  # fmt: skip
+        made = self.place.swap(self.key, json.dumps(said).encode(), version)
+        if made is None:
+            return False
+        self._version, self._renewed = made, began
+        return True
+
+    def _must_be_kept(self) -> None:
+        """Raise StoreError if the server lets an object that is there be made again."""
+        if self.place.swap(self.key, b"{}", None) is not None:
+            self.place.remove(self.key)
+            raise StoreError(
+                "This storage ignores conditions of writes (If-None-Match), on which locks rest.", path=self.url,
+                remedy="Build in a folder, and copy the store there with orograph publish.",
+            )  # fmt: skip
+
+    def _stale(self, seen: Seen, said: dict[str, Any]) -> bool:
+        """Whether nobody holds it any more."""
+        holders = _holders(said)
+        if holders and all(_ended(each) for each in holders):
+            return True
+        if (datetime.now(UTC) - seen.written).total_seconds() < _lease(said):
+            return False
+        end = time.monotonic() + _lease(said) / 2
+        while time.monotonic() < end:
+            time.sleep(min(1.0, _lease(said) / 20))
+            now = self.place.look(self.key)
+            if now is None or now.version != seen.version:
+                return False
+        return True
+
+    def _busy(self, seen: Seen | None, said: dict[str, Any]) -> StoreError:
+        holders = _holders(said)
+        who = ""
+        if holders:
+            first, more = holders[0], len(holders) - 1
+            who = f"process {first.get('pid')} on {first.get('host')}, since {first.get('since')}"
+            who = f" ({who}{f', and {more} more' if more else ''})"
+        heard = ""
+        if seen is not None:
+            age = max(0, round((datetime.now(UTC) - seen.written).total_seconds()))
+            heard = f" Its last sign of life is {age} s old."
+        why = (
+            " Its plan is another." if self.shared is not None and said.get("shared") not in (None, self.shared) else ""
+        )
+        return StoreError(
+            f"Another process is {said.get('doing', 'at work on this store')}{who}.{why}{heard}", path=self.url,
+            remedy=f"Wait until it is done; if it has ended, its lock is free {1.5 * _lease(said):g} s after its "
+            "last sign of life.",
+        )  # fmt: skip
+
+
+def _read(seen: Seen) -> dict[str, Any]:
+    try:
+        said = json.loads(seen.data)
+    except ValueError:
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _holders(said: dict[str, Any]) -> list[dict[str, Any]]:
+    found = said.get("holders")
+    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+
+
+def _lease(said: dict[str, Any]) -> float:
+    found = said.get("lease")
+    return float(found) if isinstance(found, int | float) else LEASE
+
+
+def _ended(holder: dict[str, Any]) -> bool:
+    """Whether it is a process of this machine that has ended."""
+    pid = holder.get("pid")
+    return holder.get("host") == host() and isinstance(pid, int) and not running(pid)

@@ -1,0 +1,154 @@
+"""A finished store copied to a URL: every object is proved before it goes and after, the root comes last.
+
+No folder or bucket is listed: the root of the store names all objects and what each must be. What is there already as
+it must be, of a copy that was broken off, does not go again.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, NamedTuple
+
+from orograph.errors import DamagedChunkError, StoreError, UsageError
+from orograph.parallel import map_ordered
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.store.addresses import storage_at
+from orograph.store.arrays import ArraySpec
+from orograph.store.checking import check_shard
+from orograph.store.digests import Spot, digest_of, tail_length, unsealed
+from orograph.store.layout import array_specs
+from orograph.store.lock import alone
+from orograph.store.places import PLAN, ROOT, begun, is_store
+from orograph.store.storage import FolderStorage, Storage
+from orograph.store.stored import StoredTerrain
+from orograph.store.stored import open as open_store
+
+AT_ONCE = 16
+"""Objects under way at once: they wait for the network, not for the processor."""
+
+
+class Published(NamedTuple):
+    """What a copy took.
+
+    Attributes:
+        objects: that the store has. sent: of them. size: bytes that were sent.
+    """
+
+    objects: int
+    sent: int
+    size: int
+
+
+def publish(
+    store: StoredTerrain | str | os.PathLike[str],
+    url: str,
+    *,
+    overwrite: bool = False,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
+    storage_options: dict[str, Any] | None = None,
+) -> Published:
+    """Copy a finished store to a URL, where it can be opened when all of it is there and proved.
+
+    A copy that was broken off goes on when it is asked for again.
+
+    Args:
+        store: opened, or its path or URL.
+        url: where it is to be: ``s3://bucket/area.oro``, ``gs://``, ``az://``…
+        overwrite: replace a store that is there; it is gone from the beginning.
+        jobs: objects under way at once; None: 16.
+        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
+        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
+
+    Raises:
+        DamagedChunkError: the store is damaged; what was sent is no store.
+        StoreError: a store, or another writer, is there, or it cannot be written.
+        UsageError: ``url`` is a folder: copy the store with the system's own tools.
+    """
+    target = storage_at(url, storage_options)
+    if isinstance(target, FolderStorage):
+        raise UsageError("Stores are published at URLs.", remedy="Into a folder, copy the store as any other folder.")
+    if not isinstance(store, StoredTerrain):
+        with open_store(store) as opened:
+            return publish(
+                opened, url, overwrite=overwrite, jobs=jobs, progress=progress, storage_options=storage_options
+            )
+    root = store.storage.get(ROOT)
+    if root is None:
+        raise StoreError("The store is gone.", path=store.url)
+    with alone(target, "publishing this store"):
+        if is_store(target):
+            if not overwrite:
+                if target.get(ROOT) == root:
+                    return Published(len(_Copy(store, target).objects) + 1, 0, 0)
+                raise StoreError(
+                    "A store is there already.", path=target.url, remedy="Use `overwrite=True` to replace it."
+                )
+            target.remove(ROOT)  # first, lest what is left look complete
+            target.remove()
+        elif begun(target):
+            raise StoreError(
+                "A build of a store was begun there.", path=target.url,
+                remedy="Finish it, or name another place.",
+            )  # fmt: skip
+        copy = _Copy(store, target)
+        with reporting(progress).task("Publishing the store", total=len(copy.objects)) as task:
+            sent = size = 0
+            for length in map_ordered(copy.send, copy.objects, jobs or AT_ONCE):
+                sent, size = sent + (length > 0), size + length
+                task.advance()
+        target.put(ROOT, [root])
+        return Published(len(copy.objects) + 1, sent + 1, size + len(root))
+
+
+class _Copy:
+    """The objects of a store, on their way."""
+
+    def __init__(self, store: StoredTerrain, target: Storage) -> None:
+        self.source, self.target, self.digests = store.storage, target, store.record.digests
+        specs = array_specs(store.record)
+        arrays = {spec.path for spec in specs}
+        self.objects: list[tuple[ArraySpec, Spot] | str] = [
+            (spec, (i, j)) for spec in specs for i in range(spec.shards[0]) for j in range(spec.shards[1])
+        ]
+        self.objects += [key for key in sorted(self.digests.listed) if key not in arrays and key not in (ROOT, PLAN)]
+
+    def send(self, what: tuple[ArraySpec, Spot] | str) -> int:
+        """Copy an object unless it is there; the bytes that were sent."""
+        key = what if isinstance(what, str) else what[0].key(what[1])
+        if self._is_there(what, key):
+            return 0
+        data = self._read(what, key)
+        self.target.put(key, [data])
+        if not self._is_there(what, key):
+            raise StoreError(
+                f"{key} is not what was sent when it is read back.", path=self.target.url, remedy="Publish it again."
+            )
+        return len(data)
+
+    def _read(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bytes:
+        """An object, proved to be what the root says of it."""
+        data = self.source.get(key) or b""
+        if isinstance(what, str):
+            causes = [] if digest_of(data) == self.digests.listed[key] else ["it is not what was written"]
+        else:
+            causes = [damage.cause for damage in check_shard(self.source, self.digests, *what)]
+        if causes:
+            raise DamagedChunkError(key, path=self.source.url, cause=causes[0])
+        return data
+
+    def _is_there(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bool:
+        """Whether the object is there as it must be. Of a shard its end tells: an object is there whole or not at all,
+        and the end has the checksums of all of it."""
+        if isinstance(what, str):
+            data = self.target.get(key)
+            return data is not None and digest_of(data) == self.digests.listed[key]
+        spec, spot = what
+        tail = self.target.tail(key, tail_length(key, spec.chunks))
+        try:
+            if tail is not None:
+                unsealed(tail, key, spec.chunks, self.digests.get(spec.path, spec.shards, spot))
+        except ValueError:
+            return False
+        return tail is not None
