@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 
 import numpy as np
@@ -50,6 +51,19 @@ def test_workers_make_what_one_process_makes(tmp_path, client, kept):
     store.build(dem, tmp_path / "parts", part=(1, 1), **how)
     store.build(dem, tmp_path / "parts", finish=True, dask=client, **how).close()
     assert files(tmp_path / "parts") == files(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("area", [{}, {"bbox": (15.0005, -0.0005, 15.006, 0.007)}], ids=["whole", "an area"])
+def test_workers_grid_points_as_one_process_does(tmp_path, client, area):
+    rng = np.random.default_rng(4)
+    rows = np.c_[rng.uniform(500_000, 500_900, 500), rng.uniform(0, 700, 500), rng.normal(0, 9, 500)].round(2)
+    path = tmp_path / "p.csv"
+    path.write_text("x,y,z,depth\n" + "".join(f"{a},{b},{c},{-c}\n" for a, b, c in rows))
+    how = {**SIZES, **area, "resolution": 4, "assume_crs": "EPSG:32633", "height_column": "depth"}
+    how["max_edge"] = 90 if area else math.inf
+    store.build(str(path), tmp_path / "whole", **how).close()
+    store.build(str(path), tmp_path / "s", dask=client, **how).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole") and len(files(tmp_path / "s")) > 9
 
 
 def test_files_that_workers_cannot_have(tmp_path, client):

@@ -34,7 +34,7 @@ class BuildRecipe(NamedTuple):
     Attributes:
         url: where the store is made. storage_options: beside the environment, for the bucket (obstore's).
         plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
-        files, options: of the source (``Mosaic.open``).
+        files, options: of the source (``inputs.opened``).
         levels: of the groups of heights; 0: none. memory: bytes a task may take, besides ``base`` of the process.
     """
 
@@ -105,9 +105,9 @@ class BuildShop:
             StoreError: its files are not those that the build was begun with.
         """
         if self._raster is None:
-            from orograph.dem.mosaic import Mosaic
+            from orograph.store.inputs import opened
 
-            raster = Mosaic.open(self.recipe.files, **self.recipe.options)
+            raster = opened(self.recipe.files, self.recipe.options)
             if raster.fingerprint() != self.plan["source"]:
                 raise StoreError(
                     "A worker finds other files under the names of the sources than the process that builds.",
