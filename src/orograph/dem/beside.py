@@ -13,7 +13,7 @@ from typing import Any
 
 from orograph.dem.bands import unit_tag
 from orograph.dem.units import metres_per
-from orograph.dem.whole.files import OPENING, main_file
+from orograph.dem.whole.files import OPENING
 
 _DECIDING = re.compile(rb"<(?:SRS|GeoTransform|NoDataValue|UnitType|Offset|Scale|GCPList)\b")
 _APART = 0.01  # samples
@@ -26,9 +26,9 @@ def doubts(dataset: Any, band: int) -> list[str]:
         dataset: of rasterio, open, with what lies beside it.
         band: of the heights, from 1.
     """
-    name = main_file(dataset)
+    name = str(dataset.name)
     note = Path(f"{name}.aux.xml")
-    if dataset.driver != "GTiff" or name != dataset.name or not note.is_file():
+    if dataset.driver != "GTiff" or not note.is_file():
         return []
     if not _DECIDING.search(note.read_bytes()):
         return []

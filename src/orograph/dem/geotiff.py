@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.missing import impossible_nodata, nodata_of
-from orograph.dem.whole.files import here, main_file, stream
+from orograph.dem.missing import check_text, impossible_nodata, nodata_of
+from orograph.dem.whole.files import here, stream
 from orograph.dem.whole.tiff import TiffFile
 from orograph.dem.whole.tiff_tags import COUNTS, Directory
 from orograph.errors import ReadError
 
-_SCALE, _TIES, _MATRIX, _KEYS = 33550, 33922, 34264, 34735
+_SCALE, _TIES, _MATRIX, _KEYS, _NODATA = 33550, 33922, 34264, 34735, 42113
 _VERTICAL_UNITS = 4099
 _UNITS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9036: 1000.0}  # EPSG → metres
 _REDUCED, _MASK = 1, 4  # as bits of tag 254
@@ -40,10 +40,11 @@ def doubts(dataset: Any, band: int, asked: float | str | None, masked: bool, uni
         unit: metres in the unit of the vertical CRS; None: there is none.
 
     Raises:
-        ReadError: a key of its CRS stands twice, or it says how large samples are and not where they lie.
+        ReadError: its nodata value is no number, a key of its CRS stands twice, or it says how large samples are and
+            not where they lie.
     """
-    name = main_file(dataset)
-    if dataset.driver != "GTiff" or name != dataset.name or not here(name):
+    name = str(dataset.name)
+    if dataset.driver != "GTiff" or not here(name):  # (one that is named as a directory of a file is not looked at)
         return []
     found: list[str] = []
     with stream(name) as file:
@@ -56,9 +57,13 @@ def doubts(dataset: Any, band: int, asked: float | str | None, masked: bool, uni
             return []  # GDAL judges
         keys = _keys(tiff, first, name)
         found += _place_doubts(dataset, tiff, first, name)
-        if asked is None and nodata_of(dataset, band, None, dataset.dtypes[band - 1]) is None:
-            found += impossible_nodata(dataset, band)
-            found += [] if masked else _sparse_doubts(tiff, first)
+        text = tiff.text(first, _NODATA)
+        if asked is None and dataset.nodatavals[band - 1] is not None:
+            check_text(dataset, text)
+        if asked is None and text:
+            found += impossible_nodata(dataset, band, text)
+        if asked is None and not masked and nodata_of(dataset, band, None, dataset.dtypes[band - 1]) is None:
+            found += _sparse_doubts(tiff, first)
         found += _image_doubts(tiff, first, name)
     said = _UNITS.get(keys.get(_VERTICAL_UNITS, 0))
     if said is not None and unit is not None and abs(said - unit) > 1e-9:

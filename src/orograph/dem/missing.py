@@ -74,8 +74,6 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
         ReadError: GDAL may have cut it off: of integers of 64 bits it reads −9.22e+18 as −9.
     """
     value: float | None = dataset.nodatavals[band - 1]
-    if value is not None and dataset.driver == "GTiff":
-        _check_text(dataset, nodata_text(dataset, band))
     if value is None or dtype not in ("int64", "uint64") or not 0 < abs(value) < 10:
         return value
     text = nodata_text(dataset, band)
@@ -90,7 +88,7 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
 _NUMBER = re.compile(r"[+-]?(?:nan|inf(?:inity)?|1\.#\w+|(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)", re.I)
 
 
-def _check_text(dataset: Any, text: str | None) -> None:
+def check_text(dataset: Any, text: str | None) -> None:
     """Raise ReadError if a GeoTIFF's nodata value is no number, of which GDAL takes what it begins with, else 0."""
     said = None if text is None else text.partition("\0")[0].strip()
     if said and not _NUMBER.fullmatch(said.replace(",", ".") if re.fullmatch(r"[+-]?\d+,0*", said) else said):
@@ -118,10 +116,10 @@ def nodata_text(dataset: Any, band: int) -> str | None:
         return _tag(file, _GDAL_NODATA) if dataset.driver == "GTiff" and dataset.name == name else None
 
 
-def impossible_nodata(dataset: Any, band: int) -> Iterator[str]:
+def impossible_nodata(dataset: Any, band: int, said: str | None) -> Iterator[str]:
     """A warning of a nodata value of a GeoTIFF or a VRT that the type of the band cannot hold, if it has one."""
     kind = np.dtype(dataset.dtypes[band - 1])
-    text = (nodata_text(dataset, band) or "").partition("\0")[0].strip()
+    text = (said or "").partition("\0")[0].strip()
     try:
         value = float(text.replace(",", "."))
     except ValueError:

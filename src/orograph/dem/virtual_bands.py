@@ -17,7 +17,7 @@ from pyproj import CRS
 from orograph.dem.bands import unit_tag
 from orograph.dem.handles import IDLE, lent, stamped
 from orograph.dem.header import full_crs, unit_of, vertical_axis
-from orograph.dem.missing import impossible_nodata
+from orograph.dem.missing import impossible_nodata, nodata_text
 from orograph.dem.whole.files import on_disk
 from orograph.dem.whole.virtual import Part, parts_of
 from orograph.errors import ReadError
@@ -40,7 +40,7 @@ def doubts(
         if part.onto in (0, band) and not part.for_mask and not part.by_mask
     ]
     silent = nodata is None and dataset.nodatavals[band - 1] is None and not masked
-    found = list(impossible_nodata(dataset, band)) if nodata is None else []
+    found = list(impossible_nodata(dataset, band, nodata_text(dataset, band))) if nodata is None else []
     if silent and any(part.tag == "GDALWarpOptions" for part in parts):
         found.append("It is warped and declares no nodata value: where nothing comes to lie it gives heights of 0.")
     elif silent and all(part.onto for part in parts) and not _covered(dataset.shape, parts):

@@ -227,6 +227,14 @@ class TiffFile:
         self.file.seek(place)
         return np.frombuffer(self.file.read(8 * count), self.order + "f8").astype(np.float64)
 
+    def text(self, directory: Directory, tag: int) -> str:
+        """The text of a tag; "" if it is not there or not in the file."""
+        kind, count, place = directory.tags.get(tag, (0, 0, 0))
+        if kind != 2 or not 0 < count < _TAIL or place + count > self.size:
+            return ""
+        self.file.seek(place)
+        return self.file.read(count).rstrip(b"\0 ").decode("latin-1")
+
     def blocks(self, directory: Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Offsets and sizes of the blocks that are there."""
         for places, sizes in zip(OFFSETS, COUNTS, strict=True):
