@@ -54,7 +54,7 @@ def place_of(
         UsageError: ``spacing`` is not a positive number, or ``assume_crs`` is not a CRS.
     """
     shape = (dataset.height, dataset.width)
-    full = _crs_of(dataset, warnings)
+    full = full_crs(dataset, warnings)
     if spacing is not None and not (0 < spacing < float("inf")):
         raise UsageError(f"The spacing must be a positive number of metres, not {spacing:g}.")
     assumed = None if assume_crs is None else parsed_crs(assume_crs)
@@ -203,7 +203,8 @@ def _from_wkt(wkt: str) -> CRS:
     return CRS.from_wkt(wkt)
 
 
-def _crs_of(dataset: Any, warnings: list[str]) -> CRS | None:
+def full_crs(dataset: Any, warnings: list[str]) -> CRS | None:
+    """The CRS of a dataset, perhaps compound; None if it names none that is understood, of which a warning is added."""
     from rasterio.errors import RasterioError
 
     if not dataset.crs:

@@ -277,6 +277,10 @@ class Mosaic:
             options["crs"] = CRS.from_wkt(options["crs"]).to_string()
         if self.undulation is not None:
             options["geoid"] = str(Path(self.undulation.geoid.path).absolute())
+        for recipe in (source.recipe for source in self.sources if hasattr(source, "recipe")):
+            if (own := recipe()) is None:
+                return None
+            options = {k: v for k, v in {**options, **own[1]}.items() if v is not None}  # an area of points
         return paths, options
 
     def _check_bodies(self, grids: Sequence[Grid], wanted: CRS | None) -> None:

@@ -34,6 +34,7 @@ from orograph.dem.bands import (
     is_picture,
     unit_tag,
 )
+from orograph.dem.doubts import doubts
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
@@ -163,6 +164,8 @@ class Source:
             unit = unit_of(dataset, band, crs, vertical_unit, warnings)
             plain = encoding is None
             if plain:
+                masked = mask != "none"
+                warnings += doubts(dataset, band, nodata=nodata, unit=vertical_unit, masked=masked, crs=crs)
                 check_scale(dataset, band)
             return cls(
                 path=os.fspath(path),

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
+ALL_AGAIN = ("patches", "chunks")  # stages of which an update can keep nothing
 READER = 160 << 20  # what a mosaic may hold while it reads one window
 
 Path_ = str | os.PathLike[str]
@@ -221,8 +222,8 @@ def build(
                 _fill(raster, storage, plan, coding, jobs, label, executor, progress)
         if isinstance(storage, FolderStorage) and going_on:
             storage.sweep()
-        if not update:
-            storage.remove(PARTS)
+        for each in [f"{PARTS}/{name}" for name in ALL_AGAIN] if update else [PARTS]:
+            storage.remove(each)
         storage.remove(PLAN)
         storage.close()
         if isinstance(final, FolderStorage):
@@ -298,7 +299,7 @@ def _fill(
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
-    levels = executor.groups(raster.grid.shape, plan["shard"])
+    levels = executor.groups(Pyramid.name, raster.grid.shape, plan["shard"])
     finest = Finest(raster, writer, plan["shard"], plan["chunk"], coding)
     pyramid = Pyramid(finest, label, levels)
     executor.run(Groups(finest, levels, pyramid) if levels else pyramid, progress)
