@@ -2,9 +2,9 @@
 
 The hierarchy is that of ``reference/quadtin.py``, its triangles and vertices as numbers. A block is the two triangles
 of an even depth with one vertex on their common base, and all below; it is called by that vertex. Level 0 splits
-nothing, level k what is off by more than ε(k − 1). A vertex is split if its error exceeds the threshold of any block that has a
-part of its diamond, or of a diamond that depends on it. There are no colours, ranks, neighbours or kept strips here.
-The paper was at hand as an abstract only: the rule is derived (docs/methods/hyperblock.md).
+nothing, level k what is off by more than ε(k − 1). A vertex is split if its error exceeds the threshold of any block
+that has a part of its diamond, or of a diamond that depends on it. There are no colours, ranks, neighbours or kept
+strips here. The paper was at hand as an abstract only: the rule is derived (docs/methods/hyperblock.md).
 """
 
 from __future__ import annotations
