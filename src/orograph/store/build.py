@@ -41,7 +41,6 @@ from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
-from orograph.store.updating import begin, check_updatable
 from orograph.store.ways import AtOnce, check_ways, executor_of
 from orograph.store.writer import ShardWriter
 
@@ -177,6 +176,8 @@ def build(
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
     if update:
+        from orograph.store.updating import begin, check_updatable
+
         excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
         check_updatable(final, {**excluded, "workers": workers is not None, "dask": dask is not None})
     if workers is not None:
