@@ -59,7 +59,7 @@ class Timed:
         self.costs: dict[str, Cost] = {}
         self.samples = 0
 
-    def groups(self, shape: Any, shard: int) -> int:
+    def groups(self, stage: str, shape: Any, shard: int) -> int:
         self.samples = shape[0] * shape[1]
         return 0
 

@@ -65,6 +65,7 @@ def shapes() -> dict[str, dict[str, Any]]:
         land = orograph.terrain(folder / "zion_srtm.tif", vertical_unit="metre")
         common = {"terrain": land, "view": orograph.camera.whole(land, SIZE)}
         cover = orograph.Dataset(landcover(folder / "zion_nlcd2011.tif"), colormap=COLORS, name="Land cover", width=0.6)
+        made["classes of a raster"] = {**common, "data": orograph.Dataset(str(folder / "zion_nlcd2011.tif"))}
         made["classes"] = {**common, "data": cover}
         made["classes, hatching"] = {**common, "data": cover.but(style="hatching")}
         made["lines"] = {**common, "data": orograph.Dataset(runs(land), name="Fall", unit="m/km", colormap="plasma")}
@@ -179,7 +180,7 @@ def main() -> None:
     for marks in product("+-", repeat=3):
         name = "".join(letter + mark for letter, mark in zip("TDU", marks))
         row(name, data=data, priority=name)
-    for style in (one for one in Style.__args__ if one != "arrows"):  # type: ignore[attr-defined]
+    for style in (one for one in Style.__args__ if one not in ("arrows", "classes")):  # type: ignore[attr-defined]
         row(f"style {style}", data=data.but(style=style, uncertainty=None))
     plain = data.but(uncertainty=None, style="continuous")
     row("member value p90", data=plain.but(value="p90"))

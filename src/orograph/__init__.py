@@ -156,10 +156,29 @@ def __getattr__(name: str) -> Any:
 
         return version("orograph")
     if name not in _HOMES:
-        raise AttributeError(f"module 'orograph' has no attribute {name!r}")
+        raise AttributeError(f"module 'orograph' has no attribute {name!r}{_meant(name)}")
     module, colon, called = _HOMES[name].partition(":")
     home = importlib.import_module(module)
     return home if colon and not called else getattr(home, called or name)
+
+
+def _meant(name: str) -> str:
+    """What to use instead of a name that is not here, as the end of a message; "" where nothing is like it."""
+    from importlib.util import find_spec
+
+    if name.startswith("_") or find_spec(f"orograph.{name}") is not None:  # (a module, which is imported next)
+        return ""
+    import difflib
+
+    products = importlib.import_module("orograph.lighting.products")
+    elsewhere = importlib.import_module("orograph.scene.wording").ELSEWHERE
+    product = name.replace("_", "-")
+    if product in products.names() or product in products.MEANT:
+        return f'. Use orograph.light(dem, "{products.MEANT.get(product, product)}").'
+    if name in elsewhere:
+        return f". Use orograph.{elsewhere[name]}."
+    close = difflib.get_close_matches(name, __all__, 2, 0.6)
+    return f". Did you mean {' or '.join(f'orograph.{one}' for one in close)}?" if close else ""
 
 
 def __dir__() -> list[str]:

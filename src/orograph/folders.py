@@ -10,13 +10,16 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias, overload
 
 from orograph.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+Amount: TypeAlias = int | str
+"""An amount of memory as users give it: bytes, or a text such as "1GiB"."""
 
 HELD = 1 << 26
 """Bytes of a table that memory holds; larger ones lie in a scratch file."""
@@ -51,6 +54,32 @@ def cache_limit() -> int:
         raise UsageError(
             f"OROGRAPH_CACHE_SIZE is {text!r}, which is no size.", remedy="Write it like 20GiB, 512MiB or 2G."
         ) from None
+
+
+@overload
+def bytes_of(value: Amount, called: str = "max_memory") -> int: ...
+
+
+@overload
+def bytes_of(value: Amount | None, called: str = "max_memory") -> int | None: ...
+
+
+def bytes_of(value: Amount | None, called: str = "max_memory") -> int | None:
+    """Bytes of what a user gave: a number, or a text such as "1GiB"; None stays None.
+
+    Args:
+        called: the argument, for errors.
+
+    Raises:
+        UsageError: it is no amount of memory.
+    """
+    if value is None:
+        return None
+    with contextlib.suppress(ValueError, TypeError, OverflowError):
+        size = parse_bytes(value) if isinstance(value, str) else int(value)
+        if size >= 1 and (isinstance(value, str) or size == value) and not isinstance(value, bool):
+            return size
+    raise UsageError(f"`{called}` is a whole number of bytes, or a text such as '1GiB' or '512MiB', not {value!r}.")
 
 
 def parse_bytes(text: str) -> int:

@@ -32,6 +32,8 @@ KEYS = {
     "crs",
     "transform",
     "shape",
+    "points",
+    "bounds",
     "spacing_m",
     "height_range",
     "height_range_exact",

@@ -296,10 +296,41 @@ def test_a_damaged_point_array_is_found(tmp_path):
     assert [key for key in store.check() if key.startswith("points/heights")]
 
 
-def test_facts_are_those_of_a_raster(tmp_path):
-    x, y, z = cloud(20)
-    with pytest.raises(UsageError, match="It holds points"):
-        orograph.info(str(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z})))
+def test_facts_of_points(tmp_path):
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(0, 410, 10.0), np.arange(0, 210, 10.0)))
+    path = str(table(tmp_path / "p.csv", {"x": x + X0, "y": y + Y0, "depth": -y, "quality": y * 0 + 1}))
+    found = orograph.info(path, assume_crs="EPSG:32632", height_column="depth", progress=False)
+    assert found["kind"] == "points" and found["points"] == 41 * 21 and found["crs"] == "EPSG:32632"
+    assert found["bounds"] == [X0, Y0, X0 + 400, Y0 + 200] and found["height_range"] == [-200, 0]
+    assert found["spacing_m"] == pytest.approx([np.sqrt(400 * 200 / 861)] * 2)  # the hull's area over their number
+    assert found["shape"] is None and found["size_bytes"] > 0
+    told = str(found)
+    assert "861" in told and "400 m × 200 m" in told and "9.64 × 9.64 m" in told
+    with pytest.raises(UsageError, match="not clear which of its columns"):
+        orograph.info(path, progress=False)
+    with pytest.raises(UsageError, match="`band` cannot be said of points"):
+        orograph.info(path, progress=False, height_column="depth", band=2)
+
+
+def test_facts_of_points_all_over_the_earth(tmp_path):
+    path = table(tmp_path / "p.csv", {"lon": [-170, 170, 0, 20.0], "lat": [-60, 60, 0, 10.0], "z": [1, 2, 3, 4.0]})
+    found = orograph.info(str(path), progress=False)
+    assert found["spacing_m"] == [None, None] and found["bounds"] == [-170, -60, 170, 60]
+    assert any("too wide to be shown flat" in text for text in found["warnings"]) and "unknown" in str(found)
+
+
+def test_facts_of_points_in_degrees_and_of_an_area(tmp_path):
+    x, y, z = cloud()
+    lon, lat = Transformer.from_crs(32632, 4326, always_xy=True).transform(x, y)
+    path = str(table(tmp_path / "p.csv", {"longitude": lon, "latitude": lat, "z": z}))
+    found = orograph.info(path, progress=False)
+    assert found["crs"] == "EPSG:4326" and "a terrain of them is in EPSG:32632" in str(found)
+    assert found["spacing_m"][0] == pytest.approx(np.sqrt(900 * 600 / 400), rel=0.05)
+    box = [
+        float(v) for v in (np.quantile(lon, 0.2), np.quantile(lat, 0.2), np.quantile(lon, 0.8), np.quantile(lat, 0.8))
+    ]
+    part = orograph.info(path, progress=False, bbox=box)
+    assert part["kind"] == "terrain" and part["shape"][0] * part["spacing_m"][0] < 600
 
 
 def test_decimal_commas_between_semicolons(tmp_path):

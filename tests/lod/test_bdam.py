@@ -22,7 +22,7 @@ from orograph.lod.selection import TinBatches
 from orograph.scene.camera import whole
 from orograph.store import open as open_store
 from orograph.store.build import build
-from orograph.store.tin_build import Workplace, make_tins, tins_of
+from orograph.store.tin_build import Building, Workplace, make_tins, tins_of
 from orograph.viewpoint import Camera
 
 SHAPES = [(65, 65), (100, 77), (33, 130), (129, 40), (17, 17), (9, 5), (2, 2)]
@@ -263,9 +263,12 @@ def test_damaged_tins_are_made_again(tmp_path):
     assert shard.read_bytes() == before and open_store(tmp_path / "a.oro").check() == []
 
 
-def test_the_same_for_any_number_of_workers():
+def test_the_same_for_any_number_of_workers_and_bands(monkeypatch):
     t = plain.terrain(plain.rough(np.random.default_rng(8), (400, 333), gaps=0.01))
-    one, many = make_tins(t, 8, jobs=1), make_tins(t, 8, jobs=5)
+    one = make_tins(t, 8, jobs=1)
+    monkeypatch.setattr("orograph.store.tin_build.AT_ONCE", 256)
+    assert Building(t, 8).bands(3) > 8
+    many = make_tins(t, 8, jobs=5)
     for level in range(t.levels):
         for a, b in zip((one.errors, one.radii), (many.errors, many.radii)):
             np.testing.assert_array_equal(a[level], b[level])

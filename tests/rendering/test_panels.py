@@ -92,6 +92,24 @@ def test_times_and_one_scale_of_uncertainties(ground):
     assert len({panel.data[0].uncertainty.range for panel in found}) == 1
 
 
+@pytest.mark.parametrize("measure", ["spread", "ci90"])
+def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
+    found = panels_of((data.but(uncertainty=measure),), "member=2-3", ground)
+    ensemble = np.asarray(data.source, np.float64)
+    low, high = np.quantile(ensemble, [0.05, 0.95], axis=0)
+    truth = ensemble.std(0, ddof=1) if measure == "spread" else (high - low) / 2
+    assert len({panel.data[0].uncertainty.range for panel in found}) == 1
+    for panel in found:
+        doubt = panel.data[0].uncertainty.source
+        np.testing.assert_allclose(doubt.mean, truth, rtol=1e-5)
+        assert doubt.name.endswith("of all 5")
+    view = orograph.camera.whole(ground, (400, 300))
+    options = {"each": "member=2-3", "progress": False, "furniture": True}
+    sheet = orograph.render(ground, view, data=data.but(uncertainty=measure), **options)
+    assert "of all 5" in sheet.describe() and "Their uncertainty is shown" in sheet.describe()
+    assert (sheet.pixels != orograph.render(ground, view, data=data, **options).pixels).any()
+
+
 @pytest.mark.parametrize(
     ("each", "says"),
     [
@@ -109,8 +127,6 @@ def test_panels_that_cannot_be_are_refused(ground, data, each, says):
         panels_of((), "member", ground)
     with pytest.raises(UsageError, match="value= or exceeds= is taken over several"):
         panels_of((data.but(exceeds=1.0),), "member", ground)
-    with pytest.raises(UsageError, match="uncertainty=spread is taken over several"):
-        panels_of((data.but(uncertainty=orograph.Uncertainty("spread")),), "member", ground)
 
 
 def test_each_time_has_the_spread_of_its_own_members(ground):

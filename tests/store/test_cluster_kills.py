@@ -87,3 +87,15 @@ def test_killed_builds(tmp_path):
         store.build(dem, tmp_path / "s", resume=True, **SIZES).close()
     assert kills
     assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
+def test_workers_say_nothing_of_ctrl_c(tmp_path):
+    pytest.importorskip("distributed")
+    dem = written(tmp_path / "a.tif")
+    command = [sys.executable, "-m", "orograph", "build", dem, "-o", str(tmp_path / "s"), "--workers", "2"]
+    for seconds in (4.0, 5.0, 6.0):
+        child = subprocess.Popen([*command, "--overwrite"], stderr=subprocess.PIPE, text=True, start_new_session=True)
+        time.sleep(seconds)
+        os.killpg(child.pid, signal.SIGINT)  # as a terminal does: all processes of the command
+        _, said = child.communicate(timeout=60)
+        assert child.returncode in (0, 130) and "Traceback" not in said

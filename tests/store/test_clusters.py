@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from test_in_parts import files
 
 from orograph import store
 from orograph.errors import StoreError, UsageError
+from orograph.store import clusters
 from orograph.store.stored import StoredTerrain
 
 SIZES = {"shard": 64, "chunk": 16, "jobs": 1}
@@ -52,6 +55,33 @@ def test_workers_make_what_one_process_makes(tmp_path, client, kept):
     assert files(tmp_path / "parts") == files(tmp_path / "whole")
 
 
+def test_workers_make_what_follows_from_heights(tmp_path, client, monkeypatch):
+    dem = written(tmp_path / "a.tif")
+    how = SIZES | {"errors": ("exact", "midpoint"), "chunked": (32, 0)}
+    store.build(dem, tmp_path / "whole", **how).close()
+    done = Counter()
+    hear = clusters._Round._hear
+    monkeypatch.setattr(
+        clusters._Round, "_hear", lambda self, found: (done.update([self.stage.name]), hear(self, found))[1]
+    )
+    store.build(dem, tmp_path / "s", dask=client, **how).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+    assert {"heights", "source", "errors", "patches", "chunks"} <= set(done)
+
+
+@pytest.mark.parametrize("area", [{}, {"bbox": (15.0005, -0.0005, 15.006, 0.007)}], ids=["whole", "an area"])
+def test_workers_grid_points_as_one_process_does(tmp_path, client, area):
+    rng = np.random.default_rng(4)
+    rows = np.c_[rng.uniform(500_000, 500_900, 500), rng.uniform(0, 700, 500), rng.normal(0, 9, 500)].round(2)
+    path = tmp_path / "p.csv"
+    path.write_text("x,y,z,depth\n" + "".join(f"{a},{b},{c},{-c}\n" for a, b, c in rows))
+    how = {**SIZES, **area, "resolution": 4, "assume_crs": "EPSG:32633", "height_column": "depth"}
+    how["max_edge"] = 90 if area else math.inf
+    store.build(str(path), tmp_path / "whole", **how).close()
+    store.build(str(path), tmp_path / "s", dask=client, **how).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole") and len(files(tmp_path / "s")) > 9
+
+
 def test_files_that_workers_cannot_have(tmp_path, client):
     with pytest.raises(UsageError, match="in no files"):
         store.build(source(rough((200, 200), 1)), tmp_path / "s", dask=client, **SIZES)
@@ -69,8 +99,6 @@ def test_what_was_given_up_is_told_and_resumed(tmp_path, client):
         (tmp_path / "s.partial/heights/0/height/c/0/0").rmdir()
 
     with pytest.MonkeyPatch.context() as patch:
-        from orograph.store import clusters
-
         run = clusters.Cluster.run
         patch.setattr(clusters.Cluster, "run", lambda self, *args: (spoil(), run(self, *args))[1])
         with pytest.raises(StoreError, match=r"1 tasks? .*given up after 4 tries.*could not be written") as caught:

@@ -14,6 +14,7 @@ from surfaces import rough, source
 
 from orograph import store
 from orograph.errors import DamagedChunkError, StoreError
+from orograph.store.checking import check
 
 HEIGHTS = rough((300, 280), 4, hole=True)
 
@@ -83,6 +84,15 @@ def test_a_shard_that_is_cut_off_is_damaged(area, left):
     terrain = store.open(area)
     with pytest.raises(DamagedChunkError, match="heights/0/height/c/2/1"):
         terrain.read(0, 256, 300, 128, 256)
+
+
+def test_a_shard_whose_bytes_are_doubled_is_damaged(area):
+    shard = area / "heights/0/height/c/2/1"
+    content = shard.read_bytes()
+    shard.write_bytes(content + content)
+    (damage,) = check(store.open(area))
+    assert damage.key == "heights/0/height/c/2/1"
+    assert f"{2 * len(content):,} bytes where {len(content):,} were written" in damage.cause
 
 
 def test_a_shard_that_is_gone_is_damaged_not_missing_terrain(area):

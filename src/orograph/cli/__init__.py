@@ -25,11 +25,11 @@ VERBS = {
     "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
-    "check": "Read all of a store, and tell what is damaged.",
+    "check": "Read all of a store, and list what is damaged.",
     "publish": "Copy a finished store into a bucket.",
     "export": "Write heights, or data on the ground, for other tools.",
-    "bake": "Put light into a store: sky, occlusion, apertures.",
-    "info": "Tell what a DEM or a store is, and what is suspicious about it.",
+    "bake": "Bake light into a store: sky, occlusion, apertures.",
+    "info": "Describe a DEM or a store, and what is suspicious about it.",
     "manifest": "List what many DEM files are, once, for the other verbs.",
     "movie": "Film a tour of a DEM or a store.",
     "tour": "Make a tour: key frames for a movie.",
@@ -38,10 +38,10 @@ VERBS = {
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
     "measure": "Measure heights, lengths, areas and what is seen.",
     "tessellate": "Triangulate a DEM or a store for a view.",
-    "tin": "Triangulate a DEM or a store within metres, for no view.",
+    "tin": "Triangulate a DEM or a store within an error in metres (TIN).",
     "compare": "Measure methods side by side.",
-    "methods": "Tell which methods there are, and what their options mean.",
-    "doctor": "Tell what this machine offers for drawing, and what to install.",
+    "methods": "List the methods, and what their options mean.",
+    "doctor": "Report what this machine can draw with, and what to add.",
     "synth": "Make a fractal terrain of any size.",
 }
 
@@ -67,7 +67,7 @@ class Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in VERBS and not name.startswith("-"):
-            close = difflib.get_close_matches(name, VERBS, 2, 0.5)
+            close = _wording().elsewhere(name) or difflib.get_close_matches(name, VERBS, 2, 0.5)
             remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(sorted(VERBS))}."
             ctx.fail(f"There is no verb {name!r}. {remedy}")
         found = super().resolve_command(ctx, args)

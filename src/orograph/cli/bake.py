@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     help="Of a value in the store.  [default: 16 of apertures and insolation, else 8]",
 )
 @click.option("--overwrite", is_flag=True, help="Bake also what is there already; begin an interrupted bake anew.")
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @memory_option
 @jobs_option
 @cluster_options("Bake", ", which share --max-memory")

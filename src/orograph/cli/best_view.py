@@ -123,7 +123,7 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
     metavar="S",
     help="Of the tour, from one view to the next.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Tell the views as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the views as JSON.")
 @grid_options("draw")
 @source_options
 @memory_option

@@ -150,6 +150,11 @@ class MaxError(click.ParamType[str | float]):
     help="Put light into it as well: sky-view-factor,aperture… (see orograph bake --help, which has options for it).",
 )
 @click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
+@click.option(
+    "--update",
+    is_flag=True,
+    help="Make again only what follows of files that were added, changed or removed; begins a build if there is none.",
+)
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
 @cluster_options("Build", ", which share --max-memory")
@@ -158,7 +163,7 @@ class MaxError(click.ParamType[str | float]):
     is_flag=True,
     help="Make again what orograph check finds damaged; DEM may be left out where the store knows its files.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -167,6 +172,7 @@ def command(
     store: str,
     overwrite: bool,
     resume: bool,
+    update: bool,
     repair: bool,
     max_memory: int,
     jobs: int | None,
@@ -205,6 +211,7 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
+      orograph build tiles/*.tif -o area.oro --update
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
@@ -245,6 +252,7 @@ def command(
             store,
             overwrite=overwrite,
             resume=resume,
+            update=update,
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
@@ -341,6 +349,7 @@ def _repair(
     others = {
         "overwrite",
         "resume",
+        "update",
         "products",
         "errors",
         "tins",

@@ -7,13 +7,13 @@ makes the view once the terrain is known. Verbs that use them have ``exaggeratio
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, ParamType, with_options
+from orograph.scene.sizes import read_size
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -29,33 +29,6 @@ CAMERA = (*PLACES, "projection", "size")
 SIZES = ": pixels, or on paper 20x15cm, 8x6in@150 (dots per inch, else 300), which the file says"
 """What the help of every ``--size`` says of it."""
 
-DPI = 300.0
-"""Dots per inch of a size on paper, where nothing else is said."""
-
-INCHES = {"cm": 1 / 2.54, "mm": 1 / 25.4, "in": 1.0}
-
-SPELT = re.compile(r"(\d+(?:\.\d+)?)\s*x\s*(\d+(?:\.\d+)?)\s*(cm|mm|in)?\s*(?:@\s*(\d+(?:\.\d+)?))?")
-
-
-class Pixels(tuple[int, int]):
-    """A size in pixels, (width, height), that is to be printed at ``dpi`` dots per inch; None: not said."""
-
-    dpi: float | None = None
-
-    @classmethod
-    def of(cls, width: float, height: float, unit: str | None, dpi: float | None) -> Pixels:
-        """Of a size in pixels (None), "cm", "mm" or "in"; rounded to whole pixels."""
-        dpi = DPI if unit is not None and dpi is None else dpi
-        scale = 1.0 if unit is None or dpi is None else dpi * INCHES[unit]
-        made = cls((round(width * scale), round(height * scale)))
-        made.dpi = dpi
-        return made
-
-
-def dpi_of(size: tuple[int, int] | None) -> float | None:
-    """The resolution that a size was given with."""
-    return size.dpi if isinstance(size, Pixels) else None
-
 
 class Size(ParamType):
     """Pixels, WIDTHxHEIGHT, or a size on paper, as ``Pixels``."""
@@ -65,17 +38,14 @@ class Size(ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         if isinstance(value, tuple):
             return value
-        found = SPELT.fullmatch(str(value).strip().lower())
-        if found is None or (found[3] is None and "." in found[1] + found[2]):
-            self.fail(f"{value!r} is not a size such as 1280x720 (pixels) or 20x15cm@300 (cm, mm or in).", param, ctx)
-        dpi = None if found[4] is None else float(found[4])
-        if dpi is not None:
+        try:
+            size = read_size(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        if size.dpi is not None:
             from orograph.rendering.metadata import check_dpi
 
-            check_dpi(dpi)
-        size = Pixels.of(float(found[1]), float(found[2]), found[3], dpi)
-        if min(size) < 1:
-            self.fail(f"{value!r} is less than a pixel.", param, ctx)
+            check_dpi(size.dpi)
         return size
 
 

@@ -13,17 +13,17 @@ SHOWN = 20
 """Damages that are told one by one; --json tells all."""
 
 
-@click.command("check", short_help="Read all of a store, and tell what is damaged.")
+@click.command("check", short_help="Read all of a store, and list what is damaged.")
 @click.argument("store", metavar="STORE")
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @jobs_option
 @click.pass_context
 def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) -> None:
-    """Read every byte of a store, and tell what is damaged, missing or not in its place.
+    """Read every byte of a store, and list what is damaged, missing or not in its place.
 
     Heights of all levels, means, tables, errors, layers, coordinates and metadata are compared with what the store's
     root lists. The exit code is 0 if all is sound and 4 if not; orograph build --repair mends what can be mended.
-    Of a store that is damaged it is told, too, which of the files it was built from are gone or changed.
+    Of a damaged store it also lists which of the files it was built from are gone or changed.
 
     \b
     Examples:

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli import refining
-from orograph.cli.camera import SIZES, Size, dpi_of
+from orograph.cli.camera import SIZES, Size
 from orograph.cli.options import FILE, progress_of, source_of
 from orograph.cli.sections import Verb
 from orograph.errors import OrographError
+from orograph.scene.sizes import dpi_of
 
 if TYPE_CHECKING:
     from orograph.verbs.compare import Comparison

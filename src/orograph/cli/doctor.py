@@ -12,7 +12,7 @@ from orograph.cli.wording import spoken
 @click.command("doctor")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(as_json: bool) -> None:
-    """Tell what this machine offers for drawing, and what to install.
+    """Report what this machine can draw with, and what to install.
 
     Lists the GPU adapters and computes something on the one that would be used, the optional libraries, processors and
     memory, the screen, and the folder where stores are kept. The exit code is 0 also where something is missing: only

@@ -68,7 +68,7 @@ def _options(function: Any) -> Any:
             show_envvar=True,
             help="A file of more products, or of changes to these (TOML, JSON).",
         ),
-        click.option("--products", "list_products", is_flag=True, help="Tell which products there are, and end."),
+        click.option("--products", "list_products", is_flag=True, help="List the products, and exit."),
         click.option(
             "--try-products",
             is_flag=True,
@@ -88,7 +88,7 @@ def _options(function: Any) -> Any:
         ),
         click.option("--overwrite", is_flag=True, help="Replace what is there."),
         click.option("--resume", is_flag=True, help="Finish an interrupted store."),
-        click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON."),
+        click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
     )
 
 

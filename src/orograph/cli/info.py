@@ -1,4 +1,4 @@
-"""``orograph info``: what a DEM or a store is, and what is suspicious about it (``verbs.info``)."""
+"""``orograph info``: what a DEM, a file of points or a store is, and what is suspicious about it (``verbs.info``)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.options import area_options, jobs_option, progress_of, source_options
+from orograph.cli.options import area_options, jobs_option, point_file_options, progress_of, source_options
 from orograph.cli.wording import spoken
 
 
@@ -17,15 +17,16 @@ from orograph.cli.wording import spoken
 @click.option("--exact", is_flag=True, help="Read every sample of a raster however large it is.")
 @area_options
 @source_options
+@point_file_options
 @jobs_option
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], as_json: bool, exact: bool, jobs: int | None, **options: Any
 ) -> None:
-    """Tell what a DEM or a store is, and what is suspicious about it.
+    """Describe a DEM, a file of points or a store, and what is suspicious about it.
 
-    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), or a terrain store. Heights are in metres, after
-    scale, offset and unit. --bbox and --clip tell what one area of it holds.
+    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a file of points, or a terrain store. Heights
+    are in metres, after scale, offset and unit. --bbox and --clip describe one area of it.
 
     \b
     Examples:

@@ -88,7 +88,7 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
     is_flag=True,
     help="Keep what has been swept or cast in OUT.tif.partial, and go on from there if it is interrupted.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @source_options
 @vertical_options
 @memory_option

@@ -252,7 +252,7 @@ def viewshed(
     error = height_error(sigma, reach, horizontal)
     uncertain = sigma is not None or horizontal > 0
     if uncertain and heights:
-        raise UsageError("--heights and --sigma contradict each other: of uncertain heights a probability is told.")
+        raise UsageError("--heights and --sigma contradict each other: uncertain heights give a probability.")
     outputs = () if output is None else (output,)
     terrain = opened(ctx, outputs, (picture,))
     from orograph import measuring

@@ -100,9 +100,10 @@ def written(
         told = found.save(path, progress)
         if picture is not None:
             from orograph import Dataset
-            from orograph.cli.camera import camera_view, dpi_of
+            from orograph.cli.camera import camera_view
             from orograph.measuring.probable import looks_of
             from orograph.rendering.api import render
+            from orograph.scene.sizes import dpi_of
 
             data = [Dataset(path, band=len(found.bands), style="continuous", **looks_of(found.bands[-1]))]
             if marks is not None:
@@ -133,7 +134,7 @@ def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]
 @click.option("--exceeds", type=Float(), multiple=True, metavar="DEG",
               help="Also how probable it is that the slope is more; may be given several times.")  # fmt: skip
 @outputs_options
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def slope(
     ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, draws: int, seed: int,
@@ -161,7 +162,7 @@ def slope(
               help="Height of a line; may be given several times.")  # fmt: skip
 @click.option("--interval", type=Float(), metavar="M", help="Or the height between lines.")
 @outputs_options
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def contours(
     ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, draws: int, seed: int,

@@ -90,7 +90,7 @@ def of_terrain(function: F) -> F:
 
 def points_option(function: F) -> F:
     """``--lonlat`` and ``--json``."""
-    function = click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")(function)
+    function = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
     return click.option("--lonlat", "degrees", is_flag=True, help="Points are LON,LAT in degrees instead of E,N.")(
         function
     )

@@ -10,7 +10,7 @@ from orograph.cli.wording import spoken
 @click.command("methods")
 @click.argument("name", required=False)
 def command(name: str | None) -> None:
-    """Tell which methods there are, or a method's options with their units and defaults.
+    """List the methods, or a method's options with their units and defaults.
 
     A method decides what is drawn of a terrain for a camera. Verbs take it as --method NAME[,key=value…].
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from orograph.cli.camera import SIZES, Size, dpi_of
+from orograph.cli.camera import SIZES, Size
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
@@ -27,6 +27,7 @@ from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
+from orograph.scene.sizes import dpi_of
 from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -84,6 +85,13 @@ class Float(click.types.FloatParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return _number(self, super().convert(value, param, ctx), param, ctx)
+
+
+class Length(Float):
+    """A number, or "inf": as long as may be."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return math.inf if value in ("inf", math.inf) else super().convert(value, param, ctx)
 
 
 class FloatRange(click.FloatRange):
@@ -197,14 +205,21 @@ def source_options(function: F) -> F:
 def points_options(function: F) -> F:
     """Give a verb the options that say how files of points are to be understood."""
     return with_options(
-        function,
+        point_file_options(function),
         click.option(
             "--max-edge",
-            type=Float(),
+            type=Length(),
             metavar="METRES",
             help="Of points: leave triangles with a longer side out, as missing ground; inf: none, not even slivers "
             "along the rim.  [default: only slivers]",
         ),
+    )
+
+
+def point_file_options(function: F) -> F:
+    """Give a verb the options that say what of a file of points is read."""
+    return with_options(
+        function,
         click.option(
             "--height-column",
             metavar="NAME",

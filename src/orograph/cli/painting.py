@@ -25,10 +25,11 @@ def painted(
     """
     from dataclasses import replace
 
-    from orograph.cli.camera import camera_view, dpi_of
+    from orograph.cli.camera import camera_view
     from orograph.measuring.paint import save_paint
     from orograph.measuring.viewshed import Summary
     from orograph.rendering.api import render
+    from orograph.scene.sizes import dpi_of
 
     told = Summary(shed)
     view = camera_view(terrain, camera)

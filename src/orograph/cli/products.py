@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from orograph.cli.options import F, Float, with_options
+from orograph.errors import UsageError
 
 MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 """Options of single products, of which only those given are passed on."""
@@ -69,12 +70,14 @@ class Names(click.ParamType["tuple[str, ...]"]):
     ) -> tuple[str, ...]:
         if not isinstance(value, str):
             return value
-        from orograph.lighting.products import names
+        from orograph.lighting.products import product
 
         wanted = tuple(word.strip() for word in value.split(","))
         for word in wanted:
-            if word not in names():
-                self.fail(f"there is no product {word!r}; there are {', '.join(names())}.", param, ctx)
+            try:
+                product(word)
+            except UsageError as error:
+                self.fail(str(error), param, ctx)
         return wanted
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera, dpi_of
+from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
@@ -25,6 +25,7 @@ from orograph.cli.options import (
 from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene_of, scene_options
 from orograph.cli.sections import Verb
 from orograph.errors import UsageError
+from orograph.scene.sizes import dpi_of
 
 OWN = {*DRAWING, *CAMERA}
 """What is said about the picture; all other options are about reading."""

@@ -1,4 +1,4 @@
-"""``orograph tour``: make a tour to begin with, or tell what is in one."""
+"""``orograph tour``: make a tour to begin with, or describe one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 @click.group("tour")
 def command() -> None:
-    """Make a tour (key frames in a file, for orograph movie), or tell what is in one."""
+    """Make a tour (key frames in a file, for orograph movie), or describe one."""
 
 
 @command.command("new")

@@ -36,24 +36,21 @@ def spoken(text: str, flags: Mapping[str, str] | None = None) -> str:
     return wording.spoken(text, lambda name: flag(name, flags))
 
 
-MEANT = {
-    **dict.fromkeys(("legend", "scale-bar", "scalebar", "north-arrow", "colorbar", "attribution"), "furniture"),
-    **dict.fromkeys(("cmap", "palette", "color", "colors"), "colormap"),
-    **dict.fromkeys(("ve", "vertical-exaggeration", "z-factor", "zscale"), "exaggeration"),
-    **dict.fromkeys(("layer", "layers", "overlay", "image", "imagery", "basemap"), "drape"),
-    **dict.fromkeys(("threads", "cores", "workers", "n-jobs"), "jobs"),
-    **dict.fromkeys(("dpi", "width", "height", "figsize"), "size"),
-    **dict.fromkeys(("hillshade", "shading", "lighting"), "light"),
-    **dict.fromkeys(("engine", "algorithm"), "method"),
-    **dict.fromkeys(("error", "sigma"), "uncertainty"),
-    "camera": "view",
-}  # fmt: skip
-"""What options are called elsewhere, and here."""
-
-
 def lead(error: click.NoSuchOption) -> None:
     """Have an error suggest the option that a user who knows another name for it may mean, if its verb has that."""
     there = {flag for one in (error.ctx.command.params if error.ctx else ()) for flag in one.opts}
-    flag = "--" + MEANT.get(error.option_name.lstrip("-").lower().replace("_", "-"), "")
-    if flag in there:
-        setattr(error, "possibilities", [flag])  # noqa: B010 (given to a new error it would have to look alike)
+    name = error.option_name.lstrip("-").lower().replace("-", "_")
+    meant = wording.flag("uncertainty" if name in ("error", "sigma") else wording.MEANT.get(name, name))
+    if meant in there:
+        setattr(error, "possibilities", [meant])  # noqa: B010 (given to a new error it would have to look alike)
+
+
+def elsewhere(name: str) -> list[str]:
+    """The verb of what is a verb elsewhere (a product of light, a measurement), as it is written here; none: []."""
+    from orograph.lighting.products import MEANT, names
+
+    product = name.replace("_", "-")
+    if product in names() or product in MEANT:
+        return [f"light --product {MEANT.get(product, product)}"]
+    found = wording.ELSEWHERE.get(name.replace("-", "_"), "").partition("(")[0]
+    return [found.replace(".", " ").replace("line_of_sight", "los").replace("heights", "pick")] if found else []

@@ -56,7 +56,7 @@ class Area:
     called: str = ""
 
     @classmethod
-    def of(cls, bbox: Sequence[float] | None, clip: Any) -> Area | None:
+    def of(cls, bbox: Sequence[float] | str | None, clip: Any) -> Area | None:
         """The area of two options; None where neither is given.
 
         Args:
@@ -187,14 +187,14 @@ def said(clip: Any) -> Any:
     return str(Path(clip).absolute()) if isinstance(clip, str | os.PathLike) else geojson.load(clip)[0]
 
 
-def checked(bbox: Sequence[float]) -> Box:
-    """West, south, east, north.
+def checked(bbox: Sequence[float] | str) -> Box:
+    """West, south, east, north of such numbers, or of their text ("7.5,45.9,7.8,46.1").
 
     Raises:
         UsageError: they are no such numbers.
     """
     try:
-        west, south, east, north = (float(v) for v in bbox)
+        west, south, east, north = (float(v) for v in (bbox.split(",") if isinstance(bbox, str) else bbox))
     except (TypeError, ValueError):
         raise UsageError(f"An area is west, south, east, north in degrees, not {bbox!r}.") from None
     if not (all(map(math.isfinite, (west, south, east, north))) and south < north and west != east):

@@ -53,6 +53,16 @@ def check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
         )
 
 
+def check_scale(dataset: Any, band: int) -> None:
+    """Raise ReadError if its scale makes all its numbers one height, or none."""
+    scale, offset = dataset.scales[band - 1], dataset.offsets[band - 1]
+    if scale == 0 or not np.isfinite([scale, offset]).all():
+        raise ReadError(
+            f"Its heights would be number · {scale:g} + {offset:g}, which tells none apart.", path=dataset.name,
+            remedy="Mend its scale and offset (gdal_edit -scale 1 -offset 0).",
+        )  # fmt: skip
+
+
 def check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) -> None:
     if encoding not in ENCODINGS:
         raise UsageError(f"{encoding!r} is not an encoding known here ({', '.join(ENCODINGS)}).", path=path)

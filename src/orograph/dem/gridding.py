@@ -58,8 +58,9 @@ class PointRaster:
             if length is not None and not (length > 0 and (math.isfinite(length) or called == "max_edge")):
                 raise UsageError(f"`{called}` is a length in metres, not {length}.")
         self.name, self.vertical, self.path = points.name, points.vertical, points.path
+        self._options: dict[str, Any] | None = None
         self.warnings, self.notes = list(points.warnings), list[str]()
-        x, y, flat = _flat(points, None if crs is None else parse_crs(crs))
+        x, y, flat = in_plane(points, None if crs is None else parse_crs(crs))
         if resolution is None:
             resolution = _usual(spacing_of(x, y), points)
             self.notes.append(
@@ -106,10 +107,28 @@ class PointRaster:
                 assume_crs=assume_crs, vertical_unit=vertical_unit, assume_vertical=assume_vertical,
             )  # fmt: skip
         with progress.task("Triangulating points"):
-            made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge)
+            made = cls(points, crs=crs, resolution=resolution, max_edge=None if max_edge is None else float(max_edge))
+        made._options = {
+            "crs": _name(crs), "resolution": resolution, "max_edge": "inf" if max_edge == math.inf else max_edge,
+            "height_column": height_column, "point_layer": point_layer,
+            "point_classes": None if point_classes is None else list(point_classes), "assume_crs": _name(assume_crs),
+            "vertical_unit": vertical_unit, "assume_vertical": assume_vertical,
+        }  # fmt: skip
         for note in made.notes:
             progress.note(note)
         return made
+
+    @property
+    def windows(self) -> list[tuple[int, int, int, int]]:
+        """The rows and columns (half-open) that its file decides: all, for one point may change any triangle."""
+        rows, cols = self.grid.shape
+        return [(0, rows, 0, cols)]
+
+    def recipe(self) -> tuple[list[str], dict[str, Any]] | None:
+        """Path and options with which ``open`` makes the same raster again; None if it was made otherwise."""
+        if self._options is None:
+            return None
+        return [self.path], {k: v for k, v in self._options.items() if v is not None}
 
     def _within(self, surface: Surface, max_edge: float | None) -> Surface:
         """The triangles that count."""
@@ -159,13 +178,18 @@ class PointRaster:
         return digest.hexdigest()[:32]
 
 
+def _name(crs: Any) -> str | None:
+    """A CRS as text."""
+    return None if crs is None else CRS.from_user_input(crs).to_string()
+
+
 def _metres(length: float) -> str:
     """A length in words, to three digits or to the metre."""
     return f"{length:,.0f} m" if length >= 100 else f"{length:.3g} m"
 
 
-def _flat(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:
-    """Places in a projected CRS in metres."""
+def in_plane(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:
+    """Places in a projected CRS in metres, and the CRS: the wanted one, else the points' own or their UTM zone."""
     from orograph.geo.transform import transformer
 
     own = points.crs

@@ -12,27 +12,23 @@ memory, would break any promise about ours.
 
 from __future__ import annotations
 
-import bisect
-import contextlib
 import errno
-import itertools
 import os
 import re
 import struct
 import tarfile
 import threading
-import time
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from orograph.dem.conventions import ACROSS, DOWN
-from orograph.dem.pool import is_virtual
+from orograph.dem.folders import crowded
 from orograph.dem.remote import is_remote, network
-from orograph.errors import ReadError, public
+from orograph.errors import ReadError
 
 IDLE = 48
 MANIFEST = ".manifest.geojsonl"
@@ -85,14 +81,14 @@ def bounded_cache() -> dict[str, Any]:
 
 def _settings(location: str) -> dict[str, Any]:
     """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
-    what its first lines look like; VRTs do not share their parts, for one that could not be opened once would be 0 in
-    all of them, even when it is there again."""
+    what its first lines look like; vertical datums of GeoTIFF 1.0 count, too; VRTs do not share their parts, for one
+    that could not be opened once would be 0 in all of them, even when it is there again."""
     return {
-        "VRT_SHARED_SOURCE": "0",
+        "VRT_SHARED_SOURCE": "0", "GTIFF_REPORT_COMPD_CS": True,
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
         **bounded_cache(), **network(location),
         # GDAL itself gives up listing such a folder, after the first thousand names each time.
-        **({"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE"} if _crowded(location) else {}),
+        **({"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE"} if crowded(location) else {}),
     }  # fmt: skip
 
 
@@ -173,100 +169,6 @@ def lent(location: str) -> Iterator[tuple[Any, Key]]:
     """A dataset of ``location`` for this thread alone, and the file's name and state."""
     with HANDLES.borrow(location) as dataset:
         yield dataset, stamped(location)
-
-
-_FRESH = 2.0
-"""Seconds within which a folder may change without its time of change telling."""
-
-_folders: dict[str, tuple[int, list[str]]] = {}
-_known: dict[str, tuple[Key, list[str], list[str]]] = {}
-
-
-def _crowded(location: str) -> bool:
-    """Whether a file is known to lie among so many that GDAL does not look at their names."""
-    return len(_folders.get(os.path.split(location)[0], (0, []))[1]) > 1000
-
-
-def beside(location: str) -> list[str]:
-    """The names of what lies beside a file on this disk under its name but for the ending: where headers, masks and the
-    like come to lie."""
-    folder, name = os.path.split(location)
-    try:
-        changed = os.stat(folder or ".").st_mtime_ns  # noqa: PTH116 (of mosaics thousands at a time)
-        held = _folders.get(folder)
-        if held is None or held[0] != changed:
-            names = sorted(os.listdir(folder or "."), key=str.lower)  # noqa: PTH208 (names alone are wanted)
-            held = changed, names
-            if time.time() - changed / 1e9 > _FRESH:
-                if len(_folders) > 64:
-                    _folders.clear()
-                _folders[folder] = held
-    except (OSError, ValueError):
-        return []
-    stem = f"{name.rpartition('.')[0] or name}.".lower()
-    at = bisect.bisect_left(held[1], stem, key=str.lower)
-    return [
-        one
-        for one in itertools.takewhile(lambda one: one.lower().startswith(stem), held[1][at : at + 64])
-        if one != name
-    ]
-
-
-def know(location: str, names: Sequence[str]) -> None:
-    """Keep what files decide a raster's samples, for ``files_of``, if all on this disk lie beside it under its name."""
-    folder, name = os.path.split(location)
-    stem = f"{folder}/{name.rpartition('.')[0] or name}.".lower()
-    if is_virtual(location) or not all(one == location or f"{one}".lower().startswith(stem) for one in names):
-        _known.pop(location, None)
-        return
-    _known[location] = stamped(location), beside(location), list(dict.fromkeys([location, *sorted(names)]))
-
-
-def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
-    """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources',
-    by GDAL's names of them. Nothing is opened as long as the file, and the names beside it, are what they were.
-
-    Raises:
-        ReadError: it cannot be opened.
-    """
-    from orograph.dem.whole.files import files_in
-    from orograph.dem.whole.virtual import locations
-
-    held = _known.get(location)
-    if held is not None and held[0] == stamped(location) and held[1] == beside(location):
-        return list(held[2])
-    if held is not None:
-        HANDLES.close(location)  # an open dataset would not see what has come to lie beside it
-    with HANDLES.borrow(location) as dataset:
-        names, virtual = files_in(dataset), dataset.driver == "VRT"
-        if virtual:
-            names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
-            names += locations(dataset, stamped(location))
-    found = dict.fromkeys([location, *sorted(names)])
-    if virtual:
-        for name in names:
-            if name not in known and name != location:
-                with contextlib.suppress(ReadError):  # a source that is not there matters when it is read
-                    found.update(dict.fromkeys(files_of(name, known | {location})))
-    else:
-        know(location, names)
-    return list(found)
-
-
-def states(names: Iterable[str]) -> list[str]:
-    """What files are now, a text for each: absolute name, size and time of change. Of what is not on this disk its name
-    alone: to ask servers for all parts of a mosaic takes longer than to read some of them."""
-    from orograph.dem.whole.files import absolute, on_disk
-
-    said = []
-    for name in names:
-        try:
-            found = on_disk(name).stat()
-        except (OSError, ValueError):
-            said.append(public(name))  # (an address that is signed anew means the same file)
-        else:
-            said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
-    return said
 
 
 def is_manifest(path: str | os.PathLike[str]) -> bool:

@@ -54,7 +54,7 @@ def place_of(
         UsageError: ``spacing`` is not a positive number, or ``assume_crs`` is not a CRS.
     """
     shape = (dataset.height, dataset.width)
-    full = _crs_of(dataset, warnings)
+    full = full_crs(dataset, warnings)
     if spacing is not None and not (0 < spacing < float("inf")):
         raise UsageError(f"The spacing must be a positive number of metres, not {spacing:g}.")
     assumed = None if assume_crs is None else parsed_crs(assume_crs)
@@ -203,7 +203,8 @@ def _from_wkt(wkt: str) -> CRS:
     return CRS.from_wkt(wkt)
 
 
-def _crs_of(dataset: Any, warnings: list[str]) -> CRS | None:
+def full_crs(dataset: Any, warnings: list[str]) -> CRS | None:
+    """The CRS of a dataset, perhaps compound; None if it names none that is understood, of which a warning is added."""
     from rasterio.errors import RasterioError
 
     if not dataset.crs:
@@ -229,14 +230,22 @@ def horizontal(crs: CRS | None) -> CRS | None:
     return crs
 
 
-def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
-    """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
+def crs_datum(crs: CRS | None) -> str | None:
+    """The name of the vertical datum of a CRS; None if it has none."""
     if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
         # "NAVD88 height (ftUS)" is NAVD88 height once it is in metres
         name = re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
         return re.sub(r" depth$", " height", name)  # which it is once its sign is changed (unit_of)
     if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
         return ELLIPSOIDAL
+    return None
+
+
+def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
+    """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
+    datum = crs_datum(crs)
+    if datum is not None:
+        return datum
     if dataset.driver == "SRTMHGT":
         return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
@@ -286,7 +295,7 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
                 f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
             )
         return factor
-    axis = _vertical_axis(crs)
+    axis = vertical_axis(crs)
     by_crs = float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else None
     sign = 1.0
     if (axis is not None and axis.direction == "down" and dataset.driver != "BAG") or is_depth_of(dataset, band):
@@ -301,7 +310,8 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
     return sign * (said or by_crs or 1.0)
 
 
-def _vertical_axis(crs: CRS | None) -> Any:
+def vertical_axis(crs: CRS | None) -> Any:
+    """The axis of a CRS along which heights or depths grow; None if it has none."""
     try:
         return next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
     except ProjError:

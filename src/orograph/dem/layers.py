@@ -7,15 +7,17 @@ blocks of its samples have been averaged where the target is coarser. Units: sam
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from affine import Affine
 from numpy.typing import NDArray
 
 from orograph.dem.coordinates import Coordinates, NodeMesh
-from orograph.dem.lattice import SourceLattice, offset_between
+from orograph.dem.lattice import Lattice, Raster, SourceLattice, offset_between
 from orograph.dem.resample import box_means, sample
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 
 COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
 BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
@@ -52,7 +54,7 @@ def layer_of(lattice: SourceLattice, target: Grid, resampling: str) -> LatticeMa
         return LatticeMap(lattice, offset, None, (1, 1), everything)
     coordinates = Coordinates(target, lattice.grid)
     means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
-    return LatticeMap(lattice, None, coordinates, means, _box(lattice.grid, target))
+    return LatticeMap(lattice, None, coordinates, means, box_of(lattice.grid, target))
 
 
 def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
@@ -69,18 +71,39 @@ def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
     return (round(down) if down >= COARSER else 1), (round(across) if across >= COARSER else 1)
 
 
-def _box(grid: Grid, target: Grid) -> tuple[int, int, int, int]:
-    """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at."""
-    t = np.linspace(-0.5, 0.5, 65)
+def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
+    """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at.
+
+    Args:
+        points: of the source that are looked at, each way.
+    """
+    t = np.linspace(-0.5, 0.5, points)
     s, d = np.meshgrid(t, t)
     back = Coordinates(grid, target)
     col, row = back.exact((grid.cols - 1) / 2 + s * (grid.cols + 1), (grid.rows - 1) / 2 + d * (grid.rows + 1))
     if not np.isfinite(col + row).all():
         return 0, target.rows, 0, target.cols
-    slack_r, slack_c = 4 + 0.05 * np.ptp(row), 4 + 0.05 * np.ptp(col)
+    slack_r = 4 + (0.05 + 3 / grid.rows) * np.ptp(row)  # (kernels look at two samples of the source beyond a place)
+    slack_c = 4 + (0.05 + 3 / grid.cols) * np.ptp(col)
     r0, r1 = math.floor(row.min() - slack_r), math.ceil(row.max() + slack_r)
     c0, c1 = math.floor(col.min() - slack_c), math.ceil(col.max() + slack_c)
     return max(0, r0), min(target.rows, r1), max(0, c0), min(target.cols, c1)
+
+
+def reaches(layer: LatticeMap, target: Grid) -> Iterator[tuple[Raster, tuple[int, int, int, int]]]:
+    """The members of a layer, with the rows and columns of the target (half-open) that each may decide, generously."""
+    lattice = layer.lattice
+    assert isinstance(lattice, Lattice)
+    for member, (top, bottom, left, right) in zip(lattice.members, lattice.corners.tolist(), strict=True):
+        if lattice.circle:
+            box = layer.box
+        elif layer.offset is not None:
+            r, c = layer.offset
+            box = top - r, bottom - r, left - c, right - c
+        else:
+            place = compose(lattice.grid.transform, Affine.translation(left, top))
+            box = box_of(Grid((bottom - top, right - left), place, lattice.grid.crs), target, 17)
+        yield member, (max(box[0], 0), min(box[1], target.rows), max(box[2], 0), min(box[3], target.cols))
 
 
 def averaged(layer: LatticeMap, row0: int, row1: int, col0: int, col1: int) -> Heights:

@@ -26,7 +26,9 @@ from affine import Affine
 from pyproj import CRS
 
 from orograph.dem.area import degrees_of
-from orograph.dem.handles import MANIFEST, Seen, beside, files_of, is_manifest, know
+from orograph.dem.deciding import files_of, know
+from orograph.dem.folders import beside
+from orograph.dem.handles import MANIFEST, Seen, is_manifest
 from orograph.dem.header import parsed_crs
 from orograph.dem.missing import Valid
 from orograph.dem.remote import is_remote

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 import struct
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
@@ -75,7 +76,7 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
     value: float | None = dataset.nodatavals[band - 1]
     if value is None or dtype not in ("int64", "uint64") or not 0 < abs(value) < 10:
         return value
-    text = _nodata_text(dataset, band)
+    text = nodata_text(dataset, band)
     if text is None:
         raise ReadError(
             f"Its nodata value is read as {value:g}, which may be the first digit of another such as {value:g}e+18.",
@@ -84,13 +85,26 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
     return int(float(text))
 
 
+_NUMBER = re.compile(r"[+-]?(?:nan|inf(?:inity)?|1\.#\w+|(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)", re.I)
+
+
+def check_text(dataset: Any, text: str | None) -> None:
+    """Raise ReadError if a GeoTIFF's nodata value is no number, of which GDAL takes what it begins with, else 0."""
+    said = None if text is None else text.partition("\0")[0].strip()
+    if said and not _NUMBER.fullmatch(said.replace(",", ".") if re.fullmatch(r"[+-]?\d+,0*", said) else said):
+        raise ReadError(
+            f"Its nodata value ({said!r}) is no number.", path=dataset.name,
+            remedy="Say which number means missing: `nodata=N`, or none.",
+        )  # fmt: skip
+
+
 def is_default_fill(dataset: Any, band: int) -> bool:
     """Whether a nodata value of 0 is only Zarr's usual fill value, of chunks that were not written."""
     said = {**dataset.tags(), **dataset.tags(band)}
     return bool(dataset.driver == "Zarr" and dataset.nodatavals[band - 1] == 0 and "_FillValue" not in said)
 
 
-def _nodata_text(dataset: Any, band: int) -> str | None:
+def nodata_text(dataset: Any, band: int) -> str | None:
     """The nodata value as the text that a GeoTIFF or a VRT holds; None of other formats."""
     name = main_file(dataset)
     if not here(name):
@@ -100,6 +114,26 @@ def _nodata_text(dataset: Any, band: int) -> str | None:
             bands = ET.fromstring(file.read()).findall("VRTRasterBand")
             return bands[band - 1].findtext("NoDataValue")
         return _tag(file, _GDAL_NODATA) if dataset.driver == "GTiff" and dataset.name == name else None
+
+
+def impossible_nodata(dataset: Any, band: int, said: str | None) -> Iterator[str]:
+    """A warning of a nodata value of a GeoTIFF or a VRT that the type of the band cannot hold, if it has one."""
+    kind = np.dtype(dataset.dtypes[band - 1])
+    text = (said or "").partition("\0")[0].strip()
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        return
+    if kind.kind not in "iu" or np.isnan(value):
+        return
+    info = np.iinfo(kind)
+    if value == np.trunc(value) and info.min <= value <= info.max:
+        return
+    stored = ""
+    if value == np.trunc(value) and abs(value) < 2**63:
+        wrapped = int(np.array(int(value), np.int64).astype(kind))
+        stored = f"; what is missing may be stored as {wrapped} (give `nodata={wrapped}` if it is)"
+    yield f"Its nodata value ({text}) cannot occur in {kind.name}, so that nothing is missing by it{stored}."
 
 
 def _tag(file: IO[bytes], wanted: int) -> str | None:

@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
 from orograph.dem.area import Area, said
-from orograph.dem.handles import files_of, states
+from orograph.dem.deciding import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
-from orograph.dem.layers import fill, layer_of
+from orograph.dem.layers import fill, layer_of, reaches
 from orograph.dem.placing import placed, scale_at_centre, scales, turned
 from orograph.dem.points import heights_at
 from orograph.dem.resample import METHODS
@@ -75,7 +75,7 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
-        bbox: Sequence[float] | None = None,
+        bbox: Sequence[float] | str | None = None,
         clip: Any = None,
         options: dict[str, Any] | None = None,
     ) -> None:
@@ -147,7 +147,7 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
-        bbox: Sequence[float] | None = None,
+        bbox: Sequence[float] | str | None = None,
         clip: Any = None,
         skip_damaged: bool = False,
         progress: Progress = SILENT,
@@ -245,9 +245,15 @@ class Mosaic:
         """The lattices that were resampled, the finest first; none if every sample is a source's own."""
         return () if self.lossless else tuple(layer.lattice for layer in self._own)
 
+    @property
+    def windows(self) -> list[tuple[int, int, int, int]]:
+        """Of each source the rows and columns of the grid (half-open) that it may decide, generously."""
+        found = {id(member): window for layer in self._layers for member, window in reaches(layer, self.grid)}
+        return [found[id(source)] for source in self.sources]
+
     def fingerprint(self) -> str:
-        """A hash of all files (``handles.files_of``: absolute path, size, time of change) and all options: if equal, so
-        are the samples."""
+        """A hash of all files (``deciding.files_of``: absolute path, size, time of change) and all options: if equal,
+        so are the samples."""
         said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
         said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
         for source in self.sources:
@@ -269,6 +275,10 @@ class Mosaic:
             options["crs"] = CRS.from_wkt(options["crs"]).to_string()
         if self.undulation is not None:
             options["geoid"] = str(Path(self.undulation.geoid.path).absolute())
+        for recipe in (source.recipe for source in self.sources if hasattr(source, "recipe")):
+            if (own := recipe()) is None:
+                return None
+            options = {k: v for k, v in {**options, **own[1]}.items() if v is not None}  # an area of points
         return paths, options
 
     def _check_bodies(self, grids: Sequence[Grid], wanted: CRS | None) -> None:

@@ -7,6 +7,7 @@ import os
 from orograph.dem.raster import MAX_READ_BYTES, Dem
 from orograph.dem.source import Source
 from orograph.errors import ReadError, UsageError
+from orograph.folders import Amount, bytes_of
 
 
 def read(
@@ -19,7 +20,7 @@ def read(
     encoding: str | None = None,
     vertical_unit: str | None = None,
     assume_vertical: str | None = None,
-    max_bytes: int = MAX_READ_BYTES,
+    max_bytes: Amount = MAX_READ_BYTES,
 ) -> Dem:
     """Read a whole raster as a ``Dem``. The options are those of ``Source.open``.
 
@@ -30,6 +31,7 @@ def read(
         ReadError: the file cannot be read, is damaged, or is too large.
         UsageError: an option that does not fit the file.
     """
+    max_bytes = bytes_of(max_bytes, "max_bytes")
     if not isinstance(path, str | os.PathLike):
         raise UsageError(
             f"`orograph.read` reads one file, not {type(path).__name__}.", remedy="Use `orograph.terrain` for all else."

@@ -2,7 +2,8 @@
 be, asks again where a server is busy, and finds buckets as the stores' reader does.
 
 A raster's ranges are read by ``/vsis3/``, ``/vsigs/``, ``/vsiaz/`` and ``/vsicurl/``, neighbours together. No folder is
-listed: what may lie beside a raster is asked for by its name. Whatever the environment says to GDAL itself is left.
+listed: what may lie beside a raster is asked for by its name. Whatever the environment, or an ``Env`` of rasterio's
+around, says to GDAL itself is left.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import os
 import re
 from typing import Any
 from urllib.parse import urlsplit
+
+from rasterio.env import getenv, hasenv
 
 SILENCE = 30
 """Seconds without a byte after which a server does not answer."""
@@ -48,7 +51,8 @@ def network(location: str) -> dict[str, Any]:
         said = next((os.environ[other] for other in others if other in os.environ), None)
         if said is not None:
             found[name] = said
-    return {name: value for name, value in found.items() if name not in os.environ}
+    around = getenv() if hasenv() else {}  # who reads tiles of a product knows that nothing lies beside them
+    return {name: value for name, value in found.items() if name not in os.environ and name not in around}
 
 
 def _endpoint() -> dict[str, Any]:

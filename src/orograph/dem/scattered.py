@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from pyproj import CRS
 
 from orograph.dem.handles import is_manifest, locate
 from orograph.dem.header import parsed_crs
+from orograph.dem.source import HUGE
 from orograph.dem.tables import DEGREES, number, places_in, read_table
 from orograph.dem.units import METRES, metres_per
 from orograph.errors import ReadError, UsageError
@@ -31,6 +33,11 @@ VECTORS = (".gpkg", ".geojson", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".ge
 
 HEIGHTS = ("z", "height", "elevation", "elev", "altitude", "alt", "h", "height_m", "elevation_m", "ele")
 """Names of columns that are heights, whatever else there is."""
+
+FILLS = (-9999.0, -99999.0, -32768.0, -32767.0, -999.0)
+"""What files often have where there is no height."""
+
+DEPTHS = "Its numbers are depths, which become heights below 0 (give `vertical_unit` if they are none)."
 
 GROUND, NOISE = 2, (7, 18)
 """Classes of LAS 1.4: ground; low and high noise."""
@@ -108,9 +115,9 @@ def read_scattered(
     if suffix in CLOUDS:
         x, y, z, crs = _of_cloud(text, point_classes, warnings)
     elif suffix in TABLES:
-        x, y, z, crs = _of_columns(read_table(text), text, height_column)
+        x, y, z, crs = _of_columns(read_table(text), text, height_column, vertical_unit, warnings)
     else:
-        x, y, z, crs = _of_vectors(text, height_column, point_layer)
+        x, y, z, crs = _of_vectors(text, height_column, point_layer, vertical_unit, warnings)
     return _settled(x, y, z, crs, text, warnings, assume_crs, vertical_unit, assume_vertical)
 
 
@@ -119,16 +126,20 @@ def _settled(
     vertical_unit: str | None, assume_vertical: str | None,
 ) -> Scattered:  # fmt: skip
     """Points with places and heights, in metres of height, of a horizontal CRS."""
-    from orograph.dem.header import assumed_vertical, horizontal
+    from orograph.dem.header import assumed_vertical, crs_datum, horizontal, vertical_axis
 
+    factor, vertical = 1.0, crs_datum(crs)
     if crs is None and assume_crs is not None:
         crs = parsed_crs(assume_crs)
-    factor, vertical = 1.0, None
-    if crs is not None:
-        up = next((axis for axis in crs.axis_info if axis.direction == "up"), None)
-        factor = 1.0 if up is None else float(up.unit_conversion_factor)
-        if crs.is_compound and len(crs.sub_crs_list) > 1:
-            vertical = str(crs.sub_crs_list[1].name)
+        vertical = crs_datum(crs)
+    elif assume_crs is not None and parsed_crs(assume_crs) != crs:
+        warnings.append("Its points name their own CRS, so `assume_crs` is not used for them.")
+    axis = vertical_axis(crs)
+    if axis is not None and axis.unit_conversion_factor > 0:
+        factor = float(axis.unit_conversion_factor)
+    if axis is not None and axis.direction == "down" and vertical_unit is None:
+        factor = -factor
+        warnings.append(DEPTHS)
     if vertical_unit is not None:
         asked = metres_per(vertical_unit)
         if asked is None:
@@ -136,6 +147,9 @@ def _settled(
         factor = asked
     if vertical is None and assume_vertical is not None:
         vertical = assumed_vertical(assume_vertical)
+    elif vertical is not None and assume_vertical is not None and assumed_vertical(assume_vertical) != vertical:
+        warnings.append(f"It names its own vertical datum ({vertical}), so `assume_vertical` is not used for it.")
+    z = np.where(np.abs(z) < HUGE, z, np.nan)
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     if not there.any():
         raise ReadError(
@@ -144,18 +158,44 @@ def _settled(
         )  # fmt: skip
     if not there.all():
         warnings.append(f"Of its {len(z):,} points {int((~there).sum()):,} without a place or a height are left out.")
-    x, y, z = x[there], y[there], z[there] * factor
+    x, y, z = x[there], y[there], z[there]
+    code = next((n for n in FILLS if (z == n).any() and n < np.median(z) - 1000), None)
+    if code is not None:
+        warnings.append(
+            f"Of its heights {int((z == code).sum()):,} are {code:g}, a usual number for missing ones: remove those "
+            "points if they are."
+        )
+    z = z * factor
     if crs is None and (np.abs(x) <= 360).all() and (np.abs(y) <= 90).all():
         warnings.append("Its x and y look like degrees and are taken for metres (give `assume_crs`, e.g. EPSG:4326).")
+    elif crs is None:
+        warnings.append("It has no CRS; its coordinates are taken to be metres (give `assume_crs=CODE`).")
     return Scattered(x, y, z, horizontal(crs), vertical, Path(path).stem, path, warnings)
 
 
-def _of_columns(columns: dict[str, Array], path: str, height: str | None) -> tuple[Array, Array, Array, CRS | None]:
+def _of_columns(
+    columns: dict[str, Array], path: str, height: str | None, unit: str | None, warnings: list[str]
+) -> tuple[Array, Array, Array, CRS | None]:
     """Places and heights out of columns."""
     east, north = places_in(columns, path, "a projected CRS (`assume_crs`)")
     others = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
     crs = CRS.from_epsg(4326) if east.lower() in DEGREES else None
-    return columns[east], columns[north], others[_height_of(others, height, path)], crs
+    return columns[east], columns[north], _heights(others, height, path, unit, warnings), crs
+
+
+def _heights(
+    columns: dict[str, Array], asked: str | None, path: str, unit: str | None, warnings: list[str]
+) -> Array:  # fmt: skip
+    """The column of heights, below 0 where its name says that they are depths; what its name says of their unit that is
+    not followed is warned of."""
+    name = _height_of(columns, asked, path)
+    words = set(re.split(r"[^a-z]+", name.lower()))
+    if unit is None and words & {"ft", "feet", "foot", "ftus", "cm", "mm", "km"}:
+        warnings.append(f"Its column {name!r} is taken for metres, which its name does not say (give `vertical_unit`).")
+    if unit is None and words & {"depth", "depths", "sounding", "soundings"} and np.nanmedian(columns[name]) > 0:
+        warnings.append(DEPTHS)
+        return -columns[name]
+    return columns[name]
 
 
 def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
@@ -169,6 +209,11 @@ def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
             )  # fmt: skip
         return asked
     known = [k for word in HEIGHTS for k in columns if k.lower() == word]
+    if len(known) > 1:
+        raise UsageError(
+            f"Several of its columns may be the heights: {', '.join(known)}.", path=path,
+            remedy="Name the one that is (`height_column`).",
+        )  # fmt: skip
     if known:
         return known[0]
     if len(columns) == 1:
@@ -197,13 +242,14 @@ def _of_cloud(
     try:
         with laspy.open(file) as reader:
             cloud = reader.read()
-            crs = reader.header.parse_crs()
+            header, crs = reader.header, reader.header.parse_crs()
     except (LaspyException, OSError, ValueError, RuntimeError) as error:
         raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Fetch or make it again.") from error
     except Exception as error:  # (the decoder's own kind)
         if type(error).__module__.partition(".")[0] not in ("lazrs", "laspy"):
             raise
         raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Fetch or make it again.") from error
+    _check_cloud(cloud, header, path)
     kind = np.asarray(cloud.classification)
     if classes is not None:
         wanted = np.isin(kind, list(classes))
@@ -225,7 +271,38 @@ def _of_cloud(
     return places[0], places[1], places[2], None if crs is None else CRS.from_user_input(crs)
 
 
-def _of_vectors(path: str, height: str | None, layer: str | None) -> tuple[Array, Array, Array, CRS | None]:
+def _check_cloud(cloud: Any, header: Any, path: str) -> None:
+    """Raise ReadError unless the points are as many as the header says, where it says (LAS 1.4, section 2.4)."""
+    fault = None
+    if len(cloud) != header.point_count:
+        fault = f"Its header speaks of {header.point_count:,} points, and it holds {len(cloud):,}"
+    elif not str(path).lower().endswith(".laz") and (behind := _behind(header, path)):
+        fault = f"It has {behind:,} bytes behind its {len(cloud):,} points: its header says too few"
+    for axis, name in enumerate("xyz") if fault is None and len(cloud) else ():
+        values = np.asarray(getattr(cloud, name), np.float64)
+        low, high, step = header.mins[axis], header.maxs[axis], 1.5 * abs(header.scales[axis])
+        if (low, high) != (0, 0) and not (low - step <= values.min() and values.max() <= high + step):
+            fault = (
+                f"Its header has {name} between {low:.10g} and {high:.10g}, and its points are between "
+                f"{values.min():.10g} and {values.max():.10g}"
+            )
+            break
+    if fault is not None:
+        raise ReadError(
+            f"{fault}.", path=path, remedy="It is damaged or was written wrongly: fetch it again, or write it anew."
+        )
+
+
+def _behind(header: Any, path: str) -> int:
+    """Bytes of a LAS behind its points that are no extended records."""
+    end = header.offset_to_point_data + header.point_count * header.point_format.size
+    extended = getattr(header, "number_of_evlrs", 0) or getattr(header, "start_of_waveform_data_packet_record", 0)
+    return 0 if extended else max(Path(locate(path)).stat().st_size - end, 0)
+
+
+def _of_vectors(
+    path: str, height: str | None, layer: str | None, unit: str | None, warnings: list[str]
+) -> tuple[Array, Array, Array, CRS | None]:
     """Points of features that OGR reads."""
     try:
         from pyogrio import list_layers
@@ -259,6 +336,11 @@ def _of_vectors(path: str, height: str | None, layer: str | None) -> tuple[Array
     columns = {str(k): np.array([number(v) for v in column.tolist()])[of] for k, column in zip(meta["fields"], values)}
     columns = {k: v for k, v in columns.items() if np.isfinite(v).any()}
     crs = None if not meta["crs"] else CRS.from_user_input(meta["crs"])
+    if others := sum(kind != "points" for one in found for kind, _ in one):
+        warnings.append(f"{others:,} of its features are lines or areas, which are left out.")
     if height is None and np.isfinite(at[:, 2]).any():
+        other = [k for k in columns if k.lower() in HEIGHTS]
+        if other and not np.nan_to_num(at[:, 2]).any():
+            warnings.append(f"The z of its points is 0, and they have {', '.join(other)} (`height_column`).")
         return at[:, 0], at[:, 1], at[:, 2], crs
-    return at[:, 0], at[:, 1], columns[_height_of(columns, height, path)], crs
+    return at[:, 0], at[:, 1], _heights(columns, height, path, unit, warnings), crs

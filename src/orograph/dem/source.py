@@ -27,14 +27,17 @@ from orograph.dem.bands import (
     band_warnings,
     check_band,
     check_encoding,
+    check_scale,
     check_size,
     description_of,
     is_palette,
     is_picture,
     unit_tag,
 )
+from orograph.dem.deciding import know
+from orograph.dem.doubts import doubts
 from orograph.dem.encode import decode_rgb
-from orograph.dem.handles import HANDLES, Seen, cause_of, know, lent, locate, stamped
+from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import Valid, is_default_fill, is_nodata, mask_of, nodata_of, valid_of
@@ -164,6 +167,10 @@ class Source:
             mask, alpha = mask_of(dataset, band, nodata)
             unit = unit_of(dataset, band, crs, vertical_unit, warnings)
             plain = encoding is None
+            if plain:
+                masked = mask != "none"
+                warnings += doubts(dataset, band, nodata=nodata, unit=vertical_unit, masked=masked, crs=crs)
+                check_scale(dataset, band)
             return cls(
                 path=os.fspath(path),
                 location=location,

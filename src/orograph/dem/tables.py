@@ -1,11 +1,14 @@
 """Tables of points (CSV): columns of numbers by name, and which of them say where the points lie.
 
-The delimiter (comma, semicolon, tab) is the one that the first line has most of. What is no number is missing.
+The delimiter (comma, semicolon, tab) is the one that the first line has most of. What is no number is missing. A line
+with more fields than there are names is refused, and so are commas that may part thousands as well as decimals.
 """
 
 from __future__ import annotations
 
 import csv
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,27 +31,76 @@ def read_table(path: str) -> dict[str, Array]:
     Where semicolons or tabs part the columns, numbers may have a decimal comma.
 
     Raises:
-        ReadError: the file cannot be read; it has no line of names, or nothing below it.
+        ReadError: the file cannot be read; it has no line of names, or nothing below it; two columns have one name; a
+            line has more fields than there are names; commas may part thousands.
     """
     try:
         with Path(locate(path)).open(newline="", encoding="utf-8-sig") as file:
             sample = file.read(4096)
             file.seek(0)
             mark = max(",;\t", key=sample.split("\n", 1)[0].count)
-            reader = csv.DictReader(file, delimiter=mark)
-            rows = list(reader)
+            reader = csv.reader(file, delimiter=mark, strict=True)
+            names = [name.strip() for name in next(reader, [])]
+            rows = list(_rows(reader, len(names), path, mark))
     except (OSError, ValueError, csv.Error) as error:
         raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="See what it holds.") from error
-    keys = [k for k in reader.fieldnames or () if k]
-    read = number if mark == "," else _number_with_comma
-    if keys and np.isfinite([read(k) for k in keys]).all():
+    if (
+        any(names)
+        and np.isfinite([number(v) if mark == "," else number(v.replace(",", ".")) for v in names if v]).all()
+    ):
         raise ReadError(
             "Its first line holds numbers, not the names of its columns.", path=path,
             remedy="Put a line of names before it, such as x,y,z or longitude,latitude,height.",
         )  # fmt: skip
+    twice = next((name for i, name in enumerate(names) if name and name in names[:i]), None)
+    if twice is not None:
+        raise ReadError(f"Two of its columns are called {twice!r}.", path=path, remedy="Name them apart.")
     if not rows:
         raise ReadError("It holds no points below its line of names.", path=path, remedy="Name a file that has some.")
-    return {k.strip(): np.array([read(row.get(k)) for row in rows]) for k in keys}
+    columns = {name: [row[i] for row in rows] for i, name in enumerate(names) if name}
+    if mark != ",":
+        columns = {name: _with_points(values, name, path) for name, values in columns.items()}
+    return {name: np.array([number(value) for value in values]) for name, values in columns.items()}
+
+
+def _rows(reader: Any, width: int, path: str, mark: str) -> Iterator[list[str]]:
+    """The lines of a table, each as long as the first; ends that lack are empty.
+
+    Raises:
+        ReadError: a line has more fields than there are names, or a quotation mark that takes in further lines.
+    """
+    for row in reader:
+        if any("\n" in field for field in row):
+            raise ReadError(
+                f"A quotation mark takes in several lines, down to line {reader.line_num:,}.", path=path,
+                remedy="Close it, or remove it.",
+            )  # fmt: skip
+        if any(row[width:]):
+            commas = " Decimal commas need semicolons between the columns." if mark == "," else ""
+            raise ReadError(
+                f"Line {reader.line_num:,} has {len(row)} fields, and the line of names {width}.", path=path,
+                remedy=f"Write as many in each line.{commas}",
+            )  # fmt: skip
+        if row:
+            yield row[:width] + [""] * (width - len(row))
+
+
+_PARTED = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*\Z")
+
+
+def _with_points(values: list[str], name: str, path: str) -> list[str]:
+    """Numbers whose decimals follow a comma, with points.
+
+    Raises:
+        ReadError: all commas may part thousands as well (1,234).
+    """
+    commas = [value for value in values if "," in value]
+    if commas and all(_PARTED.match(value) for value in commas):
+        raise ReadError(
+            f"The commas in its column {name!r} may be decimal commas or part thousands ({commas[0].strip()}), which "
+            "cannot be told.", path=path, remedy="Write it again with decimal points.",
+        )  # fmt: skip
+    return [value.replace(",", ".") if value.count(",") == 1 else value for value in values]
 
 
 def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:
@@ -58,10 +110,10 @@ def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:
         crs: whose x and y may be meant, in words, for the error.
 
     Raises:
-        ReadError: there are none.
+        ReadError: there are none, several, or a longitude without a latitude.
     """
-    east, north = (next((k for k in columns if k.lower() in known), None) for known in (EAST, NORTH))
-    if east is None or north is None:
+    east, north = (_only([k for k in columns if k.lower() in known], path) for known in (EAST, NORTH))
+    if east is None or north is None or (east.lower() in DEGREES) != (north.lower() in ("latitude", "lat")):
         raise ReadError(
             f"Its columns do not say where the points lie; they are {', '.join(columns) or 'none'}.", path=path,
             remedy=f"Call them longitude and latitude, or x and y in {crs}.",
@@ -69,14 +121,21 @@ def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:
     return east, north
 
 
-def _number_with_comma(value: Any) -> float:
-    """A number whose decimals follow a point or a comma."""
-    return number(value.replace(",", ".") if isinstance(value, str) and value.count(",") == 1 else value)
+def _only(names: list[str], path: str) -> str | None:
+    """The one of these columns; None of none."""
+    if len(names) > 1:
+        raise ReadError(
+            f"Its columns {' and '.join(names)} may both say where the points lie.", path=path,
+            remedy="Remove or rename those that are not meant.",
+        )  # fmt: skip
+    return names[0] if names else None
 
 
 def number(value: Any) -> float:
     """A number, NaN where something is none."""
     try:
-        return float(value) if value is not None and not isinstance(value, bool) else np.nan
+        if value is None or isinstance(value, bool) or (isinstance(value, str) and "_" in value):
+            return np.nan  # ("1_000" is a number to Python alone)
+        return float(value)
     except (TypeError, ValueError):
         return np.nan

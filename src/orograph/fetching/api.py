@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from orograph.errors import UsageError
 from orograph.fetching.reading import CONNECTIONS
 from orograph.fetching.request import MOST, Request
+from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
 
@@ -29,11 +30,11 @@ def fetch(
     table: str | os.PathLike[str] | None = None,
     to_vertical: Direction | None = None,
     geoid: Any = None,
-    most: int | None = MOST,
+    most: Amount | None = MOST,
     connections: int = CONNECTIONS,
     overwrite: bool = False,
     resume: bool = False,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | StoredTerrain:
@@ -61,6 +62,7 @@ def fetch(
         ReadError: a server does not give a tile; the message names it, and what to do.
         OutputError, StoreError: a result cannot be written.
     """
+    max_memory, most = bytes_of(max_memory), bytes_of(most, "most")
     out = None if output is None else Path(os.fspath(output))
     if out is not None and out.suffix.lower() not in (".tif", ".tiff", ".oro"):
         raise UsageError("What is fetched is written as a GeoTIFF or a store.", path=out, remedy="Use .tif or .oro.")

@@ -73,6 +73,8 @@ def area_of(area: Any, radius: float | None, body: Ellipsoid) -> Box:
 
 
 def _numbers(area: Any) -> list[float]:
+    if isinstance(area, str) and "," in area:
+        area = area.split(",")
     if isinstance(area, str) or not isinstance(area, (Sequence, np.ndarray)):
         raise UsageError(f"An area is four numbers, a place with a radius, or GeoJSON, not {area!r}.")
     try:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from affine import Affine
@@ -60,7 +61,7 @@ class Grid:
     Attributes:
         shape: (rows, cols).
         transform: affine map from (col, row) *corner* coordinates to CRS coordinates (GDAL's convention).
-        crs: the coordinate reference system, or None if unknown.
+        crs: the coordinate reference system, or None if unknown; it may be given as pyproj takes it ("EPSG:32611").
         samples: affine map from *sample* indices (col, row) to CRS coordinates: ``transform`` moved by half a cell.
     """
 
@@ -76,6 +77,9 @@ class Grid:
             raise ValueError(f"a grid needs at least one row and one column, not {self.shape}")
         if not all(math.isfinite(v) for v in self.transform[:6]) or self.transform.determinant == 0:
             raise ValueError(f"the geotransform {tuple(self.transform[:6])} is degenerate")
+        given: Any = self.crs
+        if given is not None and not isinstance(given, CRS):
+            object.__setattr__(self, "crs", CRS.from_user_input(given))
         # Kept, as cameras ask for them in every frame and affine takes its time.
         object.__setattr__(self, "samples", compose(self.transform, Affine.translation(0.5, 0.5)))
         object.__setattr__(self, "_inverse", ~self.samples)

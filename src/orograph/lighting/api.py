@@ -23,7 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.cards import extent_rows, one_line
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
 from orograph.lighting.context import MEMORY, Context, Options
 from orograph.lighting.products import compute, product
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 Values = NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Map:
     """A product on a terrain's grid.
 
@@ -55,6 +57,39 @@ class Map:
     values: Values
     grid: Grid
     bands: tuple[Band, ...]
+
+    def __repr__(self) -> str:
+        return one_line("Map", ", ".join(band.name for band in self.bands), extent_rows(self.grid))
+
+    def plot(self, ax: Any = None, band: int = 0, **options: Any) -> Any:
+        """Draw a band on matplotlib's axes, where it lies in its CRS, with a colour bar.
+
+        Args:
+            ax: the axes; None: new ones. band: which, from 0.
+            options: for ``Axes.imshow`` (``cmap``, ``vmin``…).
+
+        Returns: the ``AxesImage``.
+        """
+        try:
+            from matplotlib import pyplot
+        except ImportError as error:
+            raise UsageError(
+                "Plots need matplotlib, which is not installed.", remedy="pip install matplotlib"
+            ) from error
+        if self.grid.transform.b or self.grid.transform.d:
+            raise UsageError("A rotated grid has no coordinates along its rows and columns.")
+        if ax is None:
+            _, ax = pyplot.subplots(layout="constrained")
+        west, south, east, north = self.grid.bounds()
+        image = ax.imshow(self.values[band], extent=(west, east, south, north), **{"cmap": "gray", **options})
+        about = self.bands[band]
+        ax.figure.colorbar(
+            image,
+            ax=ax,
+            label=f"{about.name} ({about.unit})" if about.unit not in ("", "1") else about.name,
+            shrink=0.8,
+        )
+        return image
 
     def save(self, path: str | os.PathLike[str], *, byte: bool = False) -> None:
         """Write a Cloud Optimized GeoTIFF, float32 or 8-bit (see ``raster.write``)."""
@@ -86,7 +121,7 @@ def make(
     *,
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
-    max_memory: int = MEMORY,
+    max_memory: Amount = MEMORY,
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Any:
@@ -112,7 +147,7 @@ def make(
         UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
         ReadError: the data do not say what is needed of them.
     """
-    progress = reporting(progress)
+    progress, max_memory = reporting(progress), bytes_of(max_memory)
     wanted = product(name)
     reading = {k: options.pop(k) for k in READING if k in options}
     chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from orograph.errors import OutputError, StoreError, UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
@@ -33,6 +34,7 @@ from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.several import words
 from orograph.store.addresses import storage_at
 from orograph.store.clusters import check_workers, on_workers
 from orograph.store.digests import Digests, Spot
@@ -83,7 +85,7 @@ def bake(
     *,
     bits: Bits | None = None,
     overwrite: bool = False,
-    max_memory: int = MEMORY,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
@@ -98,7 +100,7 @@ def bake(
 
     Args:
         store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
-        names: of products, those in ``BAKED``.
+        names: of products, those in ``BAKED``: one, several, or a text ("openness,sky-view-factor").
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures and insolation, else 8).
         overwrite: bake also what is there already, and begin anew what was interrupted.
@@ -114,11 +116,10 @@ def bake(
         UsageError: there is no such product, it cannot be baked, or its options make no sense.
         StoreError: there is no store, another bake is at work or was interrupted, or it cannot be written.
     """
-    progress = reporting(progress)
+    progress, max_memory = reporting(progress), bytes_of(max_memory)
     if options is not None and more:
         raise UsageError("Give the products' options as Options, or by their names, not both.")
-    names = [names] if isinstance(names, str) else names
-    chosen, wanted = options or Options.of(**more), list(dict.fromkeys(names))
+    chosen, wanted = options or Options.of(**more), list(dict.fromkeys(words(names)))
     products = [_bakeable(name) for name in wanted]
     for each in products:
         each.check(chosen)

@@ -93,7 +93,10 @@ class Options:
             if name not in known and name not in MORE:
                 close = difflib.get_close_matches(name, [*known, *MORE], 2, 0.6)
                 there = f"There are {', '.join(sorted({*known, *MORE}))}."
-                remedy = f"Did you mean {' or '.join(close)}?" if close else there
+                if name in ("azimuth", "altitude", "az", "alt", "angle_altitude", "elevation"):
+                    remedy = "The sun's place is `sun=(azimuth, altitude)`, degrees: `sun=(315, 45)`."
+                else:
+                    remedy = f"Did you mean {' or '.join(close)}?" if close else there
                 raise UsageError(f"There is no option {name!r}.", remedy=remedy)
         more = {k: v for k, v in given.items() if k in MORE}
         return cls(**{k: v for k, v in given.items() if k in known}, more=more)

@@ -10,6 +10,7 @@ Whatever is made does not depend on blocks, threads or memory, to the bit.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -86,6 +87,21 @@ def names() -> list[str]:
     return list(_HOMES)
 
 
+MEANT = {
+    **dict.fromkeys(("svf", "skyview", "sky-view"), "sky-view-factor"),
+    **dict.fromkeys(("ao", "occlusion"), "ambient-occlusion"),
+    **dict.fromkeys(("shade", "relief", "shaded-relief", "shadedrelief"), "hillshade"),
+    **dict.fromkeys(("positive-openness", "openness-positive"), "openness"),
+    **dict.fromkeys(("negative-openness",), "openness-negative"),
+    **dict.fromkeys(("gradient", "steepness"), "slope"),
+    **dict.fromkeys(("exposition", "orientation"), "aspect"),
+    **dict.fromkeys(("normals",), "normal"),
+    **dict.fromkeys(("shadows", "cast-shadow"), "shadow"),
+    **dict.fromkeys(("radiation", "solar", "irradiation"), "insolation"),
+}  # fmt: skip
+"""What products are called elsewhere, and here."""
+
+
 def product(name: str) -> Product:
     """A product by its name.
 
@@ -93,7 +109,10 @@ def product(name: str) -> Product:
         UsageError: there is none of that name.
     """
     if name not in _HOMES:
-        raise UsageError(f"There is no product {name!r}; there are {', '.join(_HOMES)}.")
+        plain = name.lower().replace("_", "-").replace(" ", "-")
+        close = MEANT.get(plain) or next(iter(difflib.get_close_matches(plain, _HOMES, 1, 0.6)), None)
+        remedy = f"Did you mean {close}?" if close else ""
+        raise UsageError(f"There is no product {name!r}; there are {', '.join(_HOMES)}.", remedy=remedy)
     found: Sequence[Product] = importlib.import_module(_HOMES[name]).PRODUCTS
     return next(p for p in found if p.name == name)
 

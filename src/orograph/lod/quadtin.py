@@ -60,13 +60,13 @@ class Refined:
     """What a tolerance leads to.
 
     Attributes:
-        leaves: (m,) int32, triangles of the hierarchy, in the order of the curve.
-        active: how many vertices are. bound: pixels.
+        leaves: (m,) int32, triangles of the hierarchy, in the order of the curve. bound: pixels.
+        strip: int32, vertices of the hierarchy, where the method keeps strips.
     """
 
     leaves: NDArray[np.int32]
-    active: int
     bound: float
+    strip: NDArray[np.int32] | None = None
     within: bool = True
     tolerance: float | None = None
     stats: dict[str, Any] = field(default_factory=dict)
@@ -109,11 +109,15 @@ class QuadTin(Method):
             self.resources.progress,
             self.resources.max_memory,
         )
+        self._last = Pass()
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Room for a refinement."""
         count = len(self.tree.vertices)
         self._active, self._met = np.zeros(count, np.uint8), np.zeros(count + 1, np.int32)
         self._stack, self._leaves = np.empty(count + 1, np.int32), np.empty(1 << 12, np.int32)
         self._depth = np.empty((1024, 2), np.int32)
-        self._last = Pass()
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TriangleMesh:
         """The mesh for a camera. Its bound is the tolerance, or what the finest triangles are off, if that is more; of
@@ -123,11 +127,7 @@ class QuadTin(Method):
             UsageError: the camera is over no flat terrain.
         """
         began = time.perf_counter()
-        if goal.tolerance is not None:
-            found = self._refine(camera, goal.tolerance)
-            found.tolerance = goal.tolerance
-        else:
-            found = by_tolerance(lambda pixels: self._refine(camera, pixels), goal, self._last)
+        found = self.refined(camera, goal)
         took = time.perf_counter() - began
         tolerance = max(found.tolerance or 0.0, found.bound)
         within = found.within and np.isfinite(tolerance) and not self.tree.stuck
@@ -135,17 +135,25 @@ class QuadTin(Method):
         stats: dict[str, Any] = {
             "method": self.info.name, "error": "exact", "truth": self.truth,
             "tolerance": float(tolerance) if within else None, "conservative": promised,
-            "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), "active": found.active,
+            "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), **found.stats,
             "points": self.tree.points, "steiner": self.tree.steiner, "finest": self.tree.finest,
             "tiles_read": 0, "tiles_resident": 0,
         }  # fmt: skip
         if goal.triangles is not None:
             stats["within_budget"] = found.triangles <= goal.triangles
-        mesh = self._mesh(found.leaves, stats)
+        mesh = self._mesh(found, stats)
         stats["triangles"] = len(mesh.triangles)
         return TriangleMesh(
             method=self.info.name, bound=stats["tolerance"] if promised else None, stats=stats, mesh=mesh
         )
+
+    def refined(self, camera: Camera, goal: Goal) -> Refined:
+        """What ``select`` makes, before its vertices are numbered. For benches."""
+        if goal.tolerance is None:
+            return by_tolerance(lambda pixels: self._refine(camera, pixels), goal, self._last)
+        found = self._refine(camera, goal.tolerance)
+        found.tolerance = goal.tolerance
+        return found
 
     def _refine(self, camera: Camera, tolerance: float) -> Refined:
         lens = self._lens(camera, tolerance)
@@ -153,7 +161,7 @@ class QuadTin(Method):
         while True:
             count, bound = leaves_of(lens, self.tree, self._active, self._leaves, self._depth)
             if count >= 0:
-                return Refined(self._leaves[:count], int(active), float(bound))
+                return Refined(self._leaves[:count], float(bound), stats={"active": int(active)})
             self._leaves = np.empty(2 * len(self._leaves), np.int32)
 
     def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
@@ -163,17 +171,27 @@ class QuadTin(Method):
             camera.view, camera.chart.grid, exaggeration=camera.exaggeration, tolerance=tolerance
         )  # fmt: skip
 
-    def _mesh(self, leaves: NDArray[np.int32], stats: dict[str, Any]) -> Tessellation:
+    def _mesh(self, found: Refined, stats: dict[str, Any]) -> Tessellation:
         """The triangles of a mesh, its vertices numbered, with its strip."""
-        corners = self.tree.corners[leaves]
-        used = np.zeros(len(self.tree.vertices), np.int32)
-        used[corners] = 1
-        which = np.flatnonzero(used)
-        used[which] = np.arange(len(which))
-        triangles = used[corners]
-        if turn(self.terrain.grid) < 0:
+        corners = self.tree.corners[found.leaves]
+        numbers = np.zeros(len(self.tree.vertices), np.int32)
+        numbers[corners] = 1
+        which = np.flatnonzero(numbers)
+        numbers[which] = np.arange(len(which))
+        triangles, backwards = numbers[corners], turn(self.terrain.grid) < 0
+        if backwards:
             triangles = triangles[:, ::-1]
         triangles = np.ascontiguousarray(triangles)
-        strip = np.empty(7 * len(triangles) + 8, np.int32)
-        length = strip_of(triangles, strip)
-        return Tessellation(self.tree.vertices[which], triangles, strip[:length].copy(), stats)
+        if found.strip is None:
+            strip = strip_of_all(triangles)
+        else:
+            strip = numbers[found.strip]
+            if backwards and len(strip):  # one place on, triangles turn the other way
+                strip = np.r_[strip[:1], strip]
+        return Tessellation(self.tree.vertices[which], triangles, strip, stats)
+
+
+def strip_of_all(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """One generalised strip of triangles (m, 3)."""
+    strip = np.empty(7 * len(triangles) + 8, np.int32)
+    return strip[: strip_of(triangles, strip)].copy()

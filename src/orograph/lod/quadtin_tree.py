@@ -38,6 +38,7 @@ class Hierarchy(NamedTuple):
         parents: (v, 2) int32, the vertices that it depends on, twice the same on the border.
         corners: (t, 3) int32; child, node: (t,) int32; state: (t,) uint8: as of ``Tree``.
         off, reach: (t,) float64, metres: how far a triangle is from the truth; from its apex to what it stands for.
+        low, high: (t,) float64, metres: of the ground under a triangle, infinite where there is none.
         nodes: (v, 4) int32, the vertices that depend on it, −1: none.
         points: how many vertices are the truth's. steiner: how many are not. finest: metres.
         stuck: triangles that could not be split although they are further off.
@@ -54,6 +55,8 @@ class Hierarchy(NamedTuple):
     state: NDArray[np.uint8]
     off: Floats
     reach: Floats
+    low: Floats
+    high: Floats
     nodes: NDArray[np.int32]
     points: int
     steiner: int
@@ -230,6 +233,7 @@ def finished(tree: Tree, grid: Grid, bits: int, finest: float) -> Hierarchy:
     steiner = int(tree.steiner[4:v].sum())
     return Hierarchy(
         np.stack([col, row, z], -1), error, radius, np.ascontiguousarray(parents, np.int32), corners,
-        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach, nodes, v - 4 - steiner, steiner,
-        finest, int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
+        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach,
+        tree.low[:count].copy(), tree.high[:count].copy(), nodes, v - 4 - steiner, steiner, finest,
+        int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
     )  # fmt: skip

@@ -38,6 +38,7 @@ METHODS: dict[str, str | type[Method]] = {
     "chunked-lod": "orograph.lod.chunked_lod:ChunkedLod",
     "bdam": "orograph.lod.bdam:Bdam",
     "quadtin": "orograph.lod.quadtin:QuadTin",
+    "hyperblock": "orograph.lod.hyperblock:HyperBlock",
     "cbt": "orograph.lod.cbt:Cbt",
     "clipmap": "orograph.lod.clipmap:Clipmap",
 }

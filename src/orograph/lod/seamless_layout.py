@@ -125,7 +125,8 @@ class Layout:
         errors, mixed = self.errors.around(levels, boxes, p - 1)
         view, exaggeration = self.camera.view, self.camera.exaggeration
         fits = ~mixed & (moved(self.errors.terrain, view, exaggeration, self.times * errors, boxes) <= self.tolerance)
-        return np.where(fits, np.array(levels)[:, None], p - self.errors.big - 1).max(0)
+        coarsest: Index = np.where(fits, np.array(levels)[:, None], p - self.errors.big - 1).max(0)
+        return coarsest
 
     def _around(self, p: int, across: bool, row: Index, col: Index) -> Boxes:
         """The boxes around edges: half a length on either side."""

@@ -7,7 +7,7 @@
 >>> measuring.line_of_sight(terrain, a, b).obstruction          # doctest: +SKIP
 >>> measuring.viewshed(terrain, a, radius=20_000).save("v.tif")  # doctest: +SKIP
 
-Points are (easting, northing) in the terrain's CRS; ``Places(terrain).of_lonlat`` brings degrees there.
+Points are (easting, northing) in the terrain's CRS, or with ``lonlat=True`` (longitude, latitude) in degrees.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from __future__ import annotations
 from orograph.measuring.area import Area, area
 from orograph.measuring.flood import flood
 from orograph.measuring.height_error import HeightError
-from orograph.measuring.pick import Hit, pick, place, slope_aspect
+from orograph.measuring.pick import Hit, heights, pick, place, slope_aspect
 from orograph.measuring.places import Places
 from orograph.measuring.probable import Probable, probable_contours, probable_slope, probable_viewshed
 from orograph.measuring.profile import Profile, profile
@@ -34,6 +34,7 @@ __all__ = [
     "Viewshed",
     "area",
     "flood",
+    "heights",
     "line_of_sight",
     "pick",
     "place",

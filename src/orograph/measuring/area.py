@@ -76,6 +76,7 @@ def area(
     polygon: ArrayLike | Sequence[ArrayLike],
     *,
     level: float | None = None,
+    lonlat: bool = False,
     jobs: int | None = None,
     progress: Progress = SILENT,
 ) -> Area:
@@ -85,6 +86,7 @@ def area(
         polygon: (n, 2) easting, northing of its corners in either sense, or a sequence of such rings: the first is the
             border, the others are cut out of it.
         level: also find how much ground lies above this height and how much space below it, metres.
+        lonlat: the corners are longitude and latitude, degrees.
         jobs: threads.
 
     Raises:
@@ -94,7 +96,7 @@ def area(
     if level is not None and not math.isfinite(level):
         raise UsageError(f"The level is a height in metres, not {level!r}.")
     places = Places(terrain)
-    rings = [_ring(places, ring) for ring in _split(polygon)]
+    rings = [_ring(places, ring, lonlat) for ring in _split(polygon)]
     samples = [places.samples(ring) for ring in rings]
     _check_crossings(samples)
     signed = [_shoelace(ring) for ring in samples]
@@ -127,8 +129,8 @@ def _split(polygon: Any) -> list[Any]:
     return list(polygon)
 
 
-def _ring(places: Places, ring: ArrayLike) -> Array:
-    points = places.points(ring, what="A polygon")
+def _ring(places: Places, ring: ArrayLike, lonlat: bool) -> Array:
+    points = places.points(ring, what="A polygon", lonlat=lonlat)
     if len(points) > 1 and (points[0] == points[-1]).all():
         points = points[:-1]
     points = points[(points != np.roll(points, 1, axis=0)).any(axis=1)]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.folders import scratch
+from orograph.folders import Amount, bytes_of, scratch
 from orograph.lighting.raster import Band, rectangles
 from orograph.measuring.flood_kernels import REACHED, WET, fill
 from orograph.measuring.height_error import BEYOND, ErrorField, HeightError
@@ -47,7 +47,7 @@ CERTAIN = HeightError()
 @takes_terrain
 def flood(
     terrain: Terrain, level: float, sources: ArrayLike | None = None, error: HeightError = CERTAIN, *,
-    draws: int = DRAWS, seed: int = 1, max_memory: int = MEMORY, jobs: int | None = None,
+    lonlat: bool = False, draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
     """How probable it is that each sample is flooded: that its ground is below the level, and joined to a source.
 
@@ -55,6 +55,7 @@ def flood(
         level: of the water, metres, in the terrain's heights.
         sources: (n, 2) easting and northing of places where the water comes from; each stands for the sample next to
             it. None: all ground below the level is flooded.
+        lonlat: sources are longitude and latitude, degrees.
         error: of the heights; without one the result is 0 or 1. draws, seed: of the Monte Carlo.
 
     Returns:
@@ -65,6 +66,7 @@ def flood(
             many draws. ReadError: see ``ErrorField``.
     """
     check_draws(draws)
+    max_memory = bytes_of(max_memory)
     if not math.isfinite(level):
         raise UsageError(f"A water level is a number of metres, not {level!r}.")
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
@@ -77,11 +79,11 @@ def flood(
         return Probable(
             "flood", terrain.grid, (band,), error, 0, seed, told, _below(terrain, errors, level, jobs), jobs
         )
-    seeds, above = _samples(terrain, sources, level)
+    seeds, above = _samples(terrain, sources, level, lonlat)
     exact = errors.largest == 0.0
     if exact:
         draws = 1
-    told["sources"] = "; ".join(f"{e:.10g}, {n:.10g}" for e, n in Places(terrain).points(sources))
+    told["sources"] = "; ".join(f"{e:.10g}, {n:.10g}" for e, n in Places(terrain).points(sources, lonlat=lonlat))
 
     def made(progress: Progress) -> Blocks:
         counts = Counts(terrain.grid.shape, max_memory)
@@ -122,10 +124,12 @@ def _below(terrain: Terrain, errors: ErrorField, level: float, jobs: int) -> Cal
     return made
 
 
-def _samples(terrain: Terrain, sources: ArrayLike, level: float) -> tuple[list[tuple[int, int]], list[str]]:
+def _samples(
+    terrain: Terrain, sources: ArrayLike, level: float, lonlat: bool
+) -> tuple[list[tuple[int, int]], list[str]]:
     """(row, col) of the samples next to places, and what is to be told of those above the level."""
     places = Places(terrain)
-    points = places.points(sources)
+    points = places.points(sources, lonlat=lonlat)
     cols, rows = np.rint(places.samples(points)).astype(int).T
     found, above = list(zip(rows.tolist(), cols.tolist())), []
     for (row, col), point in zip(found, points):

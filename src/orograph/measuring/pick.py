@@ -107,16 +107,32 @@ def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration:
 
 
 @takes_terrain
-def place(terrain: Terrain, point: ArrayLike) -> Hit:
-    """The ground at a point (easting, northing).
+def heights(terrain: Terrain, points: ArrayLike, *, lonlat: bool = False) -> Array:
+    """Heights (n,) at points, metres: bilinear between the samples of the files, as ``Hit.height``; NaN where missing.
+
+    Args:
+        points: (n, 2) easting, northing. lonlat: they are longitude, latitude in degrees.
+
+    Raises:
+        UsageError: a point is not on the terrain. DamagedChunkError: as ``pick``.
+    """
+    places = Places(terrain)
+    return own_heights(places.terrain, places.points(points, lonlat=lonlat))
+
+
+@takes_terrain
+def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
+    """The ground at a point (easting, northing; with ``lonlat`` longitude, latitude in degrees).
 
     Raises:
         UsageError: the point is not on the terrain. DamagedChunkError: as ``pick``.
     """
     places = Places(terrain)
-    points = places.points(point)
+    points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
-        raise UsageError(f"One point is asked for, not {len(points)}.")
+        raise UsageError(
+            f"One point is asked for, not {len(points)}.", remedy="Heights of many: `orograph.measure.heights`."
+        )
     return _at(places, points[0])
 
 
@@ -148,13 +164,13 @@ def _known(heights: Array) -> float | None:
 
 
 @takes_terrain
-def slope_aspect(terrain: Terrain, point: ArrayLike) -> tuple[float, float]:
-    """Slope and aspect at a point (easting, northing), degrees; NaN in a hole, the aspect also where it is level.
+def slope_aspect(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> tuple[float, float]:
+    """Slope and aspect at a point (as for ``place``), degrees; NaN in a hole, the aspect also where it is level.
 
     Raises:
         UsageError: the point is not on the terrain.
     """
-    hit = place(terrain, point)
+    hit = place(terrain, point, lonlat=lonlat)
     return (math.nan if hit.slope is None else hit.slope, math.nan if hit.aspect is None else hit.aspect)
 
 

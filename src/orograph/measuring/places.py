@@ -83,8 +83,11 @@ class Places:
 
     # ---- coordinates ---------------------------------------------------------------------------------------------
 
-    def points(self, given: ArrayLike, *, least: int = 1, what: str = "A point") -> Array:
+    def points(self, given: ArrayLike, *, least: int = 1, what: str = "A point", lonlat: bool = False) -> Array:
         """Points (n, 2) = easting, northing, checked to be numbers and on the terrain.
+
+        Args:
+            lonlat: they are given as longitude, latitude in degrees.
 
         Raises:
             UsageError: they are not, or fewer than ``least``.
@@ -97,6 +100,7 @@ class Places:
             raise UsageError(f"{what} is easting and northing, two finite numbers each, not {given!r}.")
         if len(found) < least:
             raise UsageError(f"{what} needs at least {least} points, not {len(found)}.")
+        found = self.of_lonlat(found) if lonlat else found
         self.samples(found)
         return found
 
@@ -135,7 +139,7 @@ class Places:
 
     def _remedy(self, point: Array) -> str:
         """What to do about a point outside: one that would lie on the terrain in degrees was meant in degrees."""
-        how = "with `lonlat` (in Python: Places.of_lonlat)."
+        how = "with `lonlat=True`."
         plain = f"Give easting, northing in the terrain's CRS, or longitude, latitude {how}"
         if self.grid.crs is None or not (abs(point[0]) <= 360 and abs(point[1]) <= 90):
             return plain

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.folders import scratch
+from orograph.folders import Amount, bytes_of, scratch
 from orograph.geo.grid import Grid, compose
 from orograph.lighting.normal import gradient
 from orograph.lighting.raster import Band, rectangles, write
@@ -29,6 +29,7 @@ from orograph.measuring.height_error import Drawn, ErrorField, HeightError, arou
 from orograph.measuring.viewshed import viewshed
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.several import Numbers, numbers
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 
@@ -150,20 +151,21 @@ class Tally:
 @takes_terrain
 def probable_viewshed(
     terrain: Terrain, /, point: ArrayLike, error: HeightError, eye_height: float = 1.7, target_height: float = 0.0, *,
-    draws: int = DRAWS, seed: int = 1, max_memory: int = MEMORY, jobs: int | None = None, **options: Any,
+    draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None, **options: Any,
 ) -> Probable:  # fmt: skip
     """How probable it is that each sample is seen from a point.
 
     In each draw the eye stands on the ground of that draw.
 
     Args:
-        point, eye_height, target_height: as for ``viewshed``, with its ``options`` radius, curvature and refraction.
+        point, eye_height, target_height: as for ``viewshed``, with its ``options`` radius, lonlat…
         error: of the heights. draws, seed: of the Monte Carlo.
 
     Raises:
         UsageError: as ``viewshed``; there are fewer than 1 or more than 65,535 draws. ReadError: see ``ErrorField``.
     """
     check_draws(draws)
+    max_memory = bytes_of(max_memory)
     options = {**options, "max_memory": max_memory, "jobs": jobs}
     shed = viewshed(terrain, point, eye_height, target_height, **options)
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
@@ -190,8 +192,8 @@ def probable_viewshed(
 
 @takes_terrain
 def probable_slope(
-    terrain: Terrain, error: HeightError, exceeds: Sequence[float] = (), *, draws: int = DRAWS, seed: int = 1,
-    max_memory: int = MEMORY, jobs: int | None = None,
+    terrain: Terrain, error: HeightError, exceeds: Numbers = (), *, draws: int = DRAWS, seed: int = 1,
+    max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
     """Mean and standard deviation of the slope at each sample, degrees, and how probably it exceeds limits.
 
@@ -204,6 +206,8 @@ def probable_slope(
         UsageError: a limit is not from 0 to 90 degrees; there are too few or too many draws (at least 2).
     """
     check_draws(draws, 2)
+    max_memory = bytes_of(max_memory)
+    exceeds = numbers(exceeds, "exceeds")
     for limit in exceeds:
         if not 0 <= limit < 90:
             raise UsageError(f"A slope to exceed is from 0 to 90 degrees, not {limit:g}.")
@@ -240,8 +244,8 @@ def probable_slope(
 
 @takes_terrain
 def probable_contours(
-    terrain: Terrain, error: HeightError, levels: Sequence[float] = (), *, interval: float | None = None,
-    draws: int = DRAWS, seed: int = 1, max_memory: int = MEMORY, jobs: int | None = None,
+    terrain: Terrain, error: HeightError, levels: Numbers = (), *, interval: float | None = None,
+    draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
     """How probable it is that a contour line passes through each cell: bands of contours instead of lines.
 
@@ -256,6 +260,8 @@ def probable_contours(
         UsageError: there are neither levels nor an interval, or both; the terrain has one row or column.
     """
     check_draws(draws)
+    max_memory = bytes_of(max_memory)
+    levels = numbers(levels, "levels")
     if bool(levels) == (interval is not None):
         raise UsageError("Contours are at levels, or have an interval: give one of the two.")
     if interval is not None and not (interval > 0 and math.isfinite(interval)):

@@ -42,7 +42,7 @@ COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitu
            "surface_height_m")  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Profile:
     """The surface along a polyline, at every crossing of an edge; n places.
 
@@ -75,6 +75,34 @@ class Profile:
     missing: float
     bridged: float
     places: Places
+
+    def __repr__(self) -> str:
+        low, high = (f"{v:.6g}" if v is not None else "none" for v in (self.lowest, self.highest))
+        return (
+            f"<Profile over {self.places.terrain.name!r}: {self.length:,.0f} m along the ground, "
+            f"{self.distance[-1]:,.0f} m across, {low} to {high} m, {len(self.points):,} places>"
+        )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw it on matplotlib's axes (None: new ones), which are returned."""
+        if ax is None:
+            from matplotlib import pyplot
+
+            _, ax = pyplot.subplots(figsize=(9, 3.6), layout="constrained")
+        unit, scale = ("km", 1000.0) if self.distance[-1] >= 2000 else ("m", 1.0)
+        breaks = np.flatnonzero(~self.known)  # the ground is open over holes
+        s = np.insert(self.distance / scale, breaks + 1, self.distance[breaks] / scale)
+        z = np.insert(self.surface_heights, breaks + 1, np.nan)
+        ax.plot(s, z, color="#5b4a32", linewidth=1.0)
+        ax.set_xlabel(f"distance ({unit})")
+        ax.set_ylabel("height (m)")
+        return ax
+
+    def to_dataframe(self, every: float | None = None) -> Any:
+        """``rows`` as a DataFrame of pandas."""
+        import importlib
+
+        return importlib.import_module("pandas").DataFrame(self.rows(every), columns=list(COLUMNS))
 
     @property
     def length(self) -> float:
@@ -194,19 +222,20 @@ class Profile:
 
 
 @takes_terrain
-def profile(terrain: Terrain, polyline: ArrayLike) -> Profile:
+def profile(terrain: Terrain, polyline: ArrayLike, *, lonlat: bool = False) -> Profile:
     """The surface along a polyline, exact.
 
     Args:
-        polyline: (v, 2) easting, northing, at least two points, in the terrain's CRS (``Places.of_lonlat`` brings
-            degrees there); straight on the grid from vertex to vertex.
+        polyline: (v, 2) easting, northing, at least two points, in the terrain's CRS; straight on the grid from
+            vertex to vertex.
+        lonlat: the points are longitude and latitude, degrees.
 
     Raises:
         UsageError: a point is not on the terrain, or the line has no length.
         DamagedChunkError: a chunk of a store fails its checksum.
     """
     places = Places(terrain)
-    given = places.points(polyline, least=2, what="A line")
+    given = places.points(polyline, least=2, what="A line", lonlat=lonlat)
     corners = places.samples(given)
     moves = np.append(True, (np.diff(given, axis=0) != 0).any(axis=1))
     given, corners = given[moves], corners[moves]

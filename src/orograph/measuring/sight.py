@@ -122,6 +122,7 @@ def line_of_sight(
     *,
     curvature: bool = True,
     refraction: float = REFRACTION,
+    lonlat: bool = False,
 ) -> Sight:
     """Whether one sees from ``a`` to ``b``, and what stands in the way.
 
@@ -130,13 +131,14 @@ def line_of_sight(
         eye_height, target_height: metres above the ground there.
         curvature: whether the body is round and its air refracts.
         refraction: k; 0 without air.
+        lonlat: the points are longitude and latitude, degrees.
 
     Raises:
         UsageError: a point is not on the terrain, in a hole, or the same as the other; a height is negative.
     """
     check_heights(**{"eye's height": eye_height, "target's height": target_height})
     places = Places(terrain)
-    ends = np.concatenate([places.points(a), places.points(b)])
+    ends = np.concatenate([places.points(a, lonlat=lonlat), places.points(b, lonlat=lonlat)])
     if len(ends) != 2:
         raise UsageError("A line of sight has two ends.")
     bend = bend_of(places, ends[0], curvature, refraction)

@@ -25,13 +25,14 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.cards import extent_rows, one_line
 from orograph.errors import UsageError
-from orograph.folders import scratch
+from orograph.folders import Amount, bytes_of, scratch
 from orograph.geo.grid import Grid
 from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.ground import heights as surface
@@ -41,6 +42,9 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -59,7 +63,7 @@ SEEN = Band("visible", "1", "1: seen from the eye, 0: hidden; missing where no h
 NEEDED = Band("height needed", "m", "how high above the ground a target must be to be seen; 0: the ground itself is")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Viewshed:
     """What an eye sees; made with ``viewshed``, looked at when it is asked for.
 
@@ -86,6 +90,25 @@ class Viewshed:
     quantum: float
     on_disk: bool
     _scene: _Scene = field(repr=False)
+
+    def __repr__(self) -> str:
+        x, y = self.point
+        return one_line(
+            "Viewshed", f"from {x:.10g}, {y:.10g}", [("eye", f"eye {self.eye:g} m"), *extent_rows(self.grid)]
+        )
+
+    def summary(self, progress: Progress = SILENT) -> dict[str, float]:
+        """How much is seen, without keeping it (see ``Summary.result``)."""
+        told = Summary(self)
+        for _ in told.over(self.blocks(progress)):
+            pass
+        return told.result()
+
+    def to_xarray(self) -> xr.DataArray:
+        """``values`` as a DataArray with the dimensions y, x."""
+        from orograph.lighting.api import Map
+
+        return Map(self.values()[None], self.grid, (self.band,)).to_xarray()
 
     @property
     def band(self) -> Band:
@@ -230,7 +253,8 @@ def viewshed(
     curvature: bool = True,
     refraction: float = REFRACTION,
     heights: bool = False,
-    max_memory: int = MEMORY,
+    lonlat: bool = False,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
     progress: Progress = SILENT,
 ) -> Viewshed:
@@ -242,6 +266,7 @@ def viewshed(
         radius: true metres beyond which nothing is looked at; None: all of the terrain.
         curvature, refraction: as for ``line_of_sight``.
         heights: find the height that a target needs to be seen at each sample, instead of whether it is.
+        lonlat: the point is longitude and latitude, degrees.
         max_memory: bytes; apparent heights that take more than a third of them are in a scratch file.
 
     Returns:
@@ -251,13 +276,14 @@ def viewshed(
         UsageError: the point is not on the terrain or in a hole; a height or the radius is negative.
         OutputError: the temporary folder has no room. DamagedChunkError: a chunk of a store fails its checksum.
     """
+    max_memory = bytes_of(max_memory)
     check_heights(**{"eye's height": eye_height, "target's height": target_height})
     if radius is not None and not (radius > 0 and math.isfinite(radius)):
         raise UsageError(f"The radius is a positive number of metres, not {radius!r}.")
     if heights and target_height:
         raise UsageError("The heights that targets need are asked for, so that a target's height has no meaning.")
     places = Places(terrain)
-    points = places.points(point)
+    points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
         raise UsageError(f"A viewshed is that of one point, not of {len(points)}.")
     x, y = places.samples(points)[0]

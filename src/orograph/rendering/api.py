@@ -21,10 +21,12 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
-from orograph.scene.camera import NO_INSETS, check_size, view_of
+from orograph.scene.camera import NO_INSETS, view_of
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
+from orograph.scene.sizes import Size, size_of
+from orograph.scene.wording import MEANT
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
@@ -39,10 +41,7 @@ CAMERA = {
 }
 """What the command line has options for, and here a view."""
 
-FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name} | {
-    "cmap": "colormap", "vertical_exaggeration": "exaggeration", "vert_exag": "exaggeration",
-    "width": "size", "height": "size", "figsize": "size", "n_jobs": "jobs", "verbose": "progress",
-}  # fmt: skip
+FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name}
 """What options are called on the command line, or elsewhere, and here."""
 
 
@@ -50,7 +49,7 @@ def render(
     terrain: Any,
     view: View | str | os.PathLike[str] | None = None,
     *,
-    size: tuple[int, int] = (1280, 720),
+    size: Size = (1280, 720),
     backend: Literal["cpu", "gpu"] = "cpu",
     conservative: bool = False,
     each: str | None = None,
@@ -95,7 +94,7 @@ def render(
         check_promise(options.get("method", "auto"), backend)
     check_options(options)
     max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
-    check_size(size)
+    size = size_of(size)
     check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets
@@ -121,8 +120,8 @@ def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()
         known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
         if name in CAMERA:
             remedy = f"Where to look from is said by a view here: {CAMERA[name]}."
-        elif name in FLAGS:
-            remedy = f"It is called {FLAGS[name]} here."
+        elif name in FLAGS or name in MEANT:
+            remedy = f"It is called {FLAGS.get(name) or MEANT[name]} here."
         elif close := difflib.get_close_matches(name, known, 3, 0.6):
             remedy = f"Did you mean {' or '.join(close)}?"
         else:

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.geovis.data.dataset import Dataset, datasets_of
+from orograph.geovis.data.dataset import Dataset, Uncertainty, datasets_of
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.features import has_features
-from orograph.geovis.data.painting import image_grid
+from orograph.geovis.data.painting import MEASURES, image_grid
 from orograph.geovis.data.points import is_table
-from orograph.geovis.data.reading import matches, members_in, times_in
+from orograph.geovis.data.reading import Field, matches, members_in, read, times_in
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import spanned
 from orograph.geovis.layers import drawn as visible
@@ -126,13 +126,12 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
     first, *rest = data
     if has_features(first.source) or is_table(first.source):
         raise UsageError(f"A panel for each {key} is of a raster.", path=str(first.source))
-    doubt = first.uncertainty
-    if key != "time" and (first.derived or (doubt is not None and doubt.of_members)):
-        what = f"uncertainty={doubt.source}" if doubt is not None and doubt.of_members else "value= or exceeds="
+    if key != "time" and first.derived:
         raise UsageError(
-            f"A panel for each {key} shows one {key}, but {what} is taken over several.",
+            f"A panel for each {key} shows one {key}, but value= or exceeds= is taken over several.",
             remedy="Leave it out, or make a panel for each time.",
         )
+    first, whole = first.but(uncertainty=None), first
     own = getattr(first, key)
     some = some or ("" if own is None else str(own))
     if key == "time":
@@ -146,6 +145,8 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
             f"Panels are 2 to {MOST}, and there {'is' if len(ones) == 1 else 'are'} {len(ones)}.",
             remedy=f"Choose some: {key}=1-6." if key != "time" else "Choose some: time=2019-03-01, time=T12.",
         )  # fmt: skip
+    doubt = _doubt_of(whole, ones[0][1], terrain)
+    ones = [(title, one.but(uncertainty=doubt)) for title, one in ones]
     values, sigmas, over = [], [], image_grid(terrain.grid, LOOKED_AT)
     for _, one in ones:
         field = read_data(one, terrain.grid)
@@ -154,11 +155,25 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
         if found is not None:
             sigmas.append(Positions.of(over, found[0]).values(found[1]).ravel())
     span = first.range or _ends(np.concatenate(values))
-    shared = first.uncertainty
+    shared = doubt
     if shared is not None and shared.range is None:
         shared = replace(shared, range=(0.0, spanned(np.concatenate(sigmas), None)[1]))
     breaks = "equal" if first.breaks == "quantiles" else first.breaks
     return [Panel(title, (one.but(range=span, breaks=breaks, uncertainty=shared), *rest)) for title, one in ones]
+
+
+def _doubt_of(whole: Dataset, one: Dataset, terrain: Terrain) -> Uncertainty | None:
+    """The uncertainty of each panel: as given; of members their own where a panel (``one``) has several, else how all
+    that the data choose differ, which is the same in every panel."""
+    doubt = whole.uncertainty
+    if doubt is None or not doubt.of_members or len(read(one, terrain.grid).values) > 1:
+        return doubt
+    field = read(whole, terrain.grid)
+    found = Field(
+        field.uncertainty(doubt.source)[None], field.grid,
+        f"± {MEASURES[doubt.source]} of all {len(field.values)}", field.unit,
+    )  # fmt: skip
+    return replace(doubt, source=found)
 
 
 def _ends(values: NDArray[Any]) -> tuple[float, float]:

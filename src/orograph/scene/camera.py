@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import os
-from numbers import Integral
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from orograph.errors import NothingInViewError, UsageError
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside, place
 from orograph.scene.parts import check_exaggeration
+from orograph.scene.sizes import Size, size_of
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -190,7 +191,7 @@ def _centred(across: Array, depth: Array, low: float, high: float, aside: float)
 
 
 def view_of(
-    given: View | str | os.PathLike[str] | None, terrain: Terrain, size: tuple[int, int] = SIZE, *,
+    given: View | str | os.PathLike[str] | None, terrain: Terrain, size: Size = SIZE, *,
     exaggeration: float = 1.0, insets: Insets = NO_INSETS,
 ) -> View:  # fmt: skip
     """The camera that a user gives: a ``View``, "plan", the path of a VIEW.json; None: ``whole``.
@@ -198,13 +199,18 @@ def view_of(
     Raises:
         UsageError: it is none of these, or the size is not (width, height). ReadError: the file cannot be read.
     """
-    check_size(size)
+    size = size_of(size)
     if given is None:
         return whole(terrain, size, exaggeration=exaggeration, insets=insets)
     if isinstance(given, View):
         return given
     if isinstance(given, str) and given == "plan":
         return plan(terrain, size, insets=insets)
+    if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
+        raise UsageError(
+            f"There is no view {given!r}.",
+            remedy='A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.',
+        )
     if isinstance(given, str | os.PathLike):
         return View.load(os.fspath(given), crs=terrain.grid.crs)
     raise UsageError(
@@ -213,17 +219,10 @@ def view_of(
     )
 
 
-def check_size(size: object) -> None:
-    """Raise UsageError unless a size is (width, height), whole numbers of pixels."""
-    whole_numbers = isinstance(size, tuple | list) and all(isinstance(n, Integral) and int(n) > 0 for n in size)
-    if not whole_numbers or len(size) != 2:  # type: ignore[arg-type]
-        raise UsageError(f"A size is (width, height) in pixels, such as (1280, 720), not {size!r}.")
-
-
 @takes_terrain
 def whole(
     terrain: Terrain,
-    size: tuple[int, int] = SIZE,
+    size: Size = SIZE,
     *,
     azimuth: float = 180.0,
     pitch: float = 42.0,
@@ -235,13 +234,13 @@ def whole(
 
     ``insets`` are parts of the picture to leave free, such as ``furniture.insets``.
     """
-    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets, azimuth + 180.0)
+    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size_of(size), exaggeration, insets, azimuth + 180.0)
 
 
 @takes_terrain
 def around(
     terrain: Terrain,
-    size: tuple[int, int] = SIZE,
+    size: Size = SIZE,
     *,
     azimuth: float = 180.0,
     pitch: float = 42.0,
@@ -259,6 +258,7 @@ def around(
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
     """
     check_around(azimuth, pitch, distance, exaggeration)
+    size = size_of(size)
     if distance is None:
         return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
     points = outline(terrain)
@@ -283,7 +283,7 @@ def check_around(azimuth: float, pitch: float, distance: float | None, exaggerat
 @takes_terrain
 def standing(
     terrain: Terrain,
-    size: tuple[int, int],
+    size: Size,
     eye: tuple[float, float, float],
     look_at: tuple[float, float] | None,
     *,
@@ -301,6 +301,7 @@ def standing(
         UsageError: the terrain has no CRS, a place cannot be brought to it, its two numbers seem to be swapped, or what
             is to be looked at lies more than the terrain's width or height outside of it.
     """
+    size = size_of(size)
     x, y = place(terrain.grid, eye[0], eye[1])
     points = outline(terrain)
     if look_at is None:
@@ -318,7 +319,7 @@ def standing(
 
 
 @takes_terrain
-def plan(terrain: Terrain, size: tuple[int, int] = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
+def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:
@@ -329,6 +330,7 @@ def plan(terrain: Terrain, size: tuple[int, int] = SIZE, *, azimuth: float = 180
     """
     if not math.isfinite(azimuth):
         raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
+    size = size_of(size)
     points = outline(terrain)
     up = direction(azimuth, 0.0)
     right = np.array([up[1], -up[0], 0.0])

@@ -63,13 +63,13 @@ def numbers(text: str, names: str, optional: int = 0) -> tuple[float, ...]:
 
 
 def read_span(text: str) -> tuple[float, float]:
-    """Two numbers with a colon between.
+    """Two numbers with a colon (or a comma) between.
 
     Raises:
         ValueError: the text is not that.
     """
     try:
-        low, high = map(float, text.split(":"))
+        low, high = map(float, text.replace(",", ":").split(":"))
     except ValueError:
         raise ValueError(f"{text!r} is not LOW:HIGH, two numbers with a colon between.") from None
     return low, high

@@ -24,6 +24,38 @@ VERBS = {
 PLACES = {"orograph.bake": ("", "--products"), "orograph.build": ("", "-o")}
 """The options of arguments that a call gives by their places; "": the verb takes it by its place, too."""
 
+ELSEWHERE = {
+    **dict.fromkeys(("plot", "show", "draw", "imshow", "relief", "shade"), "render"),
+    **dict.fromkeys(("load", "open_dem", "from_file", "read_dem"), "read"),
+    **dict.fromkeys(("mosaic", "merge", "store"), "build"),
+    **dict.fromkeys(("download", "get_dem"), "fetch"),
+    **dict.fromkeys(("flyover", "animate", "film", "video"), "movie"),
+    **dict.fromkeys(("mesh", "triangulate"), "tessellate"),
+    **dict.fromkeys(("widget", "explore", "viewer"), "view"),
+    **dict.fromkeys(("write", "save", "to_tif", "to_geotiff"), "export"),
+    **dict.fromkeys(("elevation", "elevations", "height", "heights", "sample", "interp"), "measure.heights"),
+    **{one: f"measure.{one}" for one in ("profile", "viewshed", "line_of_sight", "flood", "area", "pick")},
+    **dict.fromkeys(("los", "intervisibility"), "measure.line_of_sight"),
+    **dict.fromkeys(("contour", "contours"), "render(dem, contours=50)"),
+}  # fmt: skip
+"""What functions are called elsewhere, and here."""
+
+MEANT = {
+    **dict.fromkeys(("legend", "scale_bar", "scalebar", "north_arrow", "colorbar", "attribution"), "furniture"),
+    **dict.fromkeys(("cmap", "palette", "color", "colors"), "colormap"),
+    **dict.fromkeys(("vmin", "vmax", "clim", "zlim", "limits"), "range"),
+    **dict.fromkeys(("ve", "vertical_exaggeration", "vert_exag", "z_factor", "zscale", "z_scale"), "exaggeration"),
+    **dict.fromkeys(("layer", "overlay", "image", "imagery", "basemap", "texture", "satellite"), "layers"),
+    **dict.fromkeys(("threads", "cores", "workers", "n_jobs"), "jobs"),
+    **dict.fromkeys(("dpi", "width", "height", "figsize"), "size"),
+    **dict.fromkeys(("hillshade", "shading", "lighting"), "light"),
+    **dict.fromkeys(("engine", "algorithm"), "method"),
+    **dict.fromkeys(("contour", "isolines"), "contours"),
+    **dict.fromkeys(("verbose", "quiet"), "progress"),
+    "camera": "view",
+}  # fmt: skip
+"""What options are called elsewhere, and here."""
+
 Call = Callable[[str], str]
 """What an argument is called, by its name in Python."""
 

@@ -18,9 +18,11 @@ import numpy as np
 
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
+from orograph.several import words
 from orograph.store.addresses import storage_at
 from orograph.store.chunked import checked_sizes
 from orograph.store.coding import CODECS, Coding, coding_of
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
+ALL_AGAIN = ("patches", "chunks")  # stages of which an update can keep nothing
 READER = 160 << 20  # what a mosaic may hold while it reads one window
 
 Path_ = str | os.PathLike[str]
@@ -64,9 +67,10 @@ def build(
     *,
     overwrite: bool = False,
     resume: bool = False,
-    max_memory: int = MEMORY,
+    update: bool = False,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
-    errors: Sequence[ErrorKind] = ("exact",),
+    errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
     chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
@@ -94,9 +98,10 @@ def build(
     *,
     overwrite: bool = False,
     resume: bool = False,
-    max_memory: int = MEMORY,
+    update: bool = False,
+    max_memory: Amount = MEMORY,
     jobs: int | None = None,
-    errors: Sequence[ErrorKind] = ("exact",),
+    errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
     chunked: tuple[int, float] | None = None,
     keep_source: bool = True,
@@ -120,10 +125,12 @@ def build(
         url: the store's folder or URL (``s3://``, ``gs://``, ``az://``…).
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
+        update: make again only what follows of files that were added, changed or removed since (``updating``); begins a
+            build if there is none. The store keeps what that takes.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
-            them; none for ().
+            them: several, or a text ("exact,midpoint"); none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``); None: no TINs.
         chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
             from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes. They follow from ``midpoint`` errors,
@@ -152,11 +159,12 @@ def build(
     """
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
-    progress = reporting(progress)
+    progress, max_memory = reporting(progress), bytes_of(max_memory)
     check_ways(overwrite, resume, part, finish, workers, dask)
-    kinds = tuple(kind for kind in KINDS if kind in errors)
-    if len(kinds) != len(set(errors)):
-        raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
+    wanted = words(errors)
+    kinds = tuple(kind for kind in KINDS if kind in wanted)
+    if len(kinds) != len(set(wanted)):
+        raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, wanted))}.")
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
@@ -167,6 +175,11 @@ def build(
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
+    if update:
+        from orograph.store.updating import begin, check_updatable
+
+        excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
+        check_updatable(final, {**excluded, "workers": workers is not None, "dask": dask is not None})
     if workers is not None:
         jobs = jobs or 1
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
@@ -186,27 +199,32 @@ def build(
     with alone(final, "building this store"):
         count = parts_begun(final, storage) if finish else 0
         resume = resume or finish
-        if overwrite and not finish:
+        if update:
+            assert isinstance(final, FolderStorage) and isinstance(storage, FolderStorage)
+            plan, going_on, complete = begin(final, storage, plan, raster, coding, progress)
+        elif overwrite and not finish:
             check_replaceable(final, storage)
+            complete = going_on = False
         else:
             plan, complete = compared(final, storage, plan, resume)
-            if complete:
-                return open(url, storage_options=storage_options)
-        going_on = resume and begun(storage)
-        if not going_on:
+            going_on = resume and begun(storage)
+        if complete:
+            return open(url, storage_options=storage_options)
+        if not going_on and not update:
             if not final.remote or begun(storage) or is_store(final):
                 storage.remove(ROOT)  # first, lest what is left look complete
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
         if not storage.exists(ROOT):
-            label = "Resuming the store" if going_on else "Building the store"
+            label = "Building the store" if not going_on else "Updating the store" if update else "Resuming the store"
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
             with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
                 _fill(raster, storage, plan, coding, jobs, label, executor, progress)
         if isinstance(storage, FolderStorage) and going_on:
             storage.sweep()
-        storage.remove(PARTS)
+        for each in [f"{PARTS}/{name}" for name in ALL_AGAIN] if update else [PARTS]:
+            storage.remove(each)
         storage.remove(PLAN)
         storage.close()
         if isinstance(final, FolderStorage):
@@ -282,7 +300,7 @@ def _fill(
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
-    levels = executor.groups(raster.grid.shape, plan["shard"])
+    levels = executor.groups(Pyramid.name, raster.grid.shape, plan["shard"])
     finest = Finest(raster, writer, plan["shard"], plan["chunk"], coding)
     pyramid = Pyramid(finest, label, levels)
     executor.run(Groups(finest, levels, pyramid) if levels else pyramid, progress)

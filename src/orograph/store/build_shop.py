@@ -34,8 +34,9 @@ class BuildRecipe(NamedTuple):
     Attributes:
         url: where the store is made. storage_options: beside the environment, for the bucket (obstore's).
         plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
-        files, options: of the source (``Mosaic.open``).
-        levels: of the groups of heights; 0: none. memory: bytes a task may take, besides ``base`` of the process.
+        files, options: of the source (``inputs.opened``).
+        levels: of the groups of heights and errors; 0: none.
+        memory: bytes a task may take, besides ``base`` of the process.
     """
 
     url: str
@@ -107,9 +108,9 @@ class BuildShop:
             StoreError: its files are not those that the build was begun with.
         """
         if self._raster is None:
-            from orograph.dem.mosaic import Mosaic
+            from orograph.store.inputs import opened
 
-            raster = Mosaic.open(self.recipe.files, **self.recipe.options)
+            raster = opened(self.recipe.files, self.recipe.options)
             if raster.fingerprint() != self.plan["source"]:
                 raise StoreError(
                     "A worker finds other files under the names of the sources than the process that builds.",
@@ -139,6 +140,7 @@ def _source(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
 
 def _errors(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.survey import Errors
+    from orograph.store.survey_groups import ErrorGroups
 
     grid = shop.raster().grid
     specs = {name: table_spec(grid.shape, 0, name, *shop.sizes) for name in TABLES_AND_VALID}
@@ -148,9 +150,24 @@ def _errors(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
         )
         for name, spec in specs.items()
     }
-    return Errors(grid, writer, *shop.sizes, TileTable(**tables), tuple(shop.plan["errors"]), shop.recipe.coding)
+    first, kinds, levels = TileTable(**tables), tuple(shop.plan["errors"]), shop.recipe.levels
+    errors = Errors(grid, writer, *shop.sizes, first, kinds, shop.recipe.coding)
+    return ErrorGroups(errors, levels) if levels else errors
+
+
+def _patches(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.error import KINDS
+    from orograph.store.derived_stages import PatchStage, known
+
+    return PatchStage(known(shop.storage), writer, KINDS[number])
+
+
+def _chunks(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.derived_stages import ChunkStage, known
+
+    return ChunkStage(known(shop.storage), writer, *shop.plan["chunked"])
 
 
 _STAGES: dict[str, Callable[[BuildShop, ShardWriter, int], Stage[Any]]] = {
-    "heights": _heights, "source": _source, "errors": _errors,
+    "heights": _heights, "source": _source, "errors": _errors, "patches": _patches, "chunks": _chunks,
 }  # fmt: skip

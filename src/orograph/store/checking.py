@@ -76,6 +76,9 @@ def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot)
     except ValueError as error:
         yield Damage(key, str(error))
         return
+    wanted = max(start + length for start, length, _ in places) + tail_length(key, spec.chunks)
+    if len(data) != wanted:
+        yield Damage(key, f"it has {len(data):,} bytes where {wanted:,} were written")
     side = spec.shard // spec.chunk
     for number, (start, length, check_) in enumerate(places):
         if length:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from orograph.folders import held
 from orograph.hierarchy import diamonds
-from orograph.parallel import map_ordered
 from orograph.store.chunked import APART, PER_WORD, Chunk, Layout, Words, on_sides, unpacked
 from orograph.store.chunked_kernels import lowest, middle, write_walk
 from orograph.store.terrain import TILE, Heights, Terrain
@@ -60,11 +59,6 @@ class MemoryChunks:
     def chunk(self, level: int, i: int, j: int) -> Chunk:
         """As ``StoredChunks.chunk``."""
         return unpacked(self.words(level, i, j), self.layout, level, i, j)
-
-    def all_words(self, level: int, jobs: int | None = None) -> Iterator[Words]:
-        """The words of a level's chunks, row by row."""
-        rows, cols = self.layout.chunks(level)
-        yield from map_ordered(lambda at: self.words(level, *divmod(at, cols)), range(rows * cols), jobs, ahead=8)
 
     def words(self, level: int, i: int, j: int) -> Words:
         """What is kept of a chunk."""

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any
 from orograph.errors import OutputError, StoreError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
-from orograph.store.chunked import Layout, StoredChunks, Words, lengths_spec, words_spec
+from orograph.store.chunked import Layout, StoredChunks, lengths_spec, words_spec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 
 if TYPE_CHECKING:
@@ -93,9 +93,3 @@ def spooled() -> Iterator[IO[bytes]]:
             "No room for what is kept while chunks are made.", path=tempfile.gettempdir(),
             remedy="Point the environment variable TMPDIR to a folder on a larger disk.",
         ) from error  # fmt: skip
-
-
-def write(file: IO[bytes], words: Words) -> int:
-    """Append a chunk's words to a file; how many there are."""
-    file.write(words.tobytes())
-    return len(words)

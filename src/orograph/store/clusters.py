@@ -13,6 +13,7 @@ import contextlib
 import itertools
 import os
 import queue
+import signal
 import time
 import uuid
 from collections import Counter, defaultdict
@@ -37,7 +38,7 @@ AHEAD = 2
 """Tasks that are under way for each thread of the workers."""
 
 EACH = 8
-"""Groups of heights for each thread of the workers, at least, if there are so many."""
+"""Groups of heights or errors for each thread of the workers, at least, if there are so many."""
 
 PAUSE = 0.5
 """Seconds before workers are told again."""
@@ -81,8 +82,10 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
     limit = max((max_memory // (workers or 1)), needed * 5 // 4)  # Dask ends processes that come near their limit
     with (
         _quiet_tracker(),
+        _loop_apart() as loop,
         local(
             n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
+            loop=loop,
         ) as cluster,
         made(cluster) as client,
     ):  # fmt: skip
@@ -108,13 +111,36 @@ def _quiet_tracker() -> Iterator[None]:
     yield
 
 
+@contextlib.contextmanager
+def _loop_apart() -> Iterator[Any]:
+    """An event loop of Dask whose thread, and all threads and processes begun from there, do not hear Ctrl-C.
+
+    A terminal sends it to all processes of a command. Workers would tell of it with a traceback each, above all those
+    that are still starting; they end with this process instead.
+    """
+    from distributed.utils import LoopRunner
+
+    runner: Any = LoopRunner(asynchronous=False)
+    masks = getattr(signal, "pthread_sigmask", None)  # threads and processes inherit what is blocked
+    before = None if masks is None else masks(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        runner.start()
+    finally:
+        if masks is not None:
+            masks(signal.SIG_SETMASK, before)
+    try:
+        yield runner.loop
+    finally:
+        runner.stop()
+
+
 def threads_of(client: Any) -> int:
     """Threads of all workers there are now, at least 1."""
     return max(1, int(sum(client.nthreads().values())))
 
 
 def levels_of(client: Any, shape: Shape, shard: int) -> int:
-    """Levels of the groups of heights."""
+    """Levels of the groups of heights and errors."""
     return group_levels(shape, shard, EACH * threads_of(client))
 
 
@@ -148,7 +174,7 @@ class Cluster:
     """Runs stages on a cluster, whose workers know of the work while it is entered.
 
     Args:
-        client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights.
+        client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights and errors.
 
     Attributes:
         busy: seconds that each worker was at work, by its name.
@@ -181,7 +207,7 @@ class Cluster:
         with contextlib.suppress(Exception):  # the scheduler may be gone
             self.client.unregister_worker_plugin(self.ident)
 
-    def groups(self, shape: Shape, shard: int) -> int:
+    def groups(self, stage: str, shape: Shape, shard: int) -> int:
         return self.levels
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:

@@ -111,8 +111,8 @@ class ShardStage(Stage[Found]):
 class Executor(Protocol):
     """Runs stages."""
 
-    def groups(self, shape: Shape, shard: int) -> int:
-        """Levels of the groups in which heights are made (``groups.group_levels``); 0: shard by shard."""
+    def groups(self, stage: str, shape: Shape, shard: int) -> int:
+        """Levels of the groups in which heights or errors are made (``groups.group_levels``); 0: shard by shard."""
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
         """Do what is left of a stage's tasks, add all up and finish the stage."""
@@ -128,7 +128,7 @@ class Threads:
     def __init__(self, jobs: int, resume: bool) -> None:
         self.jobs, self.resume = jobs, resume
 
-    def groups(self, shape: Shape, shard: int) -> int:
+    def groups(self, stage: str, shape: Shape, shard: int) -> int:
         return 0
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:

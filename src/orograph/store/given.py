@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -57,7 +58,7 @@ def is_dataset(thing: Any) -> bool:
 def files_of(given: Any) -> list[str] | None:
     """The files and stores that something names, by path, or as open datasets of them; None of all else."""
     if isinstance(given, str | os.PathLike):
-        return [os.fspath(given)]
+        return matching(os.fspath(given))
     from orograph.dem.datasets import file_of
 
     if is_dataset(given):
@@ -68,6 +69,14 @@ def files_of(given: Any) -> list[str] | None:
         if len(found) == len(given) and None not in found:
             return [path for one in found for path in one or ()]
     return None
+
+
+def matching(path: str) -> list[str]:
+    """The files that a pattern ("tiles/*.tif") matches, sorted by name; any other path alone."""
+    if "://" in path or not ("*" in path or "?" in path) or os.path.lexists(path):
+        return [path]
+    anchor = Path(Path(path).anchor)
+    return sorted(map(str, anchor.glob(str(Path(path).relative_to(anchor))))) or [path]
 
 
 def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain", **options: Any) -> HeightSource:
@@ -138,10 +147,28 @@ def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) ->
         )  # fmt: skip
     from orograph.dem.gridding import PointRaster
 
-    fits = ("crs", "resolution", "bbox", "clip", "assume_crs", "vertical_unit", "assume_vertical", *OF_POINTS)
-    how = _fitting({k: v for k, v in said.items() if _asked(k, v)}, fits, "points")
+    how = said_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
     area = {name: how.pop(name) for name in OF_AREAS if name in how}
     return _part(PointRaster.open(found[0], progress=progress, **how), area)
+
+
+def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
+    """Of options of reading those that are said: how a raster's file is read.
+
+    Raises:
+        UsageError: others are said.
+    """
+    return _fitting({k: v for k, v in said.items() if v is not None}, OF_FILES, "files of rasters")
+
+
+def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
+    """Of options of reading those that are said: how a file of points is read, and ``more``.
+
+    Raises:
+        UsageError: others are said.
+    """
+    reading = (*OF_POINTS[1:], "assume_crs", "vertical_unit", "assume_vertical", *more)
+    return _fitting({k: v for k, v in said.items() if v is not None and _asked(k, v)}, reading, "points")
 
 
 def _asked(name: str, value: Any) -> bool:

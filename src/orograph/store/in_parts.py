@@ -162,8 +162,8 @@ class Gathering:
     def __init__(self, url: str, count: int, then: Executor) -> None:
         self.url, self.count, self.then = url, count, then
 
-    def groups(self, shape: Shape, shard: int) -> int:
-        return levels_of(shape, shard, self.count)
+    def groups(self, stage: str, shape: Shape, shard: int) -> int:
+        return levels_of(shape, shard, self.count) if stage == Pyramid.name else self.then.groups(stage, shape, shard)
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
         """As of all executors.

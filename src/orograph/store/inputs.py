@@ -1,12 +1,14 @@
 """What a store was built from, as its record keeps it: so that it can be built or mended again by one command.
 
 Each input has its own state and that of the files beside it (headers, masks, the parts of a VRT): a change of any is a
-change of the input. Paths are absolute; of URLs what may be secret (user, password, query) is left out.
+change of the input. Its window is what it may decide of the terrain. Paths are absolute; of URLs what may be secret
+(user, password, query) is left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from orograph.errors import public
@@ -18,7 +20,7 @@ DEFAULTS: dict[str, Any] = {"band": 1, "resampling": "bilinear"}
 
 
 def inputs_of(source: HeightSource) -> dict[str, Any] | None:
-    """The files and options of a source that can be opened again by them (``Mosaic.recipe``); None of others."""
+    """The files and options of a source that can be opened again by them (its ``recipe``); None of others."""
     recipe = getattr(source, "recipe", None)
     found = None if recipe is None else recipe()
     if found is None:
@@ -27,6 +29,7 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
     return {
         "files": [_file(path) for path in files],
         "beside": [_beside(path) for path in files],
+        "windows": [list(window) for window in getattr(source, "windows", ())],
         "geoid": _file(options["geoid"]) if options.get("geoid") else None,
         "options": {k: v for k, v in options.items() if v is not None and v != DEFAULTS.get(k)},
     }
@@ -34,8 +37,13 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
 
 def _beside(path: str) -> list[dict[str, Any]]:
     """The other files on this disk that decide an input's samples."""
-    from orograph.dem.handles import files_of, locate
+    from orograph.dem.deciding import files_of
+    from orograph.dem.handles import locate
+    from orograph.dem.scattered import is_points
 
+    if is_points(path):
+        parts = (Path(path).with_suffix(suffix) for suffix in (".dbf", ".shx", ".prj", ".cpg"))
+        return [_file(str(part)) for part in parts if path.lower().endswith(".shp") and part.is_file()]
     found = {file["path"]: file for file in map(_file, files_of(locate(path))) if file["size"] is not None}
     return [file for name, file in found.items() if name not in (_file(path)["path"], _file(locate(path))["path"])]
 
@@ -56,9 +64,20 @@ def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSo
     Raises:
         ReadError: a file cannot be read.
     """
-    from orograph.dem.mosaic import Mosaic
+    return opened([file["path"] for file in inputs["files"]], inputs["options"], progress)
 
-    return Mosaic.open([file["path"] for file in inputs["files"]], progress=progress, **inputs["options"])
+
+def opened(files: list[str], options: dict[str, Any], progress: Progress = SILENT) -> HeightSource:
+    """The source of which ``recipe`` told these files and options: points, or rasters.
+
+    Raises:
+        ReadError: a file cannot be read.
+    """
+    from orograph.dem.mosaic import Mosaic
+    from orograph.store.given import points_of
+
+    points = points_of(files, progress, options)
+    return Mosaic.open(files, progress=progress, **options) if points is None else points
 
 
 def changes(inputs: Mapping[str, Any]) -> list[str]:

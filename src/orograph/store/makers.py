@@ -13,12 +13,11 @@ import numpy as np
 from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
-from orograph.store.chunked import lengths_spec, words_spec
-from orograph.store.chunked_kind import CHUNKED, rows_of, spooled, write
+from orograph.store.chunked_kind import CHUNKED, spooled
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
 from orograph.store.executing import Executor
 from orograph.store.layout import Record
-from orograph.store.patches import KAPPA, LEGS, PATCHES, patch_errors, spec, stored_levels
+from orograph.store.patches import KAPPA, LEGS, PATCHES
 from orograph.store.stored import CACHE_BYTES, StoredTerrain
 from orograph.store.terrain import diamond_shape, exponent
 from orograph.store.tin_kind import TINS
@@ -54,27 +53,29 @@ class Work(NamedTuple):
 def make_diamonds(record: Record, work: Work) -> Record:
     """Errors and spheres of all diamonds."""
     from orograph.store.survey import Errors
+    from orograph.store.survey_groups import ErrorGroups
 
     if not work.errors:
         return record
     first = work.terrain(record).tiles(0)
     sizes = record.shard, record.chunk
     survey = Errors(record.grid, work.writer, *sizes, first, work.errors, record.coding)
+    levels = work.executor.groups(survey.name, record.grid.shape, record.shard)
     with while_compiling("orograph.error.ahead", *work.errors):
-        work.executor.run(survey, work.progress)
+        work.executor.run(ErrorGroups(survey, levels) if levels else survey, work.progress)
     return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))
 
 
 def make_patches(record: Record, work: Work) -> Record:
     """Errors of patches, from those of diamonds."""
+    from orograph.store.derived_stages import PatchStage
+
     shape = record.grid.shape
     if not work.errors or np.isnan(record.height_range[0]) or 1 << exponent(shape) <= LEGS:
         return record
     terrain = work.terrain(record)
     for kind in work.errors:
-        found = patch_errors(terrain, kind, LEGS, jobs=work.jobs, progress=work.progress)
-        for level in stored_levels(shape):
-            work.writer.array(spec(shape, level, kind, record.shard, record.chunk), found[level])
+        work.executor.run(PatchStage(terrain, work.writer, kind), work.progress)
     return PATCHES.put(record, {"legs": LEGS, "kappa": KAPPA, "errors": list(work.errors)})
 
 
@@ -97,28 +98,16 @@ def make_tins(record: Record, work: Work) -> Record:
 
 
 def make_chunked(record: Record, work: Work) -> Record:
-    """Meshes of chunks, from ``midpoint`` errors; what there is of a level waits in a temporary file."""
-    from orograph.store.chunked_build import MemoryChunks
+    """Meshes of chunks, from ``midpoint`` errors; what is made waits in a temporary file."""
+    from orograph.store.derived_stages import ChunkStage
 
     if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
         return record
-    (cells, finest), terrain = work.chunked, work.terrain(record)
-    chunks = MemoryChunks(terrain, cells, finest)
-    layout, rows = chunks.layout, []
-    with work.progress.task("Making chunks", layout.top + 1) as task:
-        for level in range(layout.top + 1):
-            with spooled() as file:
-                lengths = np.array([write(file, one) for one in chunks.all_words(level, work.jobs)], np.uint32)
-                count = rows_of(int(lengths.sum(dtype=np.int64)), record.chunk)
-                file.truncate(4 * count * record.chunk)  # zeros after the last
-                file.flush()
-                block = np.memmap(file, np.uint32, "r", shape=(count, record.chunk))
-                per_chunk = lengths_spec(layout, level, record.shard, record.chunk)
-                work.writer.array(per_chunk, lengths.reshape(layout.chunks(level)))
-                work.writer.array(words_spec(level, count, record.shard, record.chunk), block)
-            rows.append(count)
-            task.advance()
-    return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": chunks.error, "rows": rows})
+    cells, finest = work.chunked
+    with spooled() as spool:
+        stage = ChunkStage(work.terrain(record), work.writer, cells, finest, spool)
+        work.executor.run(stage, work.progress)
+    return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": stage.chunks.error, "rows": stage.rows})
 
 
 MAKERS: dict[str, Callable[[Record, Work], Record]] = {

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.store.build import in_memory
@@ -26,7 +27,7 @@ def terrain(
     source: Any,
     progress: Progress | bool | None = None,
     *,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     errors: Collection[ErrorKind] = (),
     called: str = "terrain",
@@ -35,10 +36,11 @@ def terrain(
     """A terrain of whatever heights come as.
 
     Args:
-        source: a path or URL of a DEM or of a store, or a list of DEMs; a ``Dem``; a ``Terrain``, which is returned; an
-            ``xarray.DataArray`` or ``Dataset`` (lazy ones are computed); an open rasterio dataset, or (dataset,
-            window); an array (rows, cols) of any real type, masked or not; a list of several of these, which are put
-            together (``Mosaic``). Files that are too large for memory are built into a store, which is kept.
+        source: a path or URL of a DEM or of a store, a pattern ("tiles/*.tif"), or a list of DEMs; a ``Dem``; a
+            ``Terrain``, which is returned; an ``xarray.DataArray`` or ``Dataset`` (lazy ones are computed); an open
+            rasterio dataset, or (dataset, window); an array (rows, cols) of any real type, masked or not; a list of
+            several of these, which are put together (``Mosaic``). Files that are too large for memory are built into a
+            store, which is kept.
         progress: hears of what is being done, and of warnings; None: bars in terminals and notebooks, and Python's
             warnings; False: nothing is said.
         max_memory: bytes that heights may take. jobs: threads; None: all processors.
@@ -58,6 +60,7 @@ def terrain(
         ReadError, StoreError: a file cannot be read, or its heights are no real numbers.
         UsageError: it is nothing that holds heights, or an option does not fit.
     """
+    max_memory = bytes_of(max_memory)
     progress = reporting(progress)
     check_names(reading, called)
     said = {k: v for k, v in reading.items() if v is not None}
@@ -78,12 +81,19 @@ def terrain(
 def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:
     """Lets a function that begins with a terrain take whatever ``terrain`` does, with its options of reading."""
     own = inspect.signature(function).parameters
+    signature = f"({', '.join(map(str, (one.name for one in own.values())))})"
 
     @functools.wraps(function)
     def taking(terrain_: Any, *args: Any, **options: Any) -> T:
         reading = {name: options.pop(name) for name in READING if name in options and name not in own}
         more = {k: options[k] for k in ("jobs", "max_memory") if options.get(k) is not None}
         found = terrain(terrain_, called=function.__name__, **more, **reading)
+        try:
+            inspect.signature(function).bind(found, *args, **options)
+        except TypeError as error:
+            raise UsageError(
+                f"{function.__name__}: {error}.", remedy=f"It is {function.__name__}{signature}."
+            ) from error
         return function(found, *args, **options)
 
     @functools.wraps(function)

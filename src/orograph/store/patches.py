@@ -18,6 +18,7 @@ memory it is made when it is first asked for. Metres, float32.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -83,42 +84,78 @@ def patch_errors(
         terrain: the ground. kind: of error. legs: L.
         jobs: threads (default: all processors). progress: is told of blocks.
     """
-    q, n, top = legs.bit_length() - 1, terrain.n, terrain.levels - 1
-    table: DiamondTable = terrain.derived("diamonds", error=kind)
-    octaves = range(q, n)
-    found = [np.zeros(octave_shape(terrain, k), np.float32) for k in octaves]
-    size = max(BLOCK, 1024 >> q)
-    work = [
-        (k, i, j)
-        for k, P in zip(octaves, found)
-        for i in range(0, P.shape[0], size)
-        for j in range(0, P.shape[1], size)
-    ]
-    spread = terrain.height_range[1] - terrain.height_range[0]
+    making = PatchErrors(terrain, kind, legs)
 
-    def one(what: tuple[int, int, int]) -> None:
-        k, i, j = what
-        rows, cols = found[k - q].shape
-        end = min(i + size, rows), min(j + size, cols)
-        found[k - q][i : end[0], j : end[1]] = _block(terrain, table, k, q, (i, j), end, spread)
+    def one(spot: tuple[int, int]) -> None:
+        making.take(spot, making.block(spot))
 
-    with progress.task("Errors of patches", len(work)) as task:
-        for _ in map_ordered(one, work, jobs):
+    tasks = making.tasks()
+    with progress.task("Errors of patches", len(tasks)) as task:
+        for _ in map_ordered(one, tasks, jobs):
             task.advance()
-    result = [np.zeros((0, 0), np.float32) for _ in range(top)]
-    result.append(blank_top(terrain.grid.shape, np.float32, 0))
-    last: Heights | None = None
-    for k, P in zip(octaves, found):
-        _saturate(P, last)
-        last = P
-        rows, cols = P.shape
-        mixed = np.isinf(octave_window(terrain, table, k, (0, 0), (rows, cols)))
-        signed = np.where(mixed, -np.maximum(P, NOTHING), P)
-        if k < top:
-            result[k] = signed
-        else:
-            place(result[top], signed, k, 0, 0, top)
-    return result
+    return making.finished()
+
+
+class PatchErrors:
+    """P′ of all patch diamonds of a terrain as it is made: blocks of P in any order, from any thread, then the rest.
+
+    Args:
+        terrain, kind, legs: as of ``patch_errors``.
+    """
+
+    def __init__(self, terrain: Terrain, kind: ErrorKind, legs: int) -> None:
+        self.terrain, self.q = terrain, legs.bit_length() - 1
+        self.table: DiamondTable = terrain.derived("diamonds", error=kind)
+        self.spread = terrain.height_range[1] - terrain.height_range[0]
+        self.size = max(BLOCK, 1024 >> self.q)
+        self.P: dict[int, Heights] = {}
+
+    def tasks(self) -> list[tuple[int, int]]:
+        """The blocks: the octave, and the number of the block in it, row by row."""
+        octaves = range(self.q, self.terrain.n)
+        return [(k, at) for k in octaves for at in range(math.prod(self._blocks(k)))]
+
+    def block(self, spot: tuple[int, int]) -> Heights:
+        """P of a block's diamonds."""
+        k, (i, j) = spot[0], self._begin(spot)
+        rows, cols = octave_shape(self.terrain, k)
+        end = min(i + self.size, rows), min(j + self.size, cols)
+        return _block(self.terrain, self.table, k, self.q, (i, j), end, self.spread)
+
+    def take(self, spot: tuple[int, int], found: Heights) -> None:
+        """Take over a block."""
+        k, (i, j) = spot[0], self._begin(spot)
+        whole = self.P.setdefault(k, np.zeros(octave_shape(self.terrain, k), np.float32))
+        whole[i : i + found.shape[0], j : j + found.shape[1]] = found
+
+    def finished(self) -> list[Heights]:
+        """An array for each level, when all blocks are there."""
+        top = self.terrain.levels - 1
+        result = [np.zeros((0, 0), np.float32) for _ in range(top)]
+        result.append(blank_top(self.terrain.grid.shape, np.float32, 0))
+        last: Heights | None = None
+        for k in range(self.q, self.terrain.n):
+            P = self.P[k]
+            _saturate(P, last)
+            last = P
+            rows, cols = P.shape
+            mixed = np.isinf(octave_window(self.terrain, self.table, k, (0, 0), (rows, cols)))
+            signed = np.where(mixed, -np.maximum(P, NOTHING), P)
+            if k < top:
+                result[k] = signed
+            else:
+                place(result[top], signed, k, 0, 0, top)
+        return result
+
+    def _blocks(self, k: int) -> Shape:
+        """Blocks of an octave, each way."""
+        rows, cols = octave_shape(self.terrain, k)
+        return -(-rows // self.size), -(-cols // self.size)
+
+    def _begin(self, spot: tuple[int, int]) -> Shape:
+        """The first diamond of a block."""
+        row, col = divmod(spot[1], self._blocks(spot[0])[1])
+        return row * self.size, col * self.size
 
 
 def octave_shape(terrain: Terrain, k: int) -> Shape:

@@ -97,10 +97,10 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
                 before = {}
         # The shards' size follows from --max-memory, which may differ: the build goes on as it was begun.
         plan = {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
-        differing = _differing(plan, before)
-        if differing:
+        unlike = differing(plan, before)
+        if unlike:
             raise StoreError(
-                f"The interrupted build cannot be resumed: its {differing} differ from these.",
+                f"The interrupted build cannot be resumed: its {unlike} differ from these.",
                 path=storage.url,
                 remedy="Run it with the same files and options, or start anew with `overwrite=True`.",
             )
@@ -111,10 +111,10 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
                 raise _interrupted(final)
             raise StoreError("A store is there already.", path=final.url, remedy="Use `overwrite=True` to replace it.")
         before = plan_of(read_record(final))
-        differing = _differing({**plan, "shard": before["shard"], "chunk": before["chunk"]}, before)
-        if differing:
+        unlike = differing({**plan, "shard": before["shard"], "chunk": before["chunk"]}, before)
+        if unlike:
             raise StoreError(
-                f"A complete store of other sources or options is there: its {differing} differ from these.",
+                f"A complete store of other sources or options is there: its {unlike} differ from these.",
                 path=final.url,
                 remedy="Use `overwrite=True` to replace it.",
             )
@@ -131,12 +131,13 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
     return plan, False
 
 
-def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
+def differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     """What of a plan is not as before, in words; empty if all is."""
     names = {
         "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
         "chunked": "chunks", "keep_source": "source samples to keep",
-        "codec": "codec or largest error",
+        "codec": "codec or largest error", "crs": "CRS", "vertical": "vertical datum", "shape": "size",
+        "transform": "place",
     }  # fmt: skip
     return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
 

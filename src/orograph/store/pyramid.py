@@ -60,6 +60,11 @@ def _spread(value: int) -> int:
     return sum((value >> bit & 1) << (2 * bit) for bit in range(value.bit_length()))
 
 
+def part_key(spot: Spot) -> str:
+    """Where what was found of a shard of level 0 is kept."""
+    return f"{PARTS}/{spot[0]}.{spot[1]}.part"
+
+
 class Finest:
     """The first part of tasks: shards of level 0, and what follows from them and a row and a column beyond.
 

@@ -92,6 +92,11 @@ class _Total:
         return Resampled(rms, self.largest, self.summit_loss, self.highest, self.highest_loss)
 
 
+def look_key(number: int, spot: Spot) -> str:
+    """Where what was found of a shard of a lattice is kept."""
+    return f"{PARTS}/source/{number}.{spot[0]}.{spot[1]}.part"
+
+
 class Look(ShardStage[Facts]):
     """The tasks of one lattice; ``facts`` has what they found.
 
@@ -160,7 +165,7 @@ class Look(ShardStage[Facts]):
         return facts
 
     def key(self, spot: Spot) -> str:
-        return f"{PARTS}/source/{self.number}.{spot[0]}.{spot[1]}.part"
+        return look_key(self.number, spot)
 
 
 def _compared(

@@ -10,6 +10,7 @@ from typing import Any
 from orograph.cards import Row, amount
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
+from orograph.folders import Amount, bytes_of
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
 from orograph.store.arrays import ArraySpec, ShardedArray
@@ -229,7 +230,7 @@ def _key(name: str, options: dict[str, Any]) -> Key:
 def open(
     url: str | os.PathLike[str],
     *,
-    cache_bytes: int = CACHE_BYTES,
+    cache_bytes: Amount = CACHE_BYTES,
     jobs: int | None = None,
     storage_options: dict[str, Any] | None = None,
 ) -> StoredTerrain:
@@ -245,7 +246,8 @@ def open(
         StoreError: there is no store, its build is not finished, it has another format than this reader, or its
             metadata is damaged.
     """
-    return _open(storage_at(url, storage_options), cache_bytes, jobs)
+    kept = 0 if cache_bytes == 0 else bytes_of(cache_bytes, "cache_bytes")
+    return _open(storage_at(url, storage_options), kept, jobs)
 
 
 def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain:

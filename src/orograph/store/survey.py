@@ -40,6 +40,16 @@ Codes = dict[tuple[int, str], NDArray[np.uint8]]
 Surveyed = tuple[Codes, list[Rest]]
 
 
+def errors_key(spot: Spot) -> str:
+    """Where what was found of an area is kept."""
+    return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
+
+
+def area_of(shard: int) -> int:
+    """Samples along the side of a task's area."""
+    return max(shard, 32)
+
+
 class Errors(ShardStage[Surveyed]):
     """The diamonds' arrays of a store under construction.
 
@@ -67,12 +77,13 @@ class Errors(ShardStage[Surveyed]):
         self.coding = coding
         self.shape, self.writer, self.sizes = grid.shape, writer, (shard, chunk)
         self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
-        self.area = max(shard, 32)
+        self.area = area_of(shard)
         low, high = _range(first)
         self.codes = {kind: ErrorCode.of(high - low, kind, n) for kind in kinds}
         self.radius = RadiusCode.of(high - low, metric(grid), n)
         self.encoder = Encoder(self.codes, self.radius)
         self.names = [*kinds, "radius"]
+        self.coded = np.frombuffer(repr((self.codes, self.radius, low)).encode(), np.uint8)
         self.survey = Survey(
             self._nested(),
             surface(grid, first.minimum, low),
@@ -83,7 +94,7 @@ class Errors(ShardStage[Surveyed]):
         self.tops = {name: blank_top(grid.shape, np.uint8, EMPTY if name == "radius" else 0) for name in self.names}
         self.canvases = {
             (level, name): Canvas(
-                self._spec(level, name),
+                self.spec(level, name),
                 writer,
                 spans(grid.shape, self.area, level, diamond_shape(grid.shape, level)),
             )
@@ -109,7 +120,7 @@ class Errors(ShardStage[Surveyed]):
             self.survey.add(rest)
 
     def key(self, spot: Spot) -> str:
-        return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
+        return errors_key(spot)
 
     def make(self, spot: Spot) -> Surveyed:
         """Survey an area, write its shards of octave 0, and keep the rest."""
@@ -132,12 +143,12 @@ class Errors(ShardStage[Surveyed]):
                     self._encode(part, row, col, codes)
                 if rest is not None:
                     rests.append(rest)
-        kept: dict[str, NDArray[Any]] = {
+        kept: dict[str, NDArray[Any]] = {"coded.0.": self.coded} | {
             f"codes.{octave}.{name}": values for (octave, name), values in codes.items() if octave or not self.top
         }
         if self.top:
             for name in self.names:
-                spec = self._spec(0, name)
+                spec = self.spec(0, name)
                 for number, shard in enumerate(self._shards(spot, spec)):
                     row0, row1, col0, col1 = spec.window(shard)
                     own = codes[0, name][row0 - row : row1 - row, col0 - col : col1 - col]
@@ -151,17 +162,23 @@ class Errors(ShardStage[Surveyed]):
     def _encode(self, part: Part, row: int, col: int, codes: Codes) -> None:
         """Put the codes of a block's part into those of its area, which begins with sample (row, col)."""
         k = part.octave
-        shape = level_shape(self.shape, k)
-        first = row >> k, col >> k
-        area = tuple(
-            (whole if at + self.area >= side else (at + self.area) >> k) - start
-            for at, side, whole, start in zip((row, col), self.shape, shape, first, strict=True)
-        )
+        first, area = self.window((row // self.area, col // self.area), self.area, k)
         for name, array in self._coded(part).items():
             if (k, name) not in codes:
                 codes[k, name] = np.zeros(area, np.uint8)
             i, j = part.i - first[0], part.j - first[1]
             codes[k, name][i : i + array.shape[0], j : j + array.shape[1]] = array
+
+    def window(self, spot: Spot, side: int, octave: int) -> tuple[Shape, Shape]:
+        """Where the entries of an octave of the square ``spot`` of so many samples begin, and how many there are.
+
+        Those at the raster's end have all that there are up to there.
+        """
+        first, sizes = [], []
+        for at, samples, whole in zip(spot, self.shape, level_shape(self.shape, octave), strict=True):
+            first.append(at * side >> octave)
+            sizes.append((whole if (at + 1) * side >= samples else (at + 1) * side >> octave) - first[-1])
+        return (first[0], first[1]), (sizes[0], sizes[1])
 
     def _coded(self, part: Part) -> dict[str, NDArray[np.uint8]]:
         """A part's codes by name."""
@@ -180,7 +197,10 @@ class Errors(ShardStage[Surveyed]):
         try:
             for key, array in unpack(data).items():
                 what, number, name = key.split(".", 2)
-                if what == "codes":
+                if what == "coded":
+                    if array.tobytes() != self.coded.tobytes():
+                        return None  # the heights had another range
+                elif what == "codes":
                     codes[int(number), name] = array
                 elif what == "digest":
                     digests[name].append(array.tobytes())
@@ -196,7 +216,7 @@ class Errors(ShardStage[Surveyed]):
     def _prove(self, spot: Spot, digests: dict[str, list[bytes]], whole: bool) -> None:
         """Read an area's shards of octave 0, or their ends, which checks them."""
         for name in self.names:
-            spec = self._spec(0, name)
+            spec = self.spec(0, name)
             array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
             for shard, digest in zip(self._shards(spot, spec), digests[name], strict=True):
                 self.writer.take(spec, shard, digest)
@@ -215,13 +235,14 @@ class Errors(ShardStage[Surveyed]):
         for part in self.survey.finish():
             for name, values in self._coded(part).items():
                 if part.octave < self.top:
-                    self.writer.array(self._spec(part.octave, name), values)
+                    self.writer.array(self.spec(part.octave, name), values)
                 else:
                     place(self.tops[name], values, part.octave, 0, 0, self.top)
         for name, values in self.tops.items():
-            self.writer.array(self._spec(self.top, name), values)
+            self.writer.array(self.spec(self.top, name), values)
 
-    def _spec(self, level: int, name: str) -> ArraySpec:
+    def spec(self, level: int, name: str) -> ArraySpec:
+        """The array of an octave's codes."""
         return diamond_spec(self.shape, level, name, *self.sizes)
 
     def _heights(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
@@ -246,7 +267,7 @@ def _range(first: TileTable) -> tuple[float, float]:
 
 def memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     """About what this stage holds at once: its tasks, open coarse shards, and the octaves that are made at the end."""
-    area = max(shard, 32)
+    area = area_of(shard)
     window = min(area, shape[0]) * min(area, shape[1])
     block = min(BLOCK + 2 * ALIGNED, shape[0]) * min(BLOCK + 2 * ALIGNED, shape[1])
     task = window * (5 + 2 * (kinds + 1)) + block * (24 + 14 * kinds)

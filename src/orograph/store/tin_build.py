@@ -20,7 +20,7 @@ from orograph.errors import OrographError
 from orograph.folders import held
 from orograph.hierarchy import diamonds, triangles
 from orograph.parallel import map_ordered
-from orograph.progress import SILENT, Progress
+from orograph.progress import SILENT, Progress, Task
 from orograph.store.diamonds import blank_top, place
 from orograph.store.terrain import TILE, Heights, Terrain
 from orograph.store.tin_kernels import Work, deviation, new_work, patches, simplify, sizes, triangulate
@@ -35,6 +35,9 @@ ROUNDING = 1.0 + 1e-6
 
 BAND = 1 << 24
 """Samples of the bands in which the finest diamonds are looked at, about."""
+
+AT_ONCE = 1 << 17
+"""Diamonds of a band of a level that is made at once, about: what it takes besides the result follows from this."""
 
 CHUNK = 32
 """Diamonds of a task."""
@@ -171,10 +174,36 @@ class Building:
         self._workplace = Workplace()
         self._levels: dict[int, Heights] = {}
 
-    def level(self, octave: int, kind: int, jobs: int | None) -> Figures:
-        """Make a level's TINs."""
-        rows, cols = self._diamonds(octave, kind)
-        if octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE:
+    def level(self, octave: int, kind: int, jobs: int | None, task: Task | None = None) -> Figures:
+        """Make a level's TINs, by bands of rows of diamonds.
+
+        Args:
+            task: is told of each band (``bands``).
+        """
+        totals, largest = np.zeros(5, np.int64), 0.0
+        per = self._rows_at_once(octave)
+        for first in range(0, (1 << (self.n - octave)) + 1, per):
+            counts, error = self._band(octave, kind, *self._diamonds(octave, kind, first, first + per), jobs)
+            totals, largest = totals + counts, max(largest, error)
+            for release in self._releases:
+                release()
+            if task is not None:
+                task.advance()
+        made, count, below, legs, vertices = (int(total) for total in totals)
+        return Figures(octave, kind, made, count, below, legs, vertices, largest)
+
+    def bands(self, octave: int) -> int:
+        """In how many bands a level is made."""
+        return -(-((1 << (self.n - octave)) + 1) // self._rows_at_once(octave))
+
+    def _rows_at_once(self, octave: int) -> int:
+        """Rows of diamonds of a band."""
+        return max(2, AT_ONCE >> (self.n - octave))
+
+    def _band(self, octave: int, kind: int, rows: Integers, cols: Integers, jobs: int | None) -> tuple[Integers, float]:
+        """Make the TINs of some diamonds of a level; what ``Figures`` says of them."""
+        finest = octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE
+        if finest:
             error, radius = self._first(rows, cols, octave)
             below = np.zeros(len(rows), np.int64)
         else:
@@ -192,20 +221,24 @@ class Building:
         i, j = rows >> octave, cols >> octave
         self.errors[octave][i, j], self.radii[octave][i, j] = error, radius
         self.triangles[octave][i[todo], j[todo]] = found[:, 1:3].astype(np.int32)
-        if octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE:
+        if finest:
             below[todo] = found[:, 5].astype(np.int64)
-        for release in self._releases:
-            release()
-        return Figures(
-            octave, kind, len(todo), int(found[:, 1:3].sum()), int(below[todo].sum()), int(found[:, 3].sum()),
-            int(found[:, 4].sum()), float(found[:, 0].max(initial=0.0)),
-        )  # fmt: skip
+        counts = len(todo), found[:, 1:3].sum(), below[todo].sum(), found[:, 3].sum(), found[:, 4].sum()
+        return np.array(counts).astype(np.int64), float(found[:, 0].max(initial=0.0))
 
-    def _diamonds(self, octave: int, kind: int) -> tuple[Integers, Integers]:
-        """Those of a level that have an area on the raster."""
-        rows, cols = diamonds.of_level(self.n, 2 * (self.n - 1 - octave) + kind)
+    def _diamonds(self, octave: int, kind: int, first: int = 0, end: int | None = None) -> tuple[Integers, Integers]:
+        """Those of a level that have an area on the raster, in a half-open range of rows, counted in spacings."""
+        s, side = 1 << octave, (1 << (self.n - octave)) + 1
+        j = np.arange(side, dtype=np.int64)
+        i = j[first:end]
         last_row, last_col = (side - 1 for side in self.terrain.grid.shape)
-        s = 1 << octave
+        odd, even = (j[j & 1 == 1], j[j & 1 == 0]) if kind == diamonds.EDGE else (np.zeros(0, np.int64), j[j & 1 == 1])
+        # (Of edges the columns of odd rows are even, and the other way round; of squares both are odd.)
+        pairs = [(i[i & 1 == 1], even), (i[i & 1 == 0], odd)]
+        rows, cols = (
+            np.concatenate([part.ravel() for part in of]) * s
+            for of in zip(*(np.meshgrid(r, c, indexing="ij") for r, c in pairs))
+        )
         down, right = np.maximum(rows - last_row, 0), np.maximum(cols - last_col, 0)
         there = down + right < s if kind == diamonds.EDGE else (down < s) & (right < s)
         return rows[there], cols[there]
@@ -310,10 +343,14 @@ class Building:
             levels = [np.zeros((0, 0), np.float32) for _ in range(top)]
             levels.append(blank_top(self.terrain.grid.shape, np.float32, nothing))
             for k, found in of.items():
-                values = np.where(np.isinf(found), 0.0, found)
-                up = np.nextafter(values.astype(np.float32), np.float32(np.inf))
-                up = np.where(values == 0, np.float32(0), up)
-                signed = np.where(self.radii[k] < 0, np.float32(nothing), np.where(np.isinf(found), NO_TIN, up))
+                signed = np.empty(found.shape, np.float32)
+                for i in range(0, len(found), 64):
+                    here = slice(i, i + 64)
+                    values = np.where(np.isinf(found[here]), 0.0, found[here])
+                    up = np.nextafter(values.astype(np.float32), np.float32(np.inf))
+                    up = np.where(values == 0, np.float32(0), up)
+                    there = np.where(np.isinf(found[here]), NO_TIN, up)
+                    signed[here] = np.where(self.radii[k][here] < 0, np.float32(nothing), there)
                 rows, cols = self.terrain.diamond_shape(min(k, top))
                 if k < top:
                     levels[k] = np.ascontiguousarray(signed[:rows, :cols])
@@ -328,7 +365,7 @@ def make_tins(
 ) -> MemoryTins:  # fmt: skip
     """Make the TINs of a terrain.
 
-    A byte in three samples or so is held. The marks, some three bytes a sample, lie in scratch files where they are
+    A byte in five samples or so is held. The marks, some three bytes a sample, lie in scratch files where they are
     many, of which memory holds what is at work.
 
     Args:
@@ -341,8 +378,7 @@ def make_tins(
     building = Building(terrain, legs)
     todo = [(k, kind) for k in building.marks for kind in (diamonds.EDGE, diamonds.SQUARE)]
     figures = []
-    with progress.task("Making TINs", len(todo)) as task:
+    with progress.task("Making TINs", sum(building.bands(k) for k, _ in todo)) as task:
         for k, kind in todo:
-            figures.append(building.level(k, kind, jobs))
-            task.advance()
+            figures.append(building.level(k, kind, jobs, task))
     return building.finished(figures)

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.several import Numbers, numbers
 from orograph.store.opening import terrain as opened
 
 if TYPE_CHECKING:
+    from orograph.scene.sizes import Size
     from orograph.touring.best_view import BestViews
 
 PIECES = 1000
@@ -23,18 +26,18 @@ def best_view(
     target: Any,
     k: int = 3,
     *,
-    size: tuple[int, int] = (1280, 720),
+    size: Size = (1280, 720),
     azimuths: int | Sequence[float] = AZIMUTHS,
-    pitches: Sequence[float] | None = None,
-    heights: Sequence[float] = (),
-    distances: Sequence[float] = (),
-    fov: float | Sequence[float] = 40.0,
+    pitches: Numbers | None = None,
+    heights: Numbers = (),
+    distances: Numbers = (),
+    fov: Numbers = 40.0,
     clearance: float = 2.0,
     target_height: float = 0.0,
     sun: Any = None,
     apart: float = APART,
     pieces: int = PIECES,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     **reading: Any,
@@ -68,24 +71,24 @@ def best_view(
         ReadError: the target cannot be read, or is empty. UsageError: it lies beside the terrain, no camera is above
         the ground, or a number is out of its range.
     """
+    max_memory = bytes_of(max_memory)
     check_best_view(k, target_height, apart, pieces)
     ground = opened(terrain, progress, max_memory=max_memory, jobs=jobs, called="best_view", **reading)
     from orograph.lighting.sun import sun_of
-    from orograph.scene.camera import check_size
+    from orograph.scene.sizes import size_of
     from orograph.touring.best_cameras import PITCHES, cameras
     from orograph.touring.best_search import Search
     from orograph.touring.best_target import read_target
     from orograph.touring.best_view import gathered
 
-    check_size(size)
+    size = size_of(size)
     told = reporting(progress)
     pieces_of = read_target(ground, target, pieces, told)
-    fovs = [float(fov)] if isinstance(fov, int | float) else [float(v) for v in fov]
-    if pitches is None:
-        pitches = () if len(heights) else PITCHES
+    above, fovs = numbers(heights, "heights"), numbers(fov, "fov")
+    pitched = numbers(pitches, "pitches") if pitches is not None else () if above else PITCHES
     cams = cameras(
-        ground, pieces_of, size, azimuths=azimuths, pitches=pitches, above=heights, distances=distances, fovs=fovs,
-        clearance=clearance,
+        ground, pieces_of, size, azimuths=azimuths, pitches=pitched, above=above,
+        distances=numbers(distances, "distances"), fovs=fovs, clearance=clearance,
     )  # fmt: skip
     light = None if sun is None else sun_of(sun, ground.grid)
     search = Search(ground, pieces_of, cams, lift=target_height, sun=light, jobs=jobs, progress=told)

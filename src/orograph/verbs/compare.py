@@ -12,6 +12,7 @@ from orograph import verify
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
+from orograph.folders import Amount, bytes_of
 from orograph.lod.field import check_surface
 from orograph.lod.method import Goal, Resources
 from orograph.lod.needs import kinds_of
@@ -24,6 +25,7 @@ from orograph.rendering.picture import Picture, picture_format
 from orograph.reporting import reporting
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
+from orograph.scene.sizes import Size, size_of
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 from orograph.touring import Tour, moves
@@ -103,16 +105,16 @@ def compare(
     *,
     flight: Flight | Tour | str | os.PathLike[str] | None = None,
     judged: int | None = None,
-    methods: Sequence[str] = (),
+    methods: Sequence[str] | str = (),
     tolerance: float | None = None,
     triangles: int | None = None,
     conservative: bool = False,
     drape: Any = None,
     exaggeration: float = 1.0,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     picture: str | os.PathLike[str] | None = None,
     dpi: float | None = None,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     **reading: Any,
@@ -141,12 +143,13 @@ def compare(
         UsageError: there is no such method, or it cannot reach the goal. ReadError, StoreError: the terrain, or a file
             of views, cannot be read. OutputError: the picture cannot be written.
     """
+    max_memory, size = bytes_of(max_memory), None if size is None else size_of(size)
     heard, goal = reporting(progress), goal_of(tolerance=tolerance, triangles=triangles)
     if views is not None and flight is not None:
         raise UsageError("Give `views` or `flight`, not both.")
     if judged is not None and flight is None:
         raise UsageError("`judged` is about the frames of a `flight`; separate views are all judged.")
-    choices = _contenders(methods, conservative, goal, heard)
+    choices = _contenders([methods] if isinstance(methods, str) else methods, conservative, goal, heard)
     check_colors(drape, choices)
     check_exaggeration(exaggeration)
     if picture is not None:

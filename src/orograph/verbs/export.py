@@ -15,6 +15,7 @@ from pyproj.exceptions import ProjError
 from orograph.dem.area import both, box_window, checked, whole
 from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import ELLIPSOIDAL
 from orograph.geovis.data.dataset import Dataset, datasets_of
@@ -33,9 +34,9 @@ def export(
     output: str | os.PathLike[str],
     *,
     data: Any = (),
-    bbox: tuple[float, float, float, float] | None = None,
+    bbox: Sequence[float] | str | None = None,
     overwrite: bool = False,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     **reading: Any,
@@ -61,6 +62,7 @@ def export(
         UsageError: the area is not in the terrain, or the file is there. ReadError, StoreError: the terrain cannot be
             read. OutputError: the file cannot be written.
     """
+    max_memory = bytes_of(max_memory)
     datasets = datasets_of(data)
     path = check_output(output, overwrite, datasets)
     heard = reporting(progress)
@@ -108,7 +110,7 @@ def check_output(output: str | os.PathLike[str], overwrite: bool, data: Sequence
     return path
 
 
-def area_of(terrain: Terrain, bbox: tuple[float, float, float, float]) -> tuple[int, int, int, int]:
+def area_of(terrain: Terrain, bbox: Sequence[float] | str) -> tuple[int, int, int, int]:
     """First row, row after the last, first column, column after it of the samples in an area, degrees.
 
     Raises:
@@ -121,7 +123,7 @@ def area_of(terrain: Terrain, bbox: tuple[float, float, float, float]) -> tuple[
     if window[1] > window[0] and window[3] > window[2]:
         return window
     raise UsageError(
-        f"No sample of the terrain lies within {', '.join(f'{v:g}' for v in bbox)}.", path=terrain.name,
+        f"No sample of the terrain lies within {', '.join(f'{v:g}' for v in box)}.", path=terrain.name,
         remedy="See where it is with orograph info.",
     )  # fmt: skip
 

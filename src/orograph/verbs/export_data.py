@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid, wkt_of
+from orograph.geovis.data.classes import says_classes
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.features import has_features, read_features
@@ -58,7 +59,8 @@ class Layer:
 
     def over(self, grid: Grid) -> Values:
         """Its values at the samples of a grid."""
-        return Positions.of(grid, self.field).values(self.values)
+        at = Positions.of(grid, self.field)
+        return at.nearest(self.values) if self.of is None and says_classes(self.field) else at.values(self.values)
 
 
 def check_data_output(path: Path, data: Sequence[Dataset]) -> None:

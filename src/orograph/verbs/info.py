@@ -1,10 +1,11 @@
 """``orograph.info``: what a DEM or a store is, and what is suspicious about it, for people or (``--json``) programs.
 
-The keys are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and affine), shape [rows,
-cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype, nodata,
-vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a store has),
-colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its source was
-brought to another grid, metres: rms, largest, summit_loss, highest, highest_loss), codec (how a store that is not
+The keys are fixed: kind ("dem", "store", "terrain" or "points"), path, crs, transform (a b c d e f as in GDAL and
+affine), shape [rows, cols], points (how many a file of points holds), bounds [west, south, east, north] (of such a
+file, in its CRS), spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype,
+nodata, vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a store
+has), colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its source
+was brought to another grid, metres: rms, largest, summit_loss, highest, highest_loss), codec (how a store that is not
 lossless keeps its heights: name, step, max_error, and largest and rms, how far they are off, metres), keeps_source
 (whether the source's samples are in it), layers (those baked into it), parts (what of a store takes how many bytes),
 size_bytes, warnings. What is unknown or absent, and every number that is not finite, is null.
@@ -18,7 +19,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.reporting import reporting
 
@@ -28,8 +28,16 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 
+KEYS = (
+    "kind", "path", "crs", "transform", "shape", "points", "bounds", "spacing_m", "height_range", "height_range_exact",
+    "valid_fraction", "dtype", "nodata", "vertical_datum", "attribution", "levels", "side", "errors", "colors",
+    "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes", "warnings",
+)  # fmt: skip
+"""The keys, in their order."""
+
+
 def info(
-    source: Any, *, exact: bool | None = None, bbox: Sequence[float] | None = None, clip: Any = None,
+    source: Any, *, exact: bool | None = None, bbox: Sequence[float] | str | None = None, clip: Any = None,
     jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
 ) -> Facts:  # fmt: skip
     """What heights are, and what is suspicious about them.
@@ -46,10 +54,12 @@ def info(
         a dict, which prints as the command line has it; its keys are told above (those with "_" are for people).
 
     Raises:
-        ReadError, StoreError: it cannot be read. UsageError: it is nothing that holds heights, or none lie in the area.
+        ReadError, StoreError: it cannot be read.
+        UsageError: it is nothing that holds heights, none lie in the area, or an option does not fit.
     """
     from orograph.dem.area import Area
     from orograph.dem.handles import is_manifest
+    from orograph.dem.scattered import is_points
     from orograph.store.detect import is_store
     from orograph.store.given import files_of
 
@@ -57,12 +67,19 @@ def info(
     files = files_of(source)
     area = Area.of(bbox, clip)
     store = files is not None and len(files) == 1 and is_store(files[0])
-    if files is None or len(files) > 1 or is_manifest(files[0]) or (store and area is not None):
+    points = files is not None and len(files) == 1 and is_points(files[0])
+    if files is None or len(files) > 1 or is_manifest(files[0]) or ((store or points) and area is not None):
         from orograph.store.opening import terrain
 
         part = {} if area is None else {"bbox": bbox, "clip": clip}
         how = {} if store else reading  # (a store says itself how it was read)
         return _terrain_facts(terrain(source, heard, jobs=jobs, called="info", **part, **how))
+    if points:
+        from orograph.verbs.info_points import facts_of_points
+
+        found = facts_of_points(files[0], heard, reading)
+        return Facts({**dict.fromkeys(KEYS), "errors": [], "layers": [], "attribution": [], "path": files[0],
+                      "size_bytes": _size(files[0]), **found})  # fmt: skip
     return _store_facts(files[0]) if store else _dem_facts(files[0], heard, exact, area, jobs, reading)
 
 
@@ -82,15 +99,12 @@ def _dem_facts(
     path: str, progress: Progress, exact: bool | None, area: Area | None, jobs: int | None, options: Any
 ) -> Facts:
     from orograph.dem.inspect import crs_text, spacing_metres, suspicions
-    from orograph.dem.scattered import is_points
     from orograph.dem.source import Source
     from orograph.dem.statistics import statistics
+    from orograph.store.given import said_of_files
     from orograph.store.terrain import exponent, level_count
 
-    if is_points(path):
-        remedy = "Build a store of it (`orograph.build`), and ask of that."
-        raise UsageError("It holds points, not a raster.", path=path, remedy=remedy)
-    with Source.open(path, **options) as opened:
+    with Source.open(path, **said_of_files(options)) as opened:
         source: Any = opened if area is None else area.cut([opened])[0]
         spacing = spacing_metres(source.grid)
         found = statistics(source, spacing[0], exact=exact, jobs=jobs, progress=progress)
@@ -103,6 +117,8 @@ def _dem_facts(
             "crs": crs_text(crs),
             "transform": list(source.grid.transform[:6]),
             "shape": list(source.grid.shape),
+            "points": None,
+            "bounds": None,
             "spacing_m": [_finite(v) for v in spacing],
             "height_range": [_finite(found.low), _finite(found.high)],
             "height_range_exact": found.exact,
@@ -169,6 +185,8 @@ def _terrain_facts(terrain: Terrain) -> Facts:
         "crs": crs_text(terrain.grid.crs),
         "transform": list(terrain.grid.transform[:6]),
         "shape": list(terrain.grid.shape),
+        "points": None,
+        "bounds": None,
         "spacing_m": [_finite(v) for v in spacing_metres(terrain.grid)],
         "height_range": [_finite(low), _finite(high)],
         "height_range_exact": True,
@@ -240,13 +258,19 @@ def _files(folder: Path) -> int:
 
 def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: Callable[[str], str] = str) -> str:
     """The facts as a person reads them; ``bold`` and ``mark`` style titles and the signs of warnings."""
-    rows, cols = facts["shape"]
     size = "" if facts["size_bytes"] is None else f", {_bytes(facts['size_bytes'])}"
     lines = [bold(str(facts["path"])) + f"  ({facts['_format']}{size})"]
 
     def line(label: str, text: str) -> None:
         lines.append(f"  {label:<9}{text}")
 
+    if facts["kind"] == "points":
+        from orograph.verbs.info_points import lines_of_points
+
+        for label, text in lines_of_points(facts, _crs_line(facts), _length):
+            line(label, text)
+        return "\n".join([*lines, *(mark("  ! ") + text for text in facts["warnings"])])
+    rows, cols = facts["shape"]
     band, bands, description = facts.get("_bands", (1, 1, ""))
     of = f", band {band} of {bands}" if bands > 1 else ""
     line(

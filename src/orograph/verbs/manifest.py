@@ -112,9 +112,8 @@ def named(files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> l
 
 def _expanded(name: str) -> Iterable[str]:
     """The files that a name means, in the order of their names."""
-    import glob
-
     from orograph.dem.handles import SIDE_FILES
+    from orograph.store.given import matching
 
     folder = Path(name)
     if "://" in name or name.startswith("/vsi"):
@@ -125,12 +124,7 @@ def _expanded(name: str) -> Iterable[str]:
             folders[:] = [one for one in folders if not one.startswith(".") and not one.endswith((".oro", ".partial"))]
             inside += [Path(root, file) for file in inner if not file.startswith(".")]
         return [str(file) for file in sorted(inside) if file.suffix.lower() not in SIDE_FILES]
-    if glob.has_magic(name) and not folder.exists():
-        found = sorted(glob.glob(name, recursive=True))  # noqa: PTH207 (a pattern, absolute or not)
-        if not found:
-            raise ReadError("No file is of this pattern.", path=name, remedy="Check its spelling.")
-        return found
-    return [name]
+    return matching(name)
 
 
 def _lines(begun: Path) -> list[Any]:

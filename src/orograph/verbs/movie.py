@@ -18,13 +18,14 @@ from orograph.scene import given
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
+from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.touring import Tour
 from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
 from orograph.verbs.filming import By, shoot_by
-from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
+from orograph.verbs.ways import WAY, check_tour, chosen, said_of, tour_of
 
 
 def movie(
@@ -32,7 +33,7 @@ def movie(
     output: str | os.PathLike[str],
     tour: Tour | str | os.PathLike[str] | None = None,
     *,
-    size: tuple[int, int] | None = None,
+    size: Size | None = None,
     fps: float | None = None,
     begin: float | None = None,
     end: float | None = None,
@@ -75,8 +76,7 @@ def movie(
     """
     heard = reporting(progress)
     reading = {name: options.pop(name) for name in READING if name in options}
-    way = {**dict.fromkeys(WAY), "orbit": False, "turntable": False, "points": ()}
-    way |= {name: options.pop(name) for name in WAY if name in options}
+    way = said_of({name: options.pop(name) for name in WAY if name in options})
     check_names(options, "movie", (*WAY, "size", "fps", "begin", "end", "crf"))
     check_options(options)
     if conservative:
@@ -88,6 +88,7 @@ def movie(
     check_tour(way)
     by = By.of(workers, dask, part, finish)
     path = os.fspath(output)
+    size = None if size is None else size_of(size)
     check_movie(path, size, crf)
     max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph.errors import NothingInViewError
+from orograph.folders import Amount, bytes_of
 from orograph.lod.method import Resources
 from orograph.lod.needs import kinds_of
 from orograph.lod.registry import Choice
@@ -19,6 +20,7 @@ from orograph.scene.camera import view_of
 from orograph.scene.diagnostics import LEAVE_CAMERA
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
+from orograph.scene.sizes import Size
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
@@ -57,10 +59,10 @@ def tessellate(
     conservative: bool = False,
     drape: str | os.PathLike[str] | None = None,
     exaggeration: float = 1.0,
-    size: tuple[int, int] = (1280, 720),
+    size: Size = (1280, 720),
     check: bool = False,
     output: str | os.PathLike[str] | None = None,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     **reading: Any,
@@ -90,7 +92,7 @@ def tessellate(
     made = triangulate(
         terrain, lambda ground: view_of(view, ground, size, exaggeration=exaggeration), method=method,
         goals={"tolerance": tolerance, "triangles": triangles, "seconds": seconds}, conservative=conservative,
-        drape=drape, exaggeration=exaggeration, check=check, output=output, max_memory=max_memory, jobs=jobs,
+        drape=drape, exaggeration=exaggeration, check=check, output=output, max_memory=bytes_of(max_memory), jobs=jobs,
         progress=reporting(progress), **reading,
     )  # fmt: skip
     made.mesh.stats["bound"] = made.bound

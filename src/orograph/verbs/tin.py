@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.meshing import mesh_format, write
 from orograph.meshing import tin as meshing
 from orograph.output import check_folder
@@ -29,7 +30,7 @@ def tin(
     bound: Literal["surface", "samples"] = "surface",
     breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
     output: str | os.PathLike[str] | None = None,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     **reading: Any,
@@ -59,6 +60,7 @@ def tin(
         UsageError: an option makes no sense. ReadError, StoreError: the terrain cannot be read. NothingInViewError: it
             has no surface. OutputError: the file cannot be written.
     """
+    max_memory = bytes_of(max_memory)
     check_goal(max_error, triangles)
     heard = reporting(progress)
     if output is not None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
+from orograph.scene.sizes import Size, size_of
+from orograph.several import Numbers
 from orograph.store.opening import terrain as opened
-from orograph.verbs.ways import check_tour, chosen, tour_of
+from orograph.verbs.ways import check_tour, chosen, said_of, tour_of
 
 if TYPE_CHECKING:
     from orograph.touring.tour import Tour
@@ -16,12 +19,12 @@ if TYPE_CHECKING:
 def tour(
     terrain: Any,
     *,
-    size: tuple[int, int] = (1280, 720),
+    size: Size = (1280, 720),
     orbit: bool = False,
     turntable: bool = False,
     line: Any = None,
-    points: Sequence[Sequence[float]] = (),
-    around: Sequence[float] | None = None,
+    points: Sequence[Sequence[float] | str] = (),
+    around: Numbers | None = None,
     azimuth: float | None = None,
     pitch: float | None = None,
     distance: float | None = None,
@@ -31,7 +34,7 @@ def tour(
     speed: float | None = None,
     line_crs: Any = None,
     exaggeration: float = 1.0,
-    max_memory: int | None = None,
+    max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
     **reading: Any,
@@ -58,12 +61,13 @@ def tour(
     Raises:
         UsageError: options contradict each other. ReadError: the line cannot be read.
     """
-    options = {
-        "orbit": orbit, "turntable": turntable, "line": line, "points": tuple(points), "around": around,
+    max_memory, size = bytes_of(max_memory), size_of(size)
+    options = said_of({
+        "orbit": orbit, "turntable": turntable, "line": line, "points": points, "around": around,
         "azimuth": azimuth, "pitch": pitch, "distance": distance, "fov": fov, "seconds": seconds,
         "height": height, "speed": speed,
         "line_crs": line_crs,
-    }  # fmt: skip
+    })  # fmt: skip
     if not chosen(options):
         options["orbit"] = True
     check_tour(options)

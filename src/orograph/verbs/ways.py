@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import UsageError
+from orograph.several import numbers
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -22,6 +23,15 @@ ROUND = ("around", "azimuth", "pitch", "distance")
 def chosen(options: Mapping[str, Any]) -> list[str]:
     """The kinds of tours that were asked for; round a place one goes in an orbit, if nothing else is said."""
     return [kind for kind in KINDS if options[kind]] or ["orbit"] * (options["around"] is not None)
+
+
+def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The way that options describe, with places read where they are texts ("7.6,45.9,2000")."""
+    way = {**dict.fromkeys(WAY), "orbit": False, "turntable": False, "points": (), **options}
+    if way["around"] is not None:
+        way["around"] = numbers(way["around"], "around")
+    way["points"] = tuple(numbers(point, "points") for point in way["points"])
+    return way
 
 
 def check_tour(options: Mapping[str, Any]) -> None:

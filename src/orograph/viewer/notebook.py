@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from orograph.cards import png
 from orograph.errors import OrographError
+from orograph.folders import Amount, bytes_of
 from orograph.progress import SILENT, Progress
 from orograph.rendering.picture import Picture
 from orograph.scene.methods import check_promise
 from orograph.scene.scene import Scene
+from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
@@ -49,9 +51,9 @@ def view(
     terrain: Any,
     camera: View | None = None,
     *,
-    size: tuple[int, int] = SIZE,
+    size: Size = SIZE,
     panels: bool = False,
-    gpu_memory: int = 256 << 20,
+    gpu_memory: Amount = 256 << 20,
     conservative: bool = False,
     progress: Progress | bool | None = None,
     **options: Any,
@@ -73,6 +75,7 @@ def view(
     """
     from orograph.viewer.session import Session
 
+    size, gpu_memory = size_of(size), bytes_of(gpu_memory, "gpu_memory")
     reading = {name: options.pop(name) for name in READING if name in options}
     if conservative:
         check_promise(options.get("method", "auto"), "gpu")

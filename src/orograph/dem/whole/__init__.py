@@ -96,7 +96,12 @@ def _check_layout(dataset: Any, key: object) -> None:
     if dataset.driver != "GTiff" or not here(name) or _seen(known):
         return
     with stream(name) as file:
-        fault = tiff.fault(dataset, file)
+        fault, turned = tiff.fault(dataset, file), tiff.turned_floats(file)
+    if turned:
+        raise ReadError(
+            "Its floats are compressed by LERC with their high byte first, of which GDAL gives other numbers back.",
+            path=dataset.name, remedy=tiff.TURNED,
+        )  # fmt: skip
     if fault is not None:
         raise ReadError(fault, path=dataset.name, remedy=DAMAGED)
     _remember(known)

@@ -48,7 +48,7 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
     size = file.seek(0, 2)
     file.seek(0)
     try:
-        tiff = _Tiff(file, size)
+        tiff = TiffFile(file, size)
     except (struct.error, ValueError):
         return None  # no TIFF that is known here: GDAL judges
     found, broken = tiff.directories()
@@ -66,7 +66,26 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
     )
 
 
-def _places_fault(tiff: _Tiff, found: list[Directory]) -> str | None:
+_LERC = 34887
+_FLOATS = 3
+TURNED = "Write it anew with the byte order that LERC has (gdal_translate -co ENDIANNESS=LITTLE) from its source."
+
+
+def turned_floats(file: IO[bytes]) -> bool:
+    """Whether a TIFF holds floats by LERC with their high byte first: GDAL turns the bytes of what it gives to LERC and
+    of what comes back, so that the codec rounds other numbers, and what is read is not what was written."""
+    size = file.seek(0, 2)
+    file.seek(0)
+    try:
+        tiff = TiffFile(file, size)
+        first = tiff.directory(tiff.first)
+    except (struct.error, ValueError):
+        return False
+    codec, kinds = tiff.numbers(first, 259), tiff.numbers(first, 339)
+    return tiff.order == ">" and _LERC in codec and _FLOATS in kinds
+
+
+def _places_fault(tiff: TiffFile, found: list[Directory]) -> str | None:
     """Blocks that lie where they cannot."""
     tiff.file.seek(0)
     ordered = row_major(tiff.file.read(1024))
@@ -86,7 +105,7 @@ def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
     """
     file = BytesIO(data)
     try:
-        tiff = _Tiff(file, len(data))
+        tiff = TiffFile(file, len(data))
         found, broken = tiff.directories()
     except (struct.error, ValueError):
         found, broken = [], True
@@ -119,7 +138,17 @@ def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
     return None
 
 
-class _Tiff:
+class TiffFile:
+    """The directories of a TIFF.
+
+    Args:
+        file: its bytes, at the first.
+        size: how many.
+
+    Raises:
+        ValueError: it is none (or struct.error).
+    """
+
     def __init__(self, file: IO[bytes], size: int) -> None:
         self.file, self.size = file, size
         head = file.read(16)
@@ -190,6 +219,22 @@ class _Tiff:
         read = np.frombuffer(self.file.read(count * _SIZES[kind]), self.order + _CODES[kind])
         return np.minimum(read.astype(np.uint64), np.uint64(1 << 62)).astype(np.int64)
 
+    def doubles(self, directory: Directory, tag: int) -> NDArray[np.float64]:
+        """The doubles of a tag; none if it is not there or not in the file."""
+        kind, count, place = directory.tags.get(tag, (0, 0, 0))
+        if kind != 12 or not 0 < count < _MOST or place + 8 * count > self.size:
+            return np.zeros(0)
+        self.file.seek(place)
+        return np.frombuffer(self.file.read(8 * count), self.order + "f8").astype(np.float64)
+
+    def text(self, directory: Directory, tag: int) -> str:
+        """The text of a tag; "" if it is not there or not in the file."""
+        kind, count, place = directory.tags.get(tag, (0, 0, 0))
+        if kind != 2 or not 0 < count < _TAIL or place + count > self.size:
+            return ""
+        self.file.seek(place)
+        return self.file.read(count).rstrip(b"\0 ").decode("latin-1")
+
     def blocks(self, directory: Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Offsets and sizes of the blocks that are there."""
         for places, sizes in zip(OFFSETS, COUNTS, strict=True):
@@ -216,7 +261,7 @@ def _block_bytes(dataset: Any) -> int:
     return int(high * -(-wide * together * sample // 8))
 
 
-def _overlap(dataset: Any, tiff: _Tiff, first: Directory) -> str | None:
+def _overlap(dataset: Any, tiff: TiffFile, first: Directory) -> str | None:
     """Blocks of the raster that lie partly in one another (the very same block may stand for several)."""
     at, size = tiff.blocks(first)
     if tiff.plain(first):
@@ -229,7 +274,7 @@ def _overlap(dataset: Any, tiff: _Tiff, first: Directory) -> str | None:
     return None
 
 
-def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str | None:
+def _behind(dataset: Any, tiff: TiffFile, found: list[Directory], size: int) -> str | None:
     """Bytes behind all that the directories speak of, of a raster that is not compressed."""
     if not tiff.plain(found[0]) or not tiff.blocks(found[0])[0].size:
         return None
@@ -253,7 +298,7 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[Directory], size: int) -> str
     return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
 
 
-def _cut_fault(dataset: Any, tiff: _Tiff, at: NDArray[np.int64], size: int) -> str | None:
+def _cut_fault(dataset: Any, tiff: TiffFile, at: NDArray[np.int64], size: int) -> str | None:
     """What is wrong with a raster that is not compressed and ends within a block. Where samples lack GDAL says so; of a
     last strip that is filled up it does not see that bytes lack before. Some writers leave the filling out."""
     high = dataset.block_shapes[0][0]

@@ -33,6 +33,7 @@ SHIFT = 0.75
 """Samples by which a part may lie elsewhere than its file says: mosaics are laid to the nearest."""
 
 _COMPARED = 8
+_CONVERTING = ("ScaleRatio", "ScaleOffset", "LUT", "Exponent")
 _KNOWN = 64
 _parts: OrderedDict[object, list[Part]] = OrderedDict()
 _lock = threading.Lock()
@@ -50,6 +51,10 @@ class Part(NamedTuple):
         by_mask: whether its mask is read, not its band.
         for_mask: whether it is a part of the VRT's mask.
         taken: left, top, width, height of what is taken of it, mapped or not; None: it is not known.
+        tag: the element that names it.
+        onto: the VRT's band that it is a part of, from 1; 0: none alone; −1: of another VRT in this one's text.
+        converted: whether its numbers are changed on the way.
+        fills: whether its missing samples are left out.
     """
 
     location: str
@@ -61,6 +66,10 @@ class Part(NamedTuple):
     by_mask: bool
     for_mask: bool
     taken: Rect | None = None
+    tag: str = ""
+    onto: int = 0
+    converted: bool = False
+    fills: bool = False
 
     @property
     def reach(self) -> tuple[int, int] | None:
@@ -89,7 +98,7 @@ def check_parts(
         place: where the file of a part says that it lies.
         mask: it is the VRT's mask that is wanted.
     """
-    parts = _parts_of(dataset, key)
+    parts = parts_of(dataset, key)
     for part in parts:
         mapped = _mapped(part, window)
         if part.for_mask != mask or mapped == ():
@@ -161,10 +170,15 @@ def _named_here(location: str) -> bool:
 
 def locations(dataset: Any, key: object) -> list[str]:
     """GDAL's names of all parts of a VRT, in files or not; the arguments are those of ``check_parts``."""
-    return list(dict.fromkeys(part.location for part in _parts_of(dataset, key)))
+    return list(dict.fromkeys(part.location for part in parts_of(dataset, key)))
 
 
-def _parts_of(dataset: Any, key: object) -> list[Part]:
+def parts_of(dataset: Any, key: object) -> list[Part]:
+    """All parts of a VRT on this disk; the arguments are those of ``check_parts``.
+
+    Raises:
+        ReadError: they cannot be understood.
+    """
     name = main_file(dataset)
     if not here(name):
         return []
@@ -193,6 +207,11 @@ def _text(dataset: Any, name: str) -> str | bytes:
 def _read(root: ET.Element, name: str) -> Iterator[Part]:
     """The parts that a VRT of this name has."""
     shape = int(root.get("rasterXSize", 0)), int(root.get("rasterYSize", 0))
+    bands = {
+        inner: (number, "Derived" in band.get("subClass", ""))
+        for number, band in enumerate(root.findall("VRTRasterBand"), 1)
+        for inner in band.iter()
+    }
     of_mask = {inner for mask in root.iter("MaskBand") for inner in mask.iter()}
     for element in root.iter():
         file = element.find("SourceFilename")
@@ -202,7 +221,8 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         location = file.text
         if location.lstrip().startswith("<"):  # a VRT in a VRT's own text
             yield from (
-                inner._replace(source=None, target=None, taken=None) for inner in _read(ET.fromstring(location), name)
+                inner._replace(source=None, target=None, taken=None, onto=-1)
+                for inner in _read(ET.fromstring(location), name)
             )
             continue
         if file.get("relativeToVRT", file.get("relativetoVRT")) == "1":
@@ -218,11 +238,19 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         size = None if said is None else (int(said.get("RasterYSize", 0)), int(said.get("RasterXSize", 0)))
         size = None if size == (0, 0) else size
         taken = _rect(element.find("SrcRect")) if as_is and element.tag != "VRTRasterBand" else None
-        part = Part(location, number, source, target, needs, size, by_mask, element in of_mask, taken)
+        onto, derived = bands.get(element, (0, False))
+        use_mask = (element.findtext("UseMaskBand") or "").lower() == "true"
+        part = Part(
+            location, number, source, target, needs, size, by_mask, element in of_mask, taken, element.tag, onto,
+            derived or any(element.find(tag) is not None for tag in _CONVERTING),
+            use_mask or element.find("NODATA") is not None,
+        )  # fmt: skip
+        if taken is not None and min(round(taken[0]), round(taken[1])) < 0:
+            raise ValueError(f"it takes samples of {location} from beyond its edge, which would be 0")
         if target is not None and not _meets(target, shape):
             raise ValueError(f"{location} lies outside of it")
         yield part
-        if (element.findtext("UseMaskBand") or "").lower() == "true":
+        if use_mask:
             yield part._replace(by_mask=True)
 
 

@@ -18,8 +18,9 @@ from orograph.geovis.data.statistics import check_statistic
 from orograph.geovis.layers import keyed
 
 Style = Literal[
-    "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate"
-]
+    "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate",
+    "classes",
+]  # fmt: skip
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
 Standing = Literal["bars", "spheres", "cones", "discs", "flags", "tubes", "curtains"]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.color import linear_to_srgb
+from orograph.geovis.data.classes import ClassTable, classes_over, numbered, says_classes
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.lic import STEP, STEPS, brightness
@@ -51,6 +52,9 @@ OUTLINE, CASING = 0.8, 0.65
 
 FLOWS = ("arrows", "lic")
 """Styles of two components."""
+
+MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
+"""What uncertainties of members are, in words."""
 
 DARKER, LIGHTER = 0.75, 0.22
 """How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
@@ -106,8 +110,10 @@ class Shown:
         parts = [self.field.chosen]
         if self.sigma is not None:
             source = self.dataset.uncertainty.source if self.dataset.uncertainty is not None else None
-            words = {"spread": "± standard deviation", "ci90": "± half of the central 90 %"}
-            parts.append(words.get(source, "± standard deviation") if isinstance(source, str) else words["spread"])
+            if isinstance(source, Field):
+                parts.append(source.name)
+            else:
+                parts.append(f"± {MEASURES.get(source if isinstance(source, str) else '', MEASURES['spread'])}")
         told = ", ".join(filter(None, parts))
         return f"{self.title}: {told}" if told else ""
 
@@ -130,9 +136,13 @@ def shown(
     Raises: as ``reading.read``.
     """
     style = dataset.style or priority.style
+    if style == "classes":
+        return _shown_classes(dataset, grid, texels, priority)
     if dataset.derived and style in FLOWS:
         raise UsageError(f"{style} shows two components, of which there is no value= or exceeds=.")
     field, *components = read_vectors(dataset, grid) if style in FLOWS else (read_data(dataset, grid),)
+    if dataset.style is None and not dataset.derived and says_classes(field):
+        return _shown_classes(dataset.but(style="classes"), grid, texels, priority)
     dataset = as_shown(dataset)
     over = cropped(field, grid, texels)
     positions = Positions.of(over, field)
@@ -157,6 +167,31 @@ def shown(
         there = np.isfinite(values)
         streaks = _streaks((toward[0] * there, toward[1] * there), over, image_grid(grid, texels), flat, dataset.size)
     return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward, streaks=streaks)
+
+
+def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:
+    """A raster of classes: nothing is interpolated but how uncertain they are."""
+    field = read_data(dataset, grid)
+    if dataset.derived or len(field.values) > 1:
+        raise UsageError("Classes have no mean, no value= and no exceeds=.", path=str(dataset.source),
+                         remedy="Choose one band, time or member.")  # fmt: skip
+    over = cropped(field, grid, texels)
+    table = ClassTable.of_tags(field.tags, field.palette)
+    values, names, colors = numbered(classes_over(field, over), table, dataset.colormap, field.name)
+    found = deviations(dataset, field, grid)
+    sigma = None if found is None else Positions.of(over, found[0]).values(found[1])
+    given = None if dataset.uncertainty is None else dataset.uncertainty
+    sign = "none" if sigma is None or given is None else given.style or priority.sign("segmented")
+    if sign in ("noise", "blur", "palette"):
+        raise UsageError(
+            f"The uncertainty of classes cannot be shown by {sign}, which mixes neighbours.", path=str(dataset.source),
+            remedy="Choose transparency, whiteness, saturation or glyphs.",
+        )  # fmt: skip
+    doubt = (0.0, 1.0)
+    if sigma is not None and given is not None:
+        doubt = given.range or (0.0, spanned(sigma, None)[1])
+    scale = ColorScale.of_classes(names, colors)
+    return Shown(dataset, "classes", sign, field, values, sigma, over, scale, doubt, classes=names)
 
 
 def as_shown(dataset: Dataset) -> Dataset:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,7 @@ class Field:
         values: (members, rows, cols) float32, NaN where there are none. grid: of rows and columns, in their own CRS.
         name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
         statistic: what is shown of members ("mean", "p90"…: see ``statistics``).
+        tags, palette: of classes (``classes``), what the source says of their names and colours.
     """
 
     values: Values
@@ -57,6 +58,8 @@ class Field:
     chosen: str = ""
     warnings: tuple[str, ...] = ()
     statistic: str = "mean"
+    tags: Mapping[str, Any] = field(default_factory=dict)
+    palette: Mapping[int, Any] | None = None
 
     @property
     def mean(self) -> Values:
@@ -130,7 +133,11 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         from rasterio.windows import Window
 
         where = Window(col0, row0, col1 - col0, row1 - row0)
-        way = Resampling.nearest if step == 1 else Resampling.average
+        coloured = file.colorinterp[bands[0] - 1].name == "palette"
+        said_so = coloured or "flag_meanings" in file.tags(bands[0])
+        style = given.style if isinstance(given, Dataset) else "continuous"
+        classes = style == "classes" or (style is None and said_so)
+        way = Resampling.nearest if step == 1 else Resampling.mode if classes else Resampling.average
         values = np.empty((len(bands), rows, cols), np.float32)
         try:
             for i, band in enumerate(bands):
@@ -143,8 +150,9 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         unit = (file.units[bands[0] - 1] or tags.get("GRIB_UNIT") or tags.get("units") or "").strip()
         said = tags.get("long_name") or tags.get("GRIB_COMMENT") or ""
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
+        palette = file.colormap(bands[0]) if coloured else None
     values[~np.isfinite(values)] = np.nan
-    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told)))
+    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette))
 
 
 def _in_degrees(file: Any, found: Grid) -> Grid:
@@ -406,7 +414,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     unit = str(array.attrs.get("units", ""))
     name = str(array.attrs.get("long_name") or array.name or "data").replace("_", " ")
     own = Grid(values.shape[1:], transform, crs)
-    return _in_units(Field(values, own, name, written_unit(unit), " ".join(words)))
+    return _in_units(Field(values, own, name, written_unit(unit), " ".join(words), tags=array.attrs))
 
 
 def _rows_first(array: Any, axes: list[Any]) -> tuple[Any, Any]:

@@ -49,6 +49,14 @@ class Positions:
             out[part] = bilinear(values, self.c[part], self.r[part], self.cyclic)
         return out
 
+    def nearest(self, values: Values) -> Values:
+        """Of values (rows, cols) of that field the nearest; NaN farther than half a sample outside it."""
+        rows, cols = values.shape
+        r, c = np.floor(self.r + 0.5), np.floor(self.c + 0.5)
+        inside = (r >= 0) & (r < rows) & ((c >= 0) & (c < cols) | self.cyclic)
+        i, j = np.where(inside, r, 0).astype(np.int64), np.where(inside, c, 0).astype(np.int64) % cols
+        return np.where(inside, values[i, j], np.nan).astype(np.float32)
+
 
 def values_at(
     values: Values, field: Field, grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]

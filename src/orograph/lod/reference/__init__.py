@@ -19,6 +19,7 @@ against these pages, so they are right, and slow: dictionaries, sets and recursi
 ``cdlod``                Strugar 2009: squares by distance, and how far their vertices slide
 ``chunked_lod``          Ulrich 2002: meshes of chunks, their skirts, which are drawn, how far they have moved
 ``quadtin``              Pajarola et al. 2002: a hierarchy over irregular points, and the mesh of a view
+``hyperblock``           Lario et al. 2003: blocks of that hierarchy at given levels, and what they draw
 ``cbt``                  Dupuy 2020: a heap of bits and sums, split and merged by all leaves at once
 ``bdam``                 Cignoni et al. 2003: patches of a view, and which vertices of theirs may move
 =======================  ===============================================================================

@@ -1,0 +1,84 @@
+"""A note beside a GeoTIFF (.aux.xml) that contradicts it: GDAL follows the note without a word.
+
+Such notes are written where a program may not, or will not, change the file itself, and stay when the file is made
+anew under its name (https://gdal.org/drivers/raster/gtiff.html, "Georeferencing", and the PAM's XML).
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+from orograph.dem.bands import unit_tag
+from orograph.dem.units import metres_per
+from orograph.dem.whole.files import OPENING
+
+_DECIDING = re.compile(rb"<(?:SRS|GeoTransform|NoDataValue|UnitType|Offset|Scale|GCPList)\b")
+_APART = 0.01  # samples
+
+
+def doubts(dataset: Any, band: int) -> list[str]:
+    """Warnings of a note that says another CRS, place, unit, scale or nodata value than the GeoTIFF beside it.
+
+    Args:
+        dataset: of rasterio, open, with what lies beside it.
+        band: of the heights, from 1.
+    """
+    name = str(dataset.name)
+    note = Path(f"{name}.aux.xml")
+    if dataset.driver != "GTiff" or not note.is_file():
+        return []
+    if not _DECIDING.search(note.read_bytes()):
+        return []
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with rasterio.Env(GDAL_PAM_ENABLED="NO"), OPENING, warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(name) as alone:
+            differ = _differences(dataset, alone, band)
+    return [
+        f"{note.name} beside it says {theirs} where the file itself says {own}: the former is used (remove it if it is "
+        "out of date)."
+        for theirs, own in differ
+    ]
+
+
+def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
+    """What a dataset says otherwise than its file alone does, where that says something: (it, its file)."""
+    found: list[tuple[str, str]] = []
+    if alone.crs and dataset.crs != alone.crs:
+        found.append((f"the CRS {_called(dataset.crs)}", _called(alone.crs)))
+    mine, own = dataset.transform, alone.transform
+    if not own.is_identity:
+        step = min(max(abs(own.a), abs(own.d)), max(abs(own.b), abs(own.e)))
+        size = alone.width, alone.height
+        off = max(_apart(mine, own, (0, 0)), _apart(mine, own, size))
+        if off > _APART * step:
+            found.append((f"that it lies at {mine.c:.10g}, {mine.f:.10g}", f"{own.c:.10g}, {own.f:.10g}"))
+    nodata, inside = dataset.nodatavals[band - 1], alone.nodatavals[band - 1]
+    if inside is not None and nodata != inside and not (nodata != nodata and inside != inside):
+        found.append((f"that {nodata} is missing", f"{inside}"))
+    unit, inner = unit_tag(dataset, band), unit_tag(alone, band)
+    if inner and metres_per(unit) != metres_per(inner):
+        found.append((f"that heights are in {unit!r}", f"{inner!r}"))
+    scale, within = ((one.scales[band - 1], one.offsets[band - 1]) for one in (dataset, alone))
+    if within != (1, 0) and scale != within:
+        found.append((f"a scale and offset of {scale[0]:g}, {scale[1]:g}", f"{within[0]:g}, {within[1]:g}"))
+    return found
+
+
+def _called(crs: Any) -> str:
+    """A CRS in few words."""
+    if not crs:
+        return "none"
+    named = re.match(r'\w+\["([^"]*)"', crs.to_wkt())
+    return named[1] if named is not None else crs.to_string()
+
+
+def _apart(one: Any, other: Any, corner: tuple[int, int]) -> float:
+    """How far a corner lies from itself by two transforms."""
+    a, b, c, d, e, f = (x - y for x, y in zip(one[:6], other[:6], strict=True))
+    return float(max(abs(a * corner[0] + b * corner[1] + c), abs(d * corner[0] + e * corner[1] + f)))

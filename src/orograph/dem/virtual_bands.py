@@ -1,0 +1,134 @@
+"""What a VRT's band does not repeat of its parts, so that their numbers are taken for something else.
+
+GDAL hands the numbers of a part through as they are stored: its unit, its scale and offset and its nodata value count
+only if the VRT's band says them, too. Where no part lies and no nodata value is declared, it gives 0; what a narrower
+type cannot hold is clipped (https://gdal.org/drivers/raster/vrt.html).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from orograph.dem.bands import unit_tag
+from orograph.dem.handles import IDLE, lent, stamped
+from orograph.dem.header import full_crs, unit_of, vertical_axis
+from orograph.dem.missing import impossible_nodata, nodata_text
+from orograph.dem.whole.files import on_disk
+from orograph.dem.whole.virtual import Part, parts_of
+from orograph.errors import ReadError
+
+_OPENED = IDLE
+"""Files of a VRT that are opened to be asked, evenly spread among them: as many as stay open to be read."""
+
+_MOST_RECTANGLES = 4096
+
+
+def doubts(
+    dataset: Any, band: int, *, nodata: float | str | None, unit: str | None, masked: bool, crs: CRS | None
+) -> list[str]:
+    """Warnings of a VRT; the arguments are those of ``doubts.doubts``."""
+    if dataset.driver != "VRT":
+        return []
+    parts = [
+        part
+        for part in parts_of(dataset, stamped(str(dataset.name)))
+        if part.onto in (0, band) and not part.for_mask and not part.by_mask
+    ]
+    silent = nodata is None and dataset.nodatavals[band - 1] is None and not masked
+    found = list(impossible_nodata(dataset, band, nodata_text(dataset, band))) if nodata is None else []
+    if silent and any(part.tag == "GDALWarpOptions" for part in parts):
+        found.append("It is warped and declares no nodata value: where nothing comes to lie it gives heights of 0.")
+    elif silent and all(part.onto for part in parts) and not _covered(dataset.shape, parts):
+        found.append(
+            "Not all of it is covered by its parts, and it declares no nodata value: the rest are heights of 0."
+        )
+    factor = unit_of(dataset, band, crs, None, []) if unit is None else None
+    said: dict[str, list[str]] = {}
+    every = list({part.location: part for part in parts if not part.needs}.values())
+    for part in every[:: -(-len(every) // _OPENED) or 1]:
+        if not on_disk(part.location).is_file():
+            continue
+        with (
+            contextlib.suppress(ReadError),
+            lent(part.location) as (file, _),
+        ):  # what is damaged is told when it is read
+            if part.band <= file.count:
+                for text in _unlike(dataset, band, part, file, factor, nodata is not None or masked):
+                    said.setdefault(text, []).append(part.location)
+    for text, names in said.items():
+        more = f" and {len(names) - 1} others" if len(names) > 1 else ""
+        found.append(f"{text} ({names[0]}{more}).")
+    return found
+
+
+def _unlike(dataset: Any, band: int, part: Part, file: Any, factor: float | None, excused: bool) -> Iterator[str]:
+    """In what the file of a part differs from the VRT's band.
+
+    Args:
+        factor: metres in the unit of the VRT; None: a user states it.
+        excused: whether what is missing is said in another way.
+    """
+    kind, own = np.dtype(dataset.dtypes[band - 1]), np.dtype(file.dtypes[part.band - 1])
+    if not part.converted:
+        crs = full_crs(file, [])
+        tells = unit_tag(file, part.band) or vertical_axis(crs) is not None
+        theirs = unit_of(file, part.band, crs, None, []) if tells else factor
+        if factor is not None and theirs is not None and abs(theirs - factor) > 1e-9:
+            yield (
+                f"Parts of it are in a unit of {theirs:.9g} m, and it says {factor:.9g} m, which is used for all "
+                "(give `vertical_unit` if all are in another)"
+            )
+        scales = [
+            (float(one.scales[i - 1]), float(one.offsets[i - 1])) for one, i in ((dataset, band), (file, part.band))
+        ]
+        if scales[0] != scales[1]:
+            yield (
+                f"Parts of it have a scale of {scales[1][0]:g} and an offset of {scales[1][1]:g}, which it does not "
+                "repeat: their numbers are read as they are stored"
+            )
+        if kind.kind in "iu" and not np.can_cast(own, kind, "safe"):
+            yield f"Its numbers are {kind.name} and those of parts {own.name}: they are rounded, and clipped beyond it"
+    if excused or part.tag == "GDALWarpOptions":
+        return
+    mine, theirs = dataset.nodatavals[band - 1], file.nodatavals[part.band - 1]
+    if part.fills and mine is None:
+        yield "Missing samples of parts are left out, and it declares no nodata value: they become heights of 0"
+    elif not part.fills and theirs is not None and not _same(mine, theirs):
+        yield f"Missing samples of parts are {theirs:g}, which its own nodata value is not: they are read as heights"
+    elif not part.fills and theirs is None and _has_mask(file, part.band):
+        yield "Parts have a mask, which it does not use: what is missing in them is read as heights"
+
+
+def _same(one: float | None, other: float) -> bool:
+    with np.errstate(over="ignore"):
+        return one is not None and bool(np.array_equal(np.float32(one), np.float32(other), equal_nan=True))
+
+
+def _has_mask(file: Any, band: int) -> bool:
+    from rasterio.enums import MaskFlags
+
+    flags = file.mask_flag_enums[band - 1]
+    return MaskFlags.per_dataset in flags and MaskFlags.alpha not in flags
+
+
+def _covered(shape: tuple[int, int], parts: list[Part]) -> bool:
+    """Whether each sample of a VRT lies in a part; True also where there are too many to compare."""
+    if any(part.target is None for part in parts) or len(parts) > _MOST_RECTANGLES:
+        return True
+    boxes = np.array([part.target for part in parts]).reshape(-1, 4)
+    lines = []
+    for axis, size in ((0, shape[1]), (1, shape[0])):
+        begin = np.clip(np.round(boxes[:, axis]), 0, size)
+        end = np.clip(np.round(boxes[:, axis] + boxes[:, axis + 2]), 0, size)
+        edges = np.unique(np.concatenate([[0, size], begin, end]))
+        lines.append((edges, np.searchsorted(edges, begin), np.searchsorted(edges, end)))
+    (across, left, right), (down, top, bottom) = lines
+    held = np.zeros((down.size - 1, across.size - 1), bool)
+    for a, b, c, d in zip(top, bottom, left, right, strict=True):
+        held[a:b, c:d] = True
+    return bool(held.all())

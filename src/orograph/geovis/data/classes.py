@@ -1,0 +1,106 @@
+"""Rasters of classes (land cover): whole numbers that name things, between which nothing lies.
+
+Each texel of an image has the class of the sample nearest to it; where samples are smaller than texels, the class that
+most of a lattice of places in it have (the mode). Names are those of CF's ``flag_values`` and ``flag_meanings``,
+colours those of a file's colour table.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from affine import Affine
+
+from orograph.errors import ReadError
+from orograph.geo.grid import Grid, compose
+from orograph.geovis.data.reading import Field, Values
+from orograph.geovis.data.sampling import Positions
+from orograph.geovis.data.scales import DISTINCT
+
+MOST = 64
+"""Classes of one picture: more are no classes that a legend can name."""
+
+FINEST = 4
+"""Places along a texel's side whose classes are counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassTable:
+    """What the numbers of a raster mean: names and colours (#rrggbb) by number, as far as its source says."""
+
+    names: Mapping[int, str]
+    colors: Mapping[int, str]
+
+    @classmethod
+    def of_tags(cls, tags: Mapping[str, Any], palette: Mapping[int, Any] | None = None) -> ClassTable:
+        """Of CF attributes, and a colour table of numbers from 0 to 255."""
+        values = [int(float(v)) for v in re.findall(r"-?\d+(?:\.\d+)?", _listed(tags.get("flag_values", "")))]
+        words = str(tags.get("flag_meanings", "")).split()
+        names = {k: word.replace("_", " ") for k, word in zip(values, words)}
+        colors = {k: "#{:02x}{:02x}{:02x}".format(*rgb[:3]) for k, rgb in (palette or {}).items()}
+        return cls(names, colors)
+
+
+def _listed(told: Any) -> str:
+    return told if isinstance(told, str) else " ".join(map(str, np.atleast_1d(told)))
+
+
+def says_classes(field: Field) -> bool:
+    """Whether a source says by itself that its numbers are classes: by a colour table, or CF's flags."""
+    return len(field.values) == 1 and (field.palette is not None or "flag_meanings" in field.tags)
+
+
+def classes_over(field: Field, over: Grid) -> Values:
+    """The numbers (rows, cols) of classes at the texels of an image; NaN where none is known."""
+    corner = Grid((2, 2), over.transform, over.crs)
+    at = Positions.of(corner, field)
+    fine = float(max(np.hypot(at.c[0, 1] - at.c[0, 0], at.r[0, 1] - at.r[0, 0]),
+                     np.hypot(at.c[1, 0] - at.c[0, 0], at.r[1, 0] - at.r[0, 0])))  # fmt: skip
+    side = int(np.clip(np.ceil(fine), 1, FINEST))
+    layers = []
+    for i in range(side):
+        for j in range(side):
+            shift = Affine.translation((j + 0.5) / side - 0.5, (i + 0.5) / side - 0.5)
+            layers.append(Positions.of(Grid(over.shape, compose(over.transform, shift), over.crs), field)
+                          .nearest(field.values[0]))  # fmt: skip
+    return layers[0] if side == 1 else mode(np.stack(layers))
+
+
+def mode(votes: Values) -> Values:
+    """Of votes (n, rows, cols) the most frequent number of each place, of equally frequent ones the least; NaN too."""
+    known = np.unique(votes[np.isfinite(votes)])
+    best = np.isnan(votes).sum(0)
+    found = np.full(votes.shape[1:], np.nan, np.float32)
+    for number in known:
+        count = (votes == number).sum(0)
+        better = (count > best) | ((count == best) & np.isnan(found) & (count > 0))
+        best, found = np.where(better, count, best), np.where(better, number, found).astype(np.float32)
+    return found
+
+
+def numbered(
+    values: Values, table: ClassTable, colors: Any, name: str
+) -> tuple[Values, tuple[str, ...], dict[str, str]]:
+    """Classes numbered from 0, their names, and their colours by name.
+
+    Args:
+        colors: the user's own, by name, where it is a mapping.
+
+    Raises:
+        ReadError: the values are no classes: not whole, or too many.
+    """
+    known = np.unique(values[np.isfinite(values)])
+    if (known != np.rint(known)).any() or len(known) > MOST:
+        what = "whole numbers" if (known != np.rint(known)).any() else f"at most {MOST}, not {len(known)}"
+        raise ReadError(f"Classes are {what}.", path=name, remedy="Choose another style, such as segmented.")
+    codes = [int(v) for v in known]
+    names = [table.names.get(code, str(code)) for code in codes]
+    names = [word if names.count(word) == 1 else f"{word} ({code})" for word, code in zip(names, codes)]
+    own = colors if isinstance(colors, Mapping) else {}
+    usual = [table.colors.get(code, DISTINCT[k % len(DISTINCT)]) for k, code in enumerate(codes)]
+    found = np.where(np.isfinite(values), np.searchsorted(known, values), np.nan).astype(np.float32)
+    return found, tuple(names), {word: own.get(word, color) for word, color in zip(names, usual)}

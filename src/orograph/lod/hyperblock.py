@@ -1,0 +1,172 @@
+"""HyperBlock-QuadTIN: blocks of a QuadTIN's hierarchy, each with a triangulation ready for every error level.
+
+Lario, Pajarola & Tirado, *HyperBlock-QuadTIN: Hyper-Block Quadtree based Triangulated Irregular Networks* (VIIP 2003).
+QuadTIN decides about every vertex in every frame; here a view asks each block for one of a few error levels, and the
+strip that the block has at that level is drawn. Where a block next to it is finer, vertices near their border follow
+that one's level (``hyperblock_blocks`` says which, and why that leaves no crack); such strips are made when they are
+first asked for, and kept. A frame looks at blocks, not at vertices, and makes anew what has changed.
+
+The paper was at hand as an abstract only: docs/methods/hyperblock.md says what was derived. Metres, pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error.screen import CameraParameters
+from orograph.lod.hyperblock_blocks import (
+    OWN,
+    Bytes,
+    Triangulation,
+    blocks_of,
+    bound_of,
+    depth_for,
+    joined,
+    triangulate,
+)
+from orograph.lod.method import MethodInfo
+from orograph.lod.options import option
+from orograph.lod.quadtin import QuadTin, QuadTinOptions, Refined
+from orograph.lod.smart_blocks import thresholds, weigh_boxes
+from orograph.parallel import cpu_count, map_ordered
+from orograph.raycast.select import Boxes, distances, in_frustum, off_axis
+from orograph.viewpoint import Camera
+
+Key = tuple[int, bytes]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HyperBlockOptions(QuadTinOptions):
+    """Options of ``hyperblock``."""
+
+    cells: int = option(32, "Vertices along a side of a block, about, at its finest level.", least=4, most=512)
+    levels: int = option(2, "Error levels for each factor of two.", least=1, most=7)
+    cache: bool = option(True, "Keep what is triangulated for the sake of finer blocks nearby.")
+
+
+class HyperBlock(QuadTin):
+    """HyperBlock-QuadTIN. See ``QuadTin``.
+
+    Attributes:
+        blocks: of the hierarchy. ready: their triangulations by block and level. levels: (b,) uint8, of the last view.
+    """
+
+    info = MethodInfo(
+        "hyperblock", "blocks of a QuadTIN, each with a strip ready for every level of error",
+        "Lario, Pajarola & Tirado 2003", "triangles", HyperBlockOptions, lambda options: True,
+    )  # fmt: skip
+
+    def _prepare(self) -> None:
+        self._ends = thresholds(self.options.levels)
+        tree = self.tree
+        self.blocks = blocks_of(tree, depth_for(len(tree.vertices), self.options.cells), self._ends)
+        blocks = self.blocks
+        count = len(blocks.roots)
+        self.levels = np.zeros(count, np.uint8)
+        self._boxes = Boxes(*np.ascontiguousarray(blocks.boxes.T))
+        self._rest = Triangulation(blocks.rest, blocks.rest, joined(tree.corners[blocks.rest]))
+        jobs = self.resources.jobs or cpu_count()
+        with self.resources.progress.task("Triangulating blocks"):
+            found = map_ordered(self._levels_of, range(count), jobs)
+            self.ready: dict[tuple[int, int], Triangulation] = {
+                (block, level): one for block, every in enumerate(found) for level, one in every
+            }
+        self._kept: OrderedDict[Key, Triangulation] = OrderedDict()
+        self._bytes = 0
+        self._asked = np.full((count, 9), 255, np.uint8)
+        self._drawn: list[Triangulation] = [self._rest] * count
+        self._frame: tuple[NDArray[np.int32], NDArray[np.int32]] | None = None
+
+    def _levels_of(self, block: int) -> list[tuple[int, Triangulation]]:
+        """The triangulations of a block, each with the coarsest level that it is of."""
+        tree, blocks = self.tree, self.blocks
+        levels = np.unique(np.append(blocks.steps[block, OWN], 0)).tolist()
+        return [(k, triangulate(tree, blocks, block, np.full(16, k, np.uint8))) for k in levels]
+
+    def _refine(self, camera: Camera, tolerance: float) -> Refined:
+        lens = self._lens(camera, tolerance)
+        seen = self._weigh(camera, lens)
+        made = self._follow(self._demands())
+        if self._frame is None:
+            parts = [self._rest, *self._drawn]
+            self._frame = (
+                np.concatenate([one.leaves for one in parts]),
+                np.concatenate([one.strip for one in parts]),
+            )
+        leaves, strip = self._frame
+        stats = {"blocks": len(seen), "blocks_seen": int(seen.sum()), "triangulated": made}
+        return Refined(leaves, self._bound(lens, seen), strip, stats=stats)
+
+    def _weigh(self, camera: Camera, lens: CameraParameters) -> NDArray[np.bool_]:
+        """Find the level that the view asks of each block; which may be in view."""
+        view, up = camera.view, camera.exaggeration
+        seen = in_frustum(self.terrain, view, up, self._boxes)
+        if not self.options.cull:
+            seen[:] = True
+        self.levels[:] = 0
+        which = np.flatnonzero(seen)
+        ranges = np.zeros(len(which), np.int16)
+        if lens.focal > 0:
+            boxes = Boxes(*(getattr(self._boxes, one.name)[which] for one in fields(Boxes)))
+            ranges[:] = len(self._ends) - 1
+            away = distances(self.terrain, view, up, boxes)
+            weigh_boxes(lens, self._ends, self.blocks.boxes[which], away, math.sqrt(off_axis(view)), ranges)
+        self.levels[which] = 1 + ranges
+        return seen
+
+    def _demands(self) -> Bytes:
+        """What is asked of each block (b, 9): its own level in the middle, and those of finer blocks around it, 0 where
+        they ask for no more; each the coarsest level that means the same."""
+        near, steps = self.blocks.near, self.blocks.steps
+        around = np.where(near >= 0, self.levels[near], 0)
+        asked = np.take_along_axis(steps, around[:, :, None].astype(np.int64), axis=2)[:, :, 0]
+        own = asked[:, OWN, None]
+        return np.where((asked > own) | (np.arange(9) == OWN), asked, 0).astype(np.uint8)
+
+    def _follow(self, asked: Bytes) -> int:
+        """Have what is asked drawn; how many blocks were triangulated for it."""
+        changed = np.flatnonzero((asked != self._asked).any(axis=1))
+        if not len(changed):
+            return 0
+        self._frame = None
+        alone = np.count_nonzero(asked[changed], axis=1) == (asked[changed, OWN] > 0)
+        lacking = []
+        for block, lone in zip(changed.tolist(), alone.tolist()):
+            if lone:
+                self._drawn[block] = self.ready[block, int(asked[block, OWN])]
+                continue
+            kept = self._kept.get((block, asked[block].tobytes()))
+            if kept is None:
+                lacking.append(block)
+            else:
+                self._kept.move_to_end((block, asked[block].tobytes()))
+                self._drawn[block] = kept
+        for block in lacking:
+            self._drawn[block] = one = self._triangulate(block, asked[block])
+            if self.options.cache:
+                self._kept[block, asked[block].tobytes()] = one
+                self._bytes += one.nbytes
+        while self._bytes > self.resources.max_memory // 4 and self._kept:
+            self._bytes -= self._kept.popitem(last=False)[1].nbytes
+        self._asked = asked
+        return len(lacking)
+
+    def _triangulate(self, block: int, asked: Bytes) -> Triangulation:
+        near = self.blocks.near[block]
+        there = near >= 0
+        levels = np.zeros(16, np.uint8)
+        levels[self.blocks.color[near[there]]] = asked[there]
+        return triangulate(self.tree, self.blocks, block, levels)
+
+    def _bound(self, lens: CameraParameters, seen: NDArray[np.bool_]) -> float:
+        """The largest bound in pixels of triangles that are not split any further, where it can be beyond that of the
+        levels."""
+        ends = np.append(np.inf, self._ends)
+        loose = np.flatnonzero(seen & (self.blocks.off > ends[self.levels]))
+        parts = [self._rest.finest, *(self._drawn[block].finest for block in loose.tolist())]
+        return float(bound_of(lens, self.tree, np.concatenate(parts)))

@@ -1,0 +1,179 @@
+"""Stages of a build that make derived data of a terrain whose heights (and what else they need) are written.
+
+Each reads the store as any reader does, by the record that the process that builds leaves in ``parts/``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from typing import IO
+
+import numpy as np
+
+from orograph.error import KINDS, ErrorKind
+from orograph.store.chunked import Words, lengths_spec, words_spec
+from orograph.store.chunked_build import MemoryChunks
+from orograph.store.chunked_kind import rows_of, spooled
+from orograph.store.digests import Spot
+from orograph.store.executing import Found, ShardStage
+from orograph.store.layout import PARTS, Record, dumps
+from orograph.store.parts import pack, unpack
+from orograph.store.patches import LEGS, PatchErrors, spec, stored_levels
+from orograph.store.storage import Storage
+from orograph.store.stored import StoredTerrain
+from orograph.store.terrain import Heights
+from orograph.store.writer import ShardWriter
+
+KNOWN = f"{PARTS}/record.json"
+"""What the store is by now, for other processes."""
+
+RUN = 256
+"""Chunks of a task."""
+
+CACHE = 64 << 20
+"""Decoded chunks that a worker's terrain keeps."""
+
+
+def known(storage: Storage) -> StoredTerrain:
+    """The terrain of a store that is built, as the process that builds has left it."""
+    record = Record.from_json(json.loads(storage.get(KNOWN) or b"{}"), storage.url)
+    return StoredTerrain(storage, record, CACHE, 1)
+
+
+class TerrainStage(ShardStage[Found]):
+    """Work on a terrain.
+
+    Args:
+        terrain: what is written by now. writer: of what it makes.
+    """
+
+    def __init__(self, terrain: StoredTerrain, writer: ShardWriter) -> None:
+        self.terrain, self.writer = terrain, writer
+
+    def hand_over(self) -> None:
+        self.writer.keep(KNOWN, dumps(self.terrain.record.to_json()))
+
+    def key(self, spot: Spot) -> str:
+        return f"{PARTS}/{self.name}/{self.number}.{spot[0]}.{spot[1]}.part"
+
+
+class PatchStage(TerrainStage[Heights]):
+    """Errors of patches, of one kind.
+
+    Args:
+        kind: of errors, which are written.
+    """
+
+    name, label = "patches", "Errors of patches"
+
+    def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: ErrorKind) -> None:
+        super().__init__(terrain, writer)
+        self.kind, self.number = kind, KINDS.index(kind)
+        self.making = PatchErrors(terrain, kind, LEGS)
+
+    def tasks(self) -> list[Spot]:
+        return self.making.tasks()
+
+    def make(self, spot: Spot) -> Heights:
+        found = self.making.block(spot)
+        self.writer.keep(self.key(spot), pack({"errors": found}))
+        return found
+
+    def found(self, spot: Spot, proof: bool = True) -> Heights | None:
+        data = self.writer.storage.get(self.key(spot))
+        try:
+            return None if data is None else unpack(data)["errors"]
+        except ValueError:
+            return None
+
+    def add(self, spot: Spot, found: Heights) -> None:
+        self.making.take(spot, found)
+
+    def finish(self) -> None:
+        record, errors = self.terrain.record, self.making.finished()
+        for level in stored_levels(record.grid.shape):
+            self.writer.array(spec(record.grid.shape, level, self.kind, record.shard, record.chunk), errors[level])
+
+
+class ChunkStage(TerrainStage[list[Words]]):
+    """Meshes of chunks. A task makes some of a level, which follow one another row by row.
+
+    What is made waits in a temporary file until all of it is there. Every process that makes chunks finds the levels of
+    all vertices for itself (``MemoryChunks``).
+
+    Args:
+        cells, finest: as of ``MemoryChunks``. spool: where chunks wait; None where they are only made.
+
+    Attributes:
+        rows: of words, by level, when it is finished.
+    """
+
+    name, label = "chunks", "Making chunks"
+
+    def __init__(
+        self, terrain: StoredTerrain, writer: ShardWriter, cells: int, finest: float, spool: IO[bytes] | None = None
+    ) -> None:
+        super().__init__(terrain, writer)
+        self.chunks, self.spool = MemoryChunks(terrain, cells, finest), spool
+        self.rows: list[int] = []
+        self._at: dict[Spot, tuple[int, int]] = {}
+        self._lengths = [np.zeros(self._count(level), np.uint32) for level in range(self.chunks.layout.top + 1)]
+        self._lock = threading.Lock()
+
+    def tasks(self) -> list[Spot]:
+        levels = range(self.chunks.layout.top + 1)
+        return [(level, run) for level in levels for run in range(-(-self._count(level) // RUN))]
+
+    def make(self, spot: Spot) -> list[Words]:
+        level, _ = spot
+        cols = self.chunks.layout.chunks(level)[1]
+        found = [self.chunks.words(level, *divmod(at, cols)) for at in self._run(spot)]
+        lengths = np.array([len(words) for words in found])
+        self.writer.keep(self.key(spot), pack({"lengths": lengths, "words": np.concatenate(found)}))
+        return found
+
+    def found(self, spot: Spot, proof: bool = True) -> list[Words] | None:
+        data = self.writer.storage.get(self.key(spot))
+        try:
+            kept = None if data is None else unpack(data)
+        except ValueError:
+            return None
+        return None if kept is None else np.split(kept["words"], np.cumsum(kept["lengths"])[:-1])
+
+    def add(self, spot: Spot, found: list[Words]) -> None:
+        assert self.spool is not None
+        run = self._run(spot)
+        self._lengths[spot[0]][run.start : run.stop] = [len(words) for words in found]
+        data = np.concatenate(found).tobytes()
+        with self._lock:
+            self._at[spot] = self.spool.tell(), len(data)
+            self.spool.write(data)
+
+    def finish(self) -> None:
+        assert self.spool is not None
+        layout, record = self.chunks.layout, self.terrain.record
+        for level, lengths in enumerate(self._lengths):
+            with spooled() as file:
+                for spot in (spot for spot in self.tasks() if spot[0] == level):
+                    at, size = self._at[spot]
+                    self.spool.seek(at)
+                    file.write(self.spool.read(size))
+                count = rows_of(int(lengths.sum(dtype=np.int64)), record.chunk)
+                file.truncate(4 * count * record.chunk)  # zeros after the last
+                file.flush()
+                block = np.memmap(file, np.uint32, "r", shape=(count, record.chunk))
+                per_chunk = lengths_spec(layout, level, record.shard, record.chunk)
+                self.writer.array(per_chunk, lengths.reshape(layout.chunks(level)))
+                self.writer.array(words_spec(level, count, record.shard, record.chunk), block)
+            self.rows.append(count)
+
+    def _count(self, level: int) -> int:
+        """Chunks of a level."""
+        return math.prod(self.chunks.layout.chunks(level))
+
+    def _run(self, spot: Spot) -> range:
+        """The numbers of a task's chunks."""
+        level, run = spot
+        return range(run * RUN, min((run + 1) * RUN, self._count(level)))

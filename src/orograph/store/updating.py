@@ -1,0 +1,285 @@
+"""Updating a store: only what changed inputs have a say in is made again, to the bytes of a new build.
+
+A store that is built with ``update=True`` keeps what its tasks found (``parts/``). An update begins a new build beside
+the store, puts there whatever no changed input reaches (shards of full resolution and parts, as hard links where the
+file system has them), and goes on from that as from an interrupted build: what is there is proved by its digests, what
+is lacking is made, and all that follows of both is written. The store's readers keep the old files until the new store
+takes its place.
+
+What reaches how far: heights of a shard depend on its own samples and a row and a column beyond. The errors of an area
+depend on samples within ``REACH``, on the lowest heights of tiles there, and, for octave k ≥ ``SMALL``, on the samples
+at multiples of 2^k within 2^(k+1) of it. (The codes depend on the terrain's height range: parts made with another one
+do not count, see ``survey``.) What is kept of a source lattice depends on the samples of the terrain that lie there.
+Units: samples.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from orograph.error.diamonds import ALIGNED, REACH, SMALL
+from orograph.errors import UsageError
+from orograph.progress import Progress
+from orograph.store.coding import Coding
+from orograph.store.colors import COLORS
+from orograph.store.diamond_table import diamond_spec
+from orograph.store.digests import Spot
+from orograph.store.inputs import inputs_of
+from orograph.store.layers import LAYERS
+from orograph.store.layout import PARTS, Record, dumps, heights_spec
+from orograph.store.places import PLAN, ROOT, begun, is_store
+from orograph.store.plan import compared, differing, plan_of
+from orograph.store.pyramid import part_key, tasks
+from orograph.store.resampling import look_key
+from orograph.store.source import HeightSource
+from orograph.store.storage import FolderStorage, Storage
+from orograph.store.stored import read_record
+from orograph.store.survey import area_of, errors_key
+from orograph.store.terrain import TILE, Shape, exponent
+
+Window = tuple[int, int, int, int]
+"""Rows and columns, half-open."""
+
+
+def check_updatable(final: Storage, said: dict[str, bool]) -> None:
+    """Raise UsageError where an update is asked for together with what it excludes, or in a bucket.
+
+    Args:
+        said: which other ways of building are asked for, by their names.
+    """
+    for other, given in said.items():
+        if given:
+            raise UsageError(f"`update` and `{other}` exclude each other.")
+    if not isinstance(final, FolderStorage):
+        raise UsageError(
+            "A store is updated in a folder, not at a URL.", path=final.url, remedy="Update a folder and publish that."
+        )
+
+
+class Begun(NamedTuple):
+    """How an update begins.
+
+    Attributes:
+        plan: to go by. going_on: whether something of it is there. complete: whether there is nothing to do.
+    """
+
+    plan: dict[str, Any]
+    going_on: bool
+    complete: bool = False
+
+
+def begin(
+    final: FolderStorage, storage: FolderStorage, plan: dict[str, Any], raster: HeightSource, coding: Coding | None,
+    progress: Progress,
+) -> Begun:  # fmt: skip
+    """Begin an update, or go on with one that was interrupted; where there is no store, begin a build.
+
+    Args:
+        final: the store. storage: where the new one is made.
+        plan: of the new one. raster, coding: its heights, and how they are kept.
+
+    Raises:
+        StoreError: something else lies there.
+    """
+    there = is_store(final)
+    if there and not differing(_sized(plan, before := plan_of(read_record(final))), before):
+        return Begun(plan, False, True)
+    if (data := storage.get(PLAN)) is not None and not differing(_sized(plan, before := _read(data)), before):
+        return Begun(_sized(plan, before), True)
+    if not there and not begun(storage):
+        compared(final, storage, plan, True)
+    storage.remove(ROOT)  # first, lest what is left look complete
+    storage.remove()
+    found = seeded(final, storage, plan, raster, coding, progress) if there else None
+    storage.put(PLAN, [dumps(found or plan)])
+    return Begun(found or plan, found is not None)
+
+
+def _read(data: bytes) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = json.loads(data)
+    except ValueError:
+        return {}
+    return found
+
+
+def _sized(plan: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """A plan with the shards that there are: how large they are made follows from the memory allowed."""
+    return {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
+
+
+def seeded(
+    final: FolderStorage, storage: FolderStorage, plan: dict[str, Any], raster: HeightSource, coding: Coding | None,
+    progress: Progress,
+) -> dict[str, Any] | None:  # fmt: skip
+    """Put what has not changed of a store where the new one is made.
+
+    Args:
+        final: the store. storage: where the new one is made; nothing is there.
+        plan: of the new one. raster, coding: its heights, and how they are kept.
+
+    Returns:
+        The plan to go on by; None where everything is made again, and a note says why.
+    """
+    record = read_record(final)
+    if later := ", ".join([*LAYERS.of(record), *(["color errors"] if COLORS.of(record) else [])]):
+        progress.warn(
+            f"{final.url}: what was added to the store later is not kept, for it is of the terrain as it was: {later}."
+        )
+    before = {**plan_of(record), "source": None, "name": None}
+    sized = _sized(plan, before)
+    changed: list[Window] = []
+    why = differing({**sized, "source": None, "name": None}, before)
+    why = f"its {why} differ" if why else ""
+    if not why:
+        why = _unlike(final, record, raster, coding)
+    if not why:
+        found = changed_windows(record.inputs or {}, inputs_of(raster) or {})
+        why, changed = ("", found) if isinstance(found, list) else (found, [])
+    if why:
+        progress.note(f"{final.url}: everything is made again: {why}")
+        return None
+    shape = record.grid.shape
+    every, sides = tasks(shape, record.shard), tasks(shape, area_of(record.shard))
+    heights = [spot for spot in every if not _meets(_grown(spot, record.shard, 1), changed)]
+    near = list(_of_errors(shape, changed))
+    errors = [spot for spot in sides if not _meets(_grown(spot, area_of(record.shard), 0), near)]
+    _link(final, storage, _keys(record, heights, errors))
+    _link(final, storage, _keys_of_lattices(record, changed))
+    left = len(every) - len(heights)
+    progress.note(
+        f"{final.url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
+        f"{len(sides):,} of errors are made again"
+    )
+    return sized
+
+
+def _unlike(final: FolderStorage, record: Record, raster: HeightSource, coding: Coding | None) -> str:
+    """Why nothing of a store with an equal plan can be kept; empty if something can."""
+    if not final.exists(PARTS):
+        return "it was built without `update`, and keeps no parts"
+    before = record.coding
+    if (None if before is None else before.step) != (None if coding is None else coding.step):
+        return "the data have other steps now"
+    lattices = [lattice.grid for lattice in getattr(raster, "resampled_from", ())]
+    if lattices != [lattice.grid for lattice in record.lattices]:
+        return "its sources lie on other lattices, or their samples are not kept"
+    return ""
+
+
+def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window] | str:
+    """Where inputs were added, changed or removed; or why that cannot be told.
+
+    Args:
+        before, now: as of ``inputs.inputs_of``.
+    """
+    if not before or not now or "windows" not in before:
+        return "it was not built from files"
+    if before["options"] != now["options"] or before.get("geoid") != now.get("geoid"):
+        return "its options differ"
+    old, new = _by_path(before), _by_path(now)
+    if len(old) < len(before["files"]) or len(new) < len(now["files"]):
+        return "a file is named twice"
+    if [path for path in old if path in new] != [path for path in new if path in old]:
+        return "its files have another order"
+    if any(state[0]["size"] is None for state in (*old.values(), *new.values())):
+        return "of files at URLs it cannot be told whether they changed"
+    same = {path for path in old.keys() & new.keys() if old[path] == new[path]}
+    return [state[2] for states in (old, new) for path, state in states.items() if path not in same]
+
+
+def _by_path(inputs: dict[str, Any]) -> dict[str, tuple[dict[str, Any], list[dict[str, Any]], Window]]:
+    return {
+        file["path"]: (file, beside, tuple(window))
+        for file, beside, window in zip(inputs["files"], inputs["beside"], inputs["windows"])
+    }
+
+
+def _of_errors(shape: Shape, changed: Iterable[Window]) -> Iterator[Window]:
+    """Where errors depend on samples of windows."""
+    for window in changed:
+        yield _widened(window, TILE + REACH + ALIGNED)
+        for octave in range(SMALL, exponent(shape)):
+            step = 1 << octave
+            rows, cols = (
+                _multiples(window[2 * axis], window[2 * axis + 1], step, shape[axis]) for axis in range(2)
+            )  # fmt: skip
+            if rows and cols:
+                yield _widened((rows[0], rows[1] + 1, cols[0], cols[1] + 1), 2 * step)
+
+
+def _multiples(first: int, end: int, step: int, size: int) -> tuple[int, int] | None:
+    """The first and the last multiple of a step in a span, for which the raster's last sample counts, too."""
+    low, high = -(-first // step) * step, (end - 1) // step * step
+    if end >= size:
+        low, high = min(low, size - 1), size - 1
+    return (low, high) if low <= high else None
+
+
+def _widened(window: Window, by: int) -> Window:
+    return window[0] - by, window[1] + by, window[2] - by, window[3] + by
+
+
+def _grown(spot: Spot, side: int, beyond: int) -> Window:
+    """A task's samples, and some that follow."""
+    row, col = spot[0] * side, spot[1] * side
+    return row, row + side + beyond, col, col + side + beyond
+
+
+def _meets(one: Window, others: Iterable[Window]) -> bool:
+    return any(one[0] < b[1] and b[0] < one[1] and one[2] < b[3] and b[2] < one[3] for b in others)
+
+
+def _keys(record: Record, heights: Iterable[Spot], errors: Iterable[Spot]) -> Iterator[str]:
+    """What tasks wrote and kept."""
+    shape, sizes = record.grid.shape, (record.shard, record.chunk)
+    finest = heights_spec(shape, 0, *sizes, record.coding)
+    for spot in heights:
+        yield finest.key(spot)
+        yield part_key(spot)
+    specs = [diamond_spec(shape, 0, name, *sizes) for name in (*plan_of(record)["errors"], "radius")]
+    area = area_of(record.shard)
+    for spot in errors:
+        yield errors_key(spot)
+        for spec in specs:
+            rows, cols = (range(at * area // spec.shard, (at + 1) * area // spec.shard) for at in spot)
+            yield from (spec.key((i, j)) for i in rows for j in cols)
+
+
+def _keys_of_lattices(record: Record, changed: list[Window]) -> Iterator[str]:
+    """What tasks wrote and kept of source lattices; their windows are looked for on the terrain, generously."""
+    from affine import Affine
+
+    from orograph.dem.layers import box_of
+    from orograph.geo.grid import Grid, compose
+
+    for number, lattice in enumerate(record.lattices):
+        spec = lattice.spec(number, record.shard, record.chunk)
+        for spot in tasks(spec.shape, spec.shard):
+            row0, row1, col0, col1 = spec.window(spot)
+            place = compose(lattice.grid.transform, Affine.translation(col0, row0))
+            grid = Grid((row1 - row0, col1 - col0), place, lattice.grid.crs)
+            if not _meets(box_of(grid, record.grid, 17), changed):
+                yield look_key(number, spot)
+                yield spec.key(spot)
+
+
+def _link(final: FolderStorage, storage: FolderStorage, keys: Iterable[str]) -> None:
+    """Put files of one store where another is made; those that are not there are left out."""
+    made: set[Path] = set()
+    for key in keys:
+        source, target = final.path / key, storage.path / key
+        if target.parent not in made:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            made.add(target.parent)
+        try:
+            os.link(source, target)
+        except FileNotFoundError:
+            continue
+        except OSError:  # (a file system without links)
+            shutil.copyfile(source, target)

@@ -1,0 +1,116 @@
+"""What people try first is answered with what to use, and what functions give shows itself."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from affine import Affine
+
+import orograph
+from orograph.errors import ReadError, UsageError
+
+
+@pytest.fixture(scope="module")
+def dem():
+    y, x = np.mgrid[:60, :80] * 30.0
+    heights = (500 + 90 * np.sin(x / 300) * np.cos(y / 250)).astype(np.float32)
+    return orograph.Dem(heights, orograph.Grid((60, 80), Affine(30, 0, 500_000, 0, -30, 4_000_000), "EPSG:32611"))
+
+
+@pytest.mark.parametrize(
+    ("guess", "said"),
+    [
+        ("hillshade", 'orograph.light(dem, "hillshade")'),
+        ("svf", 'orograph.light(dem, "sky-view-factor")'),
+        ("sky_view_factor", 'orograph.light(dem, "sky-view-factor")'),
+        ("viewshed", "orograph.measure.viewshed"),
+        ("profile", "orograph.measure.profile"),
+        ("contours", "orograph.render(dem, contours=50)"),
+        ("mosaic", "orograph.build"),
+        ("rendr", "Did you mean orograph.render or"),
+    ],
+)
+def test_names_that_are_elsewhere(guess, said):
+    with pytest.raises(AttributeError) as error:
+        getattr(orograph, guess)
+    assert said in str(error.value)
+
+
+def test_names_that_nothing_is_like():
+    with pytest.raises(AttributeError, match=r"has no attribute 'zzzz'$"):
+        _ = orograph.zzzz
+    assert not hasattr(orograph, "__wrapped__")
+
+
+@pytest.mark.parametrize(
+    ("option", "there"),
+    [("vmin", "range"), ("clim", "range"), ("texture", "layers"), ("drape", "layers"), ("cmap", "colormap"),
+     ("z_factor", "exaggeration")],
+)  # fmt: skip
+def test_options_of_other_libraries(dem, option, there):
+    with pytest.raises(UsageError, match=f"It is called {there} here"):
+        orograph.render(dem, **{option: 1})
+
+
+def test_suns_and_points_that_are_given_otherwise(dem):
+    with pytest.raises(UsageError, match=r"sun=\(315, 45\)"):
+        orograph.light(dem, "hillshade", azimuth=315)
+    with pytest.raises(UsageError, match=r"It is profile\(terrain, polyline, lonlat\)"):
+        orograph.measure.profile(dem, (500_100, 3_999_000), (500_900, 3_999_500))
+
+
+def test_results_say_what_they_are(dem):
+    assert re.fullmatch(r"<Map 'slope': 60 × 80 samples, 30 m apart, .*>", repr(orograph.light(dem, "slope")))
+    line = orograph.measure.profile(dem, [(500_100, 3_999_000), (501_900, 3_999_500)])
+    assert re.fullmatch(r"<Profile over 'terrain': [\d,]+ m along the ground, 1,869 m across, .* places>", repr(line))
+    shed = orograph.measure.viewshed(dem, (501_000, 3_999_000))
+    assert repr(shed).startswith("<Viewshed 'from 501000, 3999000': eye 1.7 m, 60 × 80 samples")
+    seen = shed.to_xarray()
+    assert seen.dims == ("y", "x") and np.array_equal(seen.values, shed.values(), equal_nan=True)
+    assert shed.summary()["seen"] == int((shed.values() > 0).sum())
+
+
+def test_results_are_drawn_on_axes(dem):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    fig, (left, right) = pyplot.subplots(1, 2)
+    image = orograph.light(dem, "slope").plot(left, cmap="magma")
+    assert image.get_extent() == [500_000, 502_400, 3_998_200, 4_000_000]
+    line = orograph.measure.profile(dem, [(500_100, 3_999_000), (501_900, 3_999_500)])
+    assert line.plot(right) is right and right.get_xlabel() == "distance (m)"
+    drawn = right.lines[0].get_ydata()
+    assert np.allclose(drawn, line.surface_heights)
+    pyplot.close(fig)
+
+
+def test_a_profile_is_a_table(dem):
+    pandas = pytest.importorskip("pandas")
+    line = orograph.measure.profile(dem, [(500_100, 3_999_000), (501_900, 3_999_500)])
+    table = line.to_dataframe(every=100)
+    assert isinstance(table, pandas.DataFrame) and len(table) == 20
+    assert table.distance_m.iloc[-1] == pytest.approx(line.distance[-1])
+
+
+def test_heights_at_many_points(dem):
+    points = np.column_stack([np.linspace(500_015, 502_385, 1000), np.linspace(3_999_985, 3_998_215, 1000)])
+    found = orograph.measure.heights(dem, points)
+    one = [orograph.measure.place(dem, point).height for point in points[::100]]
+    assert found.shape == (1000,) and found[::100] == pytest.approx(one)
+    degrees = orograph.measure.Places(dem).lonlat(points)
+    assert orograph.measure.heights(dem, degrees, lonlat=True) == pytest.approx(found, abs=1e-4)
+    with pytest.raises(UsageError, match=r"orograph\.measure\.heights"):
+        orograph.measure.place(dem, points)
+
+
+def test_a_pattern_names_the_files_that_it_matches(dem, tmp_path):
+    orograph.export(dem, tmp_path / "a.tif", progress=False)
+    moved = orograph.Grid(dem.grid.shape, Affine.translation(2400, 0) * dem.grid.transform, dem.grid.crs)
+    orograph.export(orograph.Dem(dem.heights, moved), tmp_path / "b.tif", progress=False)
+    both = orograph.terrain(str(tmp_path / "*.tif"))
+    assert both.grid.shape == (60, 160)
+    with pytest.raises(ReadError, match="no such file"):
+        orograph.terrain(str(tmp_path / "*.hgt"))
