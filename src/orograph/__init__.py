@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from orograph.verbs.doctor import doctor
     from orograph.verbs.export import export
     from orograph.verbs.info import info
+    from orograph.verbs.manifest import manifest
     from orograph.verbs.movie import movie
     from orograph.verbs.synth import synth
     from orograph.verbs.tessellate import tessellate
@@ -86,6 +87,7 @@ __all__ = [
     "fetch",
     "info",
     "light",
+    "manifest",
     "measure",
     "methods",
     "movie",
@@ -130,6 +132,7 @@ _HOMES = {
     "fetch": "orograph.fetching",
     "info": "orograph.verbs.info",
     "light": "orograph.lighting:make",
+    "manifest": "orograph.verbs.manifest",
     "measure": "orograph.measuring:",
     "methods": "orograph.lod.describe",
     "movie": "orograph.verbs.movie",

@@ -15,7 +15,7 @@ from affine import Affine
 from rasterio.io import MemoryFile
 
 from orograph.dem import Source
-from orograph.dem.handles import files_of, states
+from orograph.dem.deciding import files_of, states
 from orograph.errors import ReadError
 
 UTM = Affine(30, 0, 500000, 0, -30, 4000000)

@@ -30,6 +30,7 @@ VERBS = {
     "export": "Write heights, or data on the ground, for other tools.",
     "bake": "Bake light into a store: sky, occlusion, apertures.",
     "info": "Describe a DEM or a store, and what is suspicious about it.",
+    "manifest": "List what many DEM files are, once, for the other verbs.",
     "movie": "Film a tour of a DEM or a store.",
     "tour": "Make a tour: key frames for a movie.",
     "render": "Draw a relief picture of a DEM or a store.",

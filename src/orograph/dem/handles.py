@@ -12,14 +12,12 @@ memory, would break any promise about ours.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import re
 import struct
 import tarfile
 import threading
-import warnings
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
@@ -28,10 +26,13 @@ from pathlib import Path
 from typing import Any
 
 from orograph.dem.conventions import ACROSS, DOWN
+from orograph.dem.folders import crowded
 from orograph.dem.remote import is_remote, network
-from orograph.errors import ReadError, public
+from orograph.errors import ReadError
 
 IDLE = 48
+MANIFEST = ".manifest.geojsonl"
+"""How the names of manifests end (``dem.manifest``)."""
 CACHE = 64 << 20
 
 Key = tuple[str, tuple[int, int, int] | None]
@@ -64,6 +65,10 @@ class Seen:
 
         self._files = [(name, str(path), _stamp(path)) for name in dict.fromkeys(names) for path in (on_disk(name),)]
 
+    def states(self) -> list[tuple[int | None, int | None]]:
+        """Size and time of change (ns) of each file then; None, None of what is not on this disk."""
+        return [(None, None) if stamp is None else (stamp[1], stamp[0]) for *_, stamp in self._files]
+
     def changed(self) -> str | None:
         """The first of them that is another now; None if none is."""
         return next((name for name, path, stamp in self._files if _stamp(path) != stamp), None)
@@ -82,6 +87,8 @@ def _settings(location: str) -> dict[str, Any]:
         "VRT_SHARED_SOURCE": "0", "GTIFF_REPORT_COMPD_CS": True,
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
         **bounded_cache(), **network(location),
+        # GDAL itself gives up listing such a folder, after the first thousand names each time.
+        **({"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE"} if crowded(location) else {}),
     }  # fmt: skip
 
 
@@ -164,44 +171,9 @@ def lent(location: str) -> Iterator[tuple[Any, Key]]:
         yield dataset, stamped(location)
 
 
-def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
-    """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources',
-    by GDAL's names of them.
-
-    Raises:
-        ReadError: it cannot be opened.
-    """
-    from orograph.dem.whole.files import files_in
-    from orograph.dem.whole.virtual import locations
-
-    with HANDLES.borrow(location) as dataset:
-        names, virtual = files_in(dataset), dataset.driver == "VRT"
-        if virtual:
-            names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
-            names += locations(dataset, stamped(location))
-    found = dict.fromkeys([location, *sorted(names)])
-    if virtual:
-        for name in names:
-            if name not in known and name != location:
-                with contextlib.suppress(ReadError):  # a source that is not there matters when it is read
-                    found.update(dict.fromkeys(files_of(name, known | {location})))
-    return list(found)
-
-
-def states(names: Iterable[str]) -> list[str]:
-    """What files are now, a text for each: absolute name, size and time of change. Of what is not on this disk its name
-    alone: to ask servers for all parts of a mosaic takes longer than to read some of them."""
-    from orograph.dem.whole.files import absolute, on_disk
-
-    said = []
-    for name in names:
-        try:
-            found = on_disk(name).stat()
-        except (OSError, ValueError):
-            said.append(public(name))  # (an address that is signed anew means the same file)
-        else:
-            said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
-    return said
+def is_manifest(path: str | os.PathLike[str]) -> bool:
+    """Whether a file lists others (``dem.manifest``), by its name."""
+    return os.fspath(path).lower().endswith(MANIFEST)
 
 
 def locate(path: str | os.PathLike[str]) -> str:
@@ -218,6 +190,10 @@ def locate(path: str | os.PathLike[str]) -> str:
     if "://" in text or text.startswith("/vsi") or (":" in text and not Path(text).exists() and text[1:2] != ":"):
         return text
     file = Path(text)
+    if is_manifest(text):
+        raise ReadError(
+            "This is a manifest, which lists rasters; here one raster is wanted.", path=text, remedy="Name one of them."
+        )
     if file.is_dir() and not (file / "hdr.adf").exists() and not file.suffix.lower() == ".zarr":
         raise ReadError(
             "This is a directory, not an elevation raster.", path=text, remedy="Name the files in it, e.g. DIR/*.tif."
@@ -267,7 +243,7 @@ def _absent(file: Path, error: OSError | ValueError) -> ReadError:
     )
 
 
-_SIDECARS = {
+SIDE_FILES = {
     ".xml",
     ".txt",
     ".prj",
@@ -312,7 +288,7 @@ def _member(file: Path) -> str:
             path=file,
             remedy="Fetch it again, or unpack it by hand.",
         ) from None
-    rasters = [n for n in names if Path(n).suffix.lower() not in _SIDECARS] if len(names) > 1 else names
+    rasters = [n for n in names if Path(n).suffix.lower() not in SIDE_FILES] if len(names) > 1 else names
     if len(rasters) == 1:
         return rasters[0]
     if not rasters:
@@ -332,7 +308,7 @@ def open_dataset(location: str) -> Any:
         ReadError: GDAL cannot open it, or it is a container of several rasters.
     """
     import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.errors import RasterioError
 
     from orograph.dem.missing import KEEP_RANGE, is_limited
     from orograph.dem.whole import DAMAGED, fault_before
@@ -342,8 +318,7 @@ def open_dataset(location: str) -> Any:
     if fault is not None:
         raise ReadError(fault, path=location, remedy=DAMAGED)
     try:
-        with OPENING, warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with OPENING:
             dataset = rasterio.open(location)
             if is_limited(dataset):
                 dataset.close()

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
 from orograph.dem.area import Area, said
-from orograph.dem.handles import files_of, states
+from orograph.dem.deciding import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
 from orograph.dem.layers import fill, layer_of, reaches
 from orograph.dem.placing import placed, scale_at_centre, scales, turned
@@ -60,9 +60,11 @@ class Mosaic:
         attribution: whom the sources' makers want to be named, each once.
         dtypes: the stored types of the sources, e.g. ("int16",).
         skipped: what could not be opened and was left out, each with its cause.
+        named: the names it was opened by where manifests were among them.
     """
 
     skipped: tuple[str, ...] = ()
+    named: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -154,7 +156,8 @@ class Mosaic:
         """Open files (headers only) and choose the grid that holds them all.
 
         Args:
-            paths: one file or many; of those on one lattice the first named wins where several have a sample.
+            paths: one file or many, or manifests of them (``dem.manifest``); of those on one lattice the first named
+                wins where several have a sample.
             crs: projected CRS of the terrain; one in feet is used with metre axes.
             resolution: metres between samples of the terrain.
             resampling: "nearest", "bilinear" or "cubic"; has no effect where samples are kept.
@@ -171,25 +174,19 @@ class Mosaic:
                 geoid grid is missing or does not cover it.
             UsageError: options that cannot be understood, or heights of another datum than a conversion starts from.
         """
+        from orograph.dem.manifest import opened
         from orograph.dem.source import Source
 
         names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-        sources: list[Raster] = []
-        damaged: list[ReadError] = []
-        with progress.task("Opening files", total=len(names)) as task:
-            for path in names:
-                try:
-                    sources.append(Source.open(path, **options))
-                except ReadError as error:
-                    damaged.append(error)
-                task.advance()
+        found = opened(names, options, progress)
+        sources, damaged = found.sources, found.damaged
         if damaged and not (skip_damaged and sources):
-            raise _unread(damaged, len(names))
+            raise unread(damaged, found.files)
         if len(sources) == 1 and min(sources[0].grid.shape) < 2:
             rows, cols = sources[0].grid.shape
             raise ReadError(
                 f"The raster has {rows} × {cols} samples (rows × columns); a surface needs at least two of each.",
-                path=names[0],
+                path=found.sources[0].path,
                 remedy="Name files that hold more, or the files beside it as well.",
             )
         usual = inspect.signature(Source.open).parameters
@@ -204,9 +201,10 @@ class Mosaic:
             clip=clip,
             options={name: value for name, value in options.items() if value != usual[name].default},
         )
+        made.named = tuple(os.fspath(name) for name in names) if found.manifests else ()
         made.skipped = tuple(f"{error.path}: {error.what}" for error in damaged)
         if damaged:
-            made.warnings.append(f"{_count(damaged, len(names))} left out: {_listed(damaged)}")
+            made.warnings.append(f"{_count(damaged, found.files)} left out: {_listed(damaged)}")
         return made
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
@@ -254,8 +252,8 @@ class Mosaic:
         return [found[id(source)] for source in self.sources]
 
     def fingerprint(self) -> str:
-        """A hash of all files (``handles.files_of``: absolute path, size, time of change) and all options: if equal, so
-        are the samples."""
+        """A hash of all files (``deciding.files_of``: absolute path, size, time of change) and all options: if equal,
+        so are the samples."""
         said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
         said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
         for source in self.sources:
@@ -352,7 +350,7 @@ TOLD = 20
 """Damaged files that a message names."""
 
 
-def _unread(damaged: Sequence[ReadError], count: int) -> ReadError:
+def unread(damaged: Sequence[ReadError], count: int) -> ReadError:
     """What says of all files that cannot be opened why; of a single one, its own error."""
     if len(damaged) == 1:
         return damaged[0]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from orograph.dem.handles import locate
+from orograph.dem.handles import is_manifest, locate
 from orograph.dem.header import parsed_crs
 from orograph.dem.source import HUGE
 from orograph.dem.tables import DEGREES, number, places_in, read_table
@@ -73,7 +73,7 @@ def is_points(path: str | os.PathLike[str]) -> bool:
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != ".gpkg":
-        return suffix in (*TABLES, *CLOUDS, *VECTORS)
+        return not is_manifest(path) and suffix in (*TABLES, *CLOUDS, *VECTORS)
     with (
         contextlib.suppress(sqlite3.Error),
         contextlib.closing(sqlite3.connect(f"file:{file.as_posix()}?mode=ro", uri=True)) as base,

@@ -34,6 +34,7 @@ from orograph.dem.bands import (
     is_picture,
     unit_tag,
 )
+from orograph.dem.deciding import know
 from orograph.dem.doubts import doubts
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
@@ -142,7 +143,10 @@ class Source:
         opened = [Seen([location])]
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
-            opened.append(Seen(files_in(dataset)))  # headers, masks and the parts of a VRT, too
+            names = files_in(dataset)
+            opened.append(Seen(names))  # headers, masks and the parts of a VRT, too
+            if dataset.driver not in ("VRT", "Zarr"):
+                know(location, names)
             check_size(dataset, path)
             check_band(dataset, band, path)
             if encoding is not None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import states
+from orograph.dem.deciding import states
 from orograph.dem.lattice import FLOAT
 from orograph.dem.source import Source
 from orograph.errors import ReadError

@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.dem.handles import HANDLES, files_of, states
+from orograph.dem.deciding import files_of, states
+from orograph.dem.handles import HANDLES
 from orograph.errors import StoreError
 from orograph.folders import cache_folder
 from orograph.geovis.imagery import PICKS, ImageWindow, pieces, shrink

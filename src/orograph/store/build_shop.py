@@ -72,6 +72,8 @@ def recipe_of(
     if storage.url.startswith("memory:"):
         raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Name a folder.")
     files, options = said
+    if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
+        files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
     url, _ = storage.named()
     return BuildRecipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)

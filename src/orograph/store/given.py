@@ -58,7 +58,7 @@ def is_dataset(thing: Any) -> bool:
 def files_of(given: Any) -> list[str] | None:
     """The files and stores that something names, by path, or as open datasets of them; None of all else."""
     if isinstance(given, str | os.PathLike):
-        return _matching(os.fspath(given))
+        return matching(os.fspath(given))
     from orograph.dem.datasets import file_of
 
     if is_dataset(given):
@@ -71,7 +71,7 @@ def files_of(given: Any) -> list[str] | None:
     return None
 
 
-def _matching(path: str) -> list[str]:
+def matching(path: str) -> list[str]:
     """The files that a pattern ("tiles/*.tif") matches, sorted by name; any other path alone."""
     if "://" in path or not ("*" in path or "?" in path) or os.path.lexists(path):
         return [path]

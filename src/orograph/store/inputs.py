@@ -37,7 +37,8 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
 
 def _beside(path: str) -> list[dict[str, Any]]:
     """The other files on this disk that decide an input's samples."""
-    from orograph.dem.handles import files_of, locate
+    from orograph.dem.deciding import files_of
+    from orograph.dem.handles import locate
     from orograph.dem.scattered import is_points
 
     if is_points(path):

@@ -274,12 +274,12 @@ def _link(final: FolderStorage, storage: FolderStorage, keys: Iterable[str]) -> 
     made: set[Path] = set()
     for key in keys:
         source, target = final.path / key, storage.path / key
+        if not source.exists():
+            continue
         if target.parent not in made:
             target.parent.mkdir(parents=True, exist_ok=True)
             made.add(target.parent)
         try:
             os.link(source, target)
-        except FileNotFoundError:
-            continue
         except OSError:  # (a file system without links)
             shutil.copyfile(source, target)

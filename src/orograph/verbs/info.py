@@ -58,6 +58,7 @@ def info(
         UsageError: it is nothing that holds heights, none lie in the area, or an option does not fit.
     """
     from orograph.dem.area import Area
+    from orograph.dem.handles import is_manifest
     from orograph.dem.scattered import is_points
     from orograph.store.detect import is_store
     from orograph.store.given import files_of
@@ -67,7 +68,7 @@ def info(
     area = Area.of(bbox, clip)
     store = files is not None and len(files) == 1 and is_store(files[0])
     points = files is not None and len(files) == 1 and is_points(files[0])
-    if files is None or len(files) > 1 or ((store or points) and area is not None):
+    if files is None or len(files) > 1 or is_manifest(files[0]) or ((store or points) and area is not None):
         from orograph.store.opening import terrain
 
         part = {} if area is None else {"bbox": bbox, "clip": clip}

@@ -10,7 +10,6 @@ it is, and repeat its last bytes behind it: these are compared whatever the code
 from __future__ import annotations
 
 import threading
-import warnings
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -177,7 +176,7 @@ def _zstandard(data: bytes, least: int, most: int) -> str | None:
 def _jpeg(dataset: Any, data: bytes, band: int) -> str | None:
     """What is wrong with a block of JPEG, whose tables stand once for all: libtiff goes on where libjpeg warns, so the
     block is decoded as a file of its own, of which GDAL is told to take warnings for errors (``handles``)."""
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.errors import RasterioError
     from rasterio.io import MemoryFile
 
     if dataset.dtypes[band - 1] != "uint8":
@@ -185,11 +184,9 @@ def _jpeg(dataset: Any, data: bytes, band: int) -> str | None:
     tables = bytes.fromhex(dataset.get_tag_item("JPEGTABLES", "TIFF", bidx=band) or "")
     whole = tables[:-2] + data[2:] if tables else data
     try:
-        with OPENING, warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with MemoryFile(whole, ext=".jpg") as file, file.open(driver="JPEG") as block:
-                block.read()
-                wide = block.width
+        with OPENING, MemoryFile(whole, ext=".jpg") as file, file.open(driver="JPEG") as block:
+            block.read()
+            wide = block.width
     except (RasterioError, OSError, ValueError):
         wide = 0
     return None if wide == dataset.block_shapes[band - 1][1] else "its JPEG stream is damaged"

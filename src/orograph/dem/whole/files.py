@@ -8,6 +8,7 @@ import shutil
 import tarfile
 import tempfile
 import threading
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -19,7 +20,34 @@ from orograph.errors import ReadError
 
 DAMAGED = "The file is damaged or was cut short: fetch it again, or restore it from a copy."
 
-OPENING = threading.Lock()  # catch_warnings is not safe in threads: it may leave another's filters behind
+
+class _Opening:
+    """Keeps rasterio from warning of files without a place, in all threads that open files meanwhile: of filters that
+    each thread sets for itself, those of another may be left behind."""
+
+    def __init__(self) -> None:
+        self._lock, self._count = threading.Lock(), 0
+        self._filters: warnings.catch_warnings[None] | None = None
+
+    def __enter__(self) -> None:
+        from rasterio.errors import NotGeoreferencedWarning
+
+        with self._lock:
+            if self._filters is None:
+                self._filters = warnings.catch_warnings()
+                self._filters.__enter__()
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            self._count += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._count -= 1
+            if self._count == 0 and self._filters is not None:
+                self._filters.__exit__(None, None, None)
+                self._filters = None
+
+
+OPENING = _Opening()
 
 _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 """Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""

@@ -1,0 +1,353 @@
+"""A manifest: what many elevation files are, so that none has to be opened to know.
+
+It is GeoJSON, one feature a line (``*.manifest.geojsonl``), which GIS programs draw and any editor edits: footprint,
+what people ask of a file (path, size, time of change, shape, type, resolution, CRS, datum, nodata value), and under
+``header`` whatever ``Source`` needs besides. It is taken wherever files are named. Lines may be removed or put in
+another order, which is the order of precedence; a line of a path alone, ``{"path": "a.tif"}``, is enough.
+
+What a line says counts only as long as it is true: a file is opened anew where its size or time of change, or what lies
+beside it under its name, is not what it was, where the line was edited, or made with other options.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from affine import Affine
+from pyproj import CRS
+
+from orograph.dem.area import degrees_of
+from orograph.dem.deciding import files_of, know
+from orograph.dem.folders import beside
+from orograph.dem.handles import MANIFEST, Seen, is_manifest
+from orograph.dem.header import parsed_crs
+from orograph.dem.missing import Valid
+from orograph.dem.remote import is_remote
+from orograph.dem.source import Source
+from orograph.documents import parse
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid, wkt_of
+from orograph.parallel import cpu_count, map_ordered
+from orograph.progress import SILENT, Progress
+
+AT_ONCE = 16
+"""Files on servers that are opened at once."""
+
+PLAIN = tuple(
+    one.name for one in fields(Source)
+    if one.name not in ("path", "location", "grid", "undeclared", "valid", "block", "attribution", "_opened")
+)  # fmt: skip
+"""What of a source is JSON as it is."""
+
+
+class Line(NamedTuple):
+    """One file of a manifest.
+
+    Attributes:
+        path: of the file. said: its other properties. folder: of the manifest, which paths are relative to.
+    """
+
+    path: str
+    said: Mapping[str, Any]
+    folder: Path
+
+    def source(self, options: Mapping[str, Any]) -> Source | None:
+        """The file, as the line describes it; None if it does not, or no longer.
+
+        Args:
+            options: those of ``Source.open`` that are not the usual.
+        """
+        header = self.said.get("header")
+        if not isinstance(header, dict) or self.said.get("check") != _check(self.said):
+            return None
+        if header["options"] != _plain(options):
+            return None
+        names = [_meant(name, self.folder) for name, *_ in header["files"]]
+        seen = Seen(names)
+        location = _meant(header["location"], self.folder)
+        if seen.states() != [tuple(state) for _, *state in header["files"]] or beside(location) != header["beside"]:
+            return None
+        know(location, names)
+        return _source(self.path, location, header, seen)
+
+
+class Named(NamedTuple):
+    """What ``opened`` makes of names.
+
+    Attributes:
+        sources, damaged: what could be opened, in order, and why what could not. files: how many in all.
+        manifests: whether any of the names was one.
+    """
+
+    sources: list[Source]
+    damaged: list[ReadError]
+    files: int
+    manifests: bool
+
+
+def opened(names: Sequence[str | os.PathLike[str]], options: Mapping[str, Any], progress: Progress = SILENT) -> Named:
+    """Open files, and those that manifests among them list; of these only what changed.
+
+    Args:
+        options: of ``Source.open``. progress: is told of the files.
+
+    Raises:
+        ReadError: a manifest cannot be read.
+    """
+    lines: list[Line] = []
+    for name in names:
+        lines += read(name) if is_manifest(name) else [Line(os.fspath(name), {}, Path())]
+    unusual = _unusual(options)
+
+    def one(line: Line) -> Source | ReadError:
+        try:
+            return line.source(unusual) or Source.open(line.path, **options)
+        except ReadError as error:
+            return error
+
+    found = Named([], [], len(lines), any(map(is_manifest, names)))
+    with progress.task("Opening files", total=len(lines)) as task:
+        for each in map_ordered(one, lines, _threads(lines)):
+            found.damaged.append(each) if isinstance(each, ReadError) else found.sources.append(each)
+            task.advance()
+    return found
+
+
+def read(path: str | os.PathLike[str]) -> list[Line]:
+    """The lines of a manifest.
+
+    Raises:
+        ReadError: it is not there, lists nothing, or a line is no JSON object with a path.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        cause = getattr(error, "strerror", None) or error
+        raise ReadError(
+            f"The manifest cannot be read: {cause}.", path=file, remedy="Make it: orograph manifest."
+        ) from None
+    lines = []
+    for number, row in enumerate(text.splitlines(), 1):
+        if row.strip():
+            lines.append(_line(row, number, file))
+    if not lines:
+        raise ReadError("The manifest lists no file.", path=file, remedy="Make it: orograph manifest.")
+    return lines
+
+
+def _line(row: str, number: int, file: Path) -> Line:
+    try:
+        return line_of(row, file.parent)
+    except (ValueError, LookupError, TypeError, AttributeError):
+        raise ReadError(
+            f"Line {number} of the manifest is no JSON object with a path.", path=file,
+            remedy='Mend or remove it; {"path": "tile.tif"} is enough.',
+        ) from None  # fmt: skip
+
+
+def line_of(row: str, folder: Path) -> Line:
+    """A line of a manifest in a folder.
+
+    Raises:
+        ValueError, LookupError, TypeError, AttributeError: it is no JSON object with a path.
+    """
+    said = parse(row)
+    said = said.get("properties", said)
+    path = said["path"]
+    if not isinstance(path, str) or not path:
+        raise ValueError(path)
+    return Line(_meant(path, folder), said, folder)
+
+
+def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str, ReadError | None]:
+    """The line of a file as it is now, and why it cannot be opened if it cannot.
+
+    Args:
+        line: what is known of it. options: of ``Source.open``. folder: of the manifest.
+    """
+    unusual = _unusual(options)
+    source = None if is_remote(line.path) else line.source(unusual)
+    try:
+        source = source or Source.open(line.path, **options)
+    except ReadError as error:
+        return _row(None, {"path": _said(line.path, folder), "error": error.what}), error
+    header = _header(source, unusual, folder)
+    grid = source.grid
+    said: dict[str, Any] = {
+        "path": _said(line.path, folder),
+        "size": header["files"][0][1] if header["files"] else None,
+        "mtime_ns": header["files"][0][2] if header["files"] else None,
+        "driver": source.driver,
+        "shape": list(grid.shape),
+        "dtype": source.dtype,
+        "resolution": list(grid.spacing),
+        "crs": None if grid.crs is None else grid.crs.name,
+        "vertical": source.vertical,
+        "nodata": _number(source.nodata),
+        "header": header,
+    }
+    said["check"] = _check(said)
+    # Parts of a VRT count, too, and they may come and go: it is opened whenever it is wanted.
+    if source.driver in ("VRT", "Zarr") or not _same(
+        source, _source(source.path, source.location, json.loads(json.dumps(header)), Seen(()))
+    ):
+        del said["header"], said["check"]
+    return _row(_footprint(grid), said), None
+
+
+def _header(source: Source, unusual: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    names = files_of(source.location)
+    seen = Seen(names)
+    grid = source.grid
+    return {
+        "location": _said(source.location, folder),
+        "files": [[_said(name, folder), *state] for name, state in zip(names, seen.states(), strict=True)],
+        "beside": beside(source.location),
+        "options": _plain(unusual),
+        "transform": list(grid.transform[:6]),
+        "shape": list(grid.shape),
+        "crs": None if grid.crs is None else grid.crs.srs,
+        **{name: _number(getattr(source, name)) for name in PLAIN},
+        "block": list(source.block),
+        "attribution": list(source.attribution),
+        "valid": None if source.valid is None else [[_number(v) for v in source.valid.others],
+                                                    _number(source.valid.low), _number(source.valid.high)],
+    }  # fmt: skip
+
+
+def _source(path: str, location: str, header: Mapping[str, Any], seen: Seen) -> Source:
+    """The source that a header describes."""
+    valid = header["valid"]
+    if valid is not None:
+        others, low, high = valid
+        valid = Valid(tuple(map(_value, others)), _value(low), _value(high))
+    rows, cols = header["shape"]
+    plain = {name: _value(header[name]) if name in ("nodata", "scale", "offset") else header[name] for name in PLAIN}
+    return Source(
+        path=path,
+        location=location,
+        grid=Grid(
+            (rows, cols), Affine(*header["transform"]), None if header["crs"] is None else parsed_crs(header["crs"])
+        ),
+        valid=valid,
+        block=(header["block"][0], header["block"][1]),
+        attribution=tuple(header["attribution"]),
+        _opened=[seen],
+        **plain,
+    )
+
+
+def _same(one: Source, other: Source) -> bool:
+    """Whether two sources read alike."""
+    mine, theirs = one.grid, other.grid
+    if (mine.shape, mine.transform[:6]) != (theirs.shape, theirs.transform[:6]) or not _same_crs(mine.crs, theirs.crs):
+        return False
+    alike = [
+        repr(getattr(one, name)) == repr(getattr(other, name)) for name in (*PLAIN, "block", "attribution", "valid")
+    ]
+    return all(alike)
+
+
+@lru_cache(maxsize=64)
+def _same_crs(one: CRS | None, other: CRS | None) -> bool:
+    """Whether two CRSs are written alike, which hashes of them are made of."""
+    if one is None or other is None:
+        return one is other
+    return one.to_wkt() == other.to_wkt() and wkt_of(one) == wkt_of(other)
+
+
+@lru_cache(maxsize=64)
+def _to_degrees(crs: CRS) -> Callable[[Any, Any], tuple[Any, Any]] | None:
+    from orograph.geo.transform import transformer
+
+    try:
+        return transformer(crs, degrees_of(Grid((1, 1), Affine.identity(), crs)))
+    except UsageError:
+        return None
+
+
+def _footprint(grid: Grid) -> dict[str, Any] | None:
+    """The outline of a grid's outermost samples in degrees, 8 places to a side; None where it cannot be said."""
+    move = None if grid.crs is None else _to_degrees(grid.crs)
+    if move is None:
+        return None
+    t, end = np.linspace(0, 1, 9)[:-1], np.zeros(8)
+    col = np.concatenate([t, end + 1, 1 - t, end, [0]]) * (grid.cols - 1)
+    row = np.concatenate([end, t, end + 1, 1 - t, [0]]) * (grid.rows - 1)
+    lon, lat = move(*grid.xy(col, row))
+    if not np.isfinite([lon, lat]).all():
+        return None
+    ring = [[round(float(x), 7), round(float(y), 7)] for x, y in zip(lon, lat, strict=True)]
+    return {"type": "Polygon", "coordinates": [ring]}
+
+
+def _row(geometry: Mapping[str, Any] | None, said: Mapping[str, Any]) -> str:
+    return json.dumps(
+        {"type": "Feature", "geometry": geometry, "properties": said}, ensure_ascii=False, allow_nan=False
+    )
+
+
+def _check(said: Mapping[str, Any]) -> str:
+    """A checksum of all that a line says, so that what was edited is noticed."""
+    rest = {name: value for name, value in said.items() if name != "check"}
+    return f"{zlib.crc32(json.dumps(rest, sort_keys=True).encode()):08x}"
+
+
+def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of ``Source.open`` that are not the usual."""
+    usual: dict[str, Any] = {"band": 1}
+    return {name: value for name, value in options.items() if value is not None and value != usual.get(name)}
+
+
+def _plain(options: Mapping[str, Any]) -> dict[str, str]:
+    return {name: repr(value) for name, value in sorted(options.items())}
+
+
+def _number(value: Any) -> Any:
+    """A value for JSON, which has no NaN and no infinity."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _value(said: Any) -> Any:
+    return float(said) if isinstance(said, str) else said
+
+
+def _said(name: str, folder: Path) -> str:
+    """A file's name as a manifest in a folder has it: relative if it lies below."""
+    if name.startswith("/vsi") or "://" in name or not Path(name).exists():
+        return name
+    file, here = Path(name).absolute(), folder.absolute()
+    return file.relative_to(here).as_posix() if file.is_relative_to(here) else str(file)
+
+
+def _meant(name: str, folder: Path) -> str:
+    """The file that a name in a manifest means."""
+    if name.startswith("/") or "://" in name or ":" in name:
+        return name
+    return os.path.join(folder, name)  # noqa: PTH118 (of mosaics thousands at a time)
+
+
+def _threads(lines: Sequence[Line]) -> int:
+    return AT_ONCE if any(is_remote(line.path) for line in lines[:64]) else cpu_count()
+
+
+def rows(
+    lines: Sequence[Line], options: Mapping[str, Any], folder: Path, jobs: int | None = None
+) -> Iterator[tuple[str, ReadError | None]]:
+    """``described`` of many files, in order, from so many threads."""
+    return map_ordered(lambda line: described(line, options, folder), lines, jobs or _threads(lines))
+
+
+__all__ = ["MANIFEST", "Line", "Named", "described", "is_manifest", "line_of", "opened", "read", "rows"]
