@@ -182,7 +182,11 @@ def test_lines_of_paths_are_enough_and_their_order_is_that_of_precedence(tmp_pat
 def test_patterns_and_folders(tiles: list[Path], tmp_path: Path) -> None:
     listed = tmp_path / "all.manifest.geojsonl"
     (tmp_path / "tiles" / "notes.txt").write_text("side file")
+    (tmp_path / "tiles" / "preview.PNG").write_bytes(b"a picture")
     assert manifest(tmp_path / "tiles", listed, progress=False).files == 4
+    inside = tmp_path / "tiles" / "all.manifest.geojsonl"
+    for _ in range(2):
+        assert manifest(tmp_path / "tiles", inside, progress=False).files == 4
     assert manifest([f"{tmp_path}/tiles/t*2.tif", tiles[1]], listed, progress=False).files == 2
     with pytest.raises(ReadError, match="There is no such file"):
         manifest(f"{tmp_path}/tiles/*.hgt", listed, progress=False)

@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
+from breaking import broken_off
 from buckets import ENVIRONMENT, bucket_server
 from surfaces import rough, source
 from webserver import until
@@ -128,18 +129,8 @@ def test_a_stale_listing_does_not_bring_back_what_an_earlier_build_has_left(s3):
 
 def interrupted(heights, url, puts, **options):
     """A build that is broken off after so many puts."""
-    left, put = [puts], BucketStorage.put
-
-    def stop(self, key, parts):
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        put(self, key, parts)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(BucketStorage, "put", stop)
-        with pytest.raises(KeyboardInterrupt):
-            store.build(heights, url, jobs=1, **SIZES, **options)
+    with broken_off(BucketStorage, puts):
+        store.build(heights, url, jobs=1, **SIZES, **options)
 
 
 def test_an_interrupted_build_is_resumed_to_the_same_bytes(s3, local):
@@ -343,18 +334,8 @@ def test_small_reads_are_put_together(s3, local):
 
 def test_a_store_is_published_with_all_its_bytes_and_its_root_last(s3, local):
     url = "s3://terrain/published/area.oro"
-    put, left = BucketStorage.put, [12]
-
-    def stop(self, key, parts):
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        put(self, key, parts)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(BucketStorage, "put", stop)
-        with pytest.raises(KeyboardInterrupt):
-            publish(local, url, jobs=1)
+    with broken_off(BucketStorage, 12):
+        publish(local, url, jobs=1)
     with pytest.raises(StoreError, match="not an Orograph store"):
         store.open(url)
     s3.well()

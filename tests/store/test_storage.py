@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from breaking import broken_off
 from hypothesis import given
 from hypothesis import strategies as st
 from surfaces import rough, source
@@ -78,20 +79,10 @@ def test_memory_urls(local):
         store.open("memory://orograph-test/nothing")
 
 
-def test_an_interrupted_build_at_a_url_is_resumed(local, monkeypatch):
+def test_an_interrupted_build_at_a_url_is_resumed(local):
     url = "memory://orograph-test/resumed"
-    put, left = FsspecStorage.put, [30]
-
-    def stop(self, key, parts):
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        put(self, key, parts)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(FsspecStorage, "put", stop)
-        with pytest.raises(KeyboardInterrupt):
-            store.build(source(HEIGHTS), url, jobs=1, **SIZES)
+    with broken_off(FsspecStorage, 30):
+        store.build(source(HEIGHTS), url, jobs=1, **SIZES)
     with pytest.raises(StoreError, match=r"incomplete.*resume=True"):
         store.open(url)
     with pytest.raises(StoreError, match="interrupted build"):

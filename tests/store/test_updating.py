@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,19 +26,19 @@ SIDE = 70
 """Samples along the sides of tiles; shards have 64."""
 
 
-def tile(folder: Path, i: int, j: int, seed: int, holes: bool = False) -> Path:
+def tile(folder: Path, i: int, j: int, seed: int, holes: bool = False, kind: str = "float32", nodata: float = np.nan):
     """A GeoTIFF of a mosaic of ``SIDE`` × ``SIDE`` samples."""
     rng = np.random.default_rng([seed, i, j])
     heights = (100 + rng.normal(0, 3, (SIDE, SIDE)).cumsum(0)).clip(1, 199).astype(np.float32)
     if holes:
-        heights[10:30, 20:40] = np.nan
+        heights[10:30, 20:40] = nodata
     path = folder / f"{i}_{j}.tif"
     place = Affine(10, 0, 500_000 + 10 * SIDE * j, 0, -10, 4_000_000 - 10 * SIDE * i)
     with rasterio.open(
-        path, "w", driver="GTiff", width=SIDE, height=SIDE, count=1, dtype="float32", crs="EPSG:32611",
-        transform=place, nodata=np.nan,
+        path, "w", driver="GTiff", width=SIDE, height=SIDE, count=1, dtype=kind, crs="EPSG:32611",
+        transform=place, nodata=nodata,
     ) as file:  # fmt: skip
-        file.write(heights, 1)
+        file.write(heights.astype(kind), 1)
     changed = path.stat().st_mtime_ns + 1_000_000 * (1 + seed)  # (lest two writes have one time)
     os.utime(path, ns=(changed, changed))
     return path
@@ -60,7 +61,7 @@ def grid_of_tiles(folder: Path, count: int = 5) -> list[Path]:
 OPTIONS = {"shard": 64, "chunk": 32, "progress": False}
 
 
-def fresh(files: list[Path], at: Path, **options) -> dict[str, str]:
+def fresh(files: Any, at: Path, **options) -> dict[str, str]:
     build(files, at, overwrite=True, **{**OPTIONS, **options}).close()
     return objects(at)
 
@@ -153,6 +154,33 @@ def test_resampled_sources(tmp_path, resolution, monkeypatch):
     del files[5]
     build(files, store, update=True, **OPTIONS, **options).close()
     assert objects(store) == fresh(files, other, **options)
+
+
+@pytest.mark.parametrize("now", [{"kind": "float32"}, {"kind": "int16", "nodata": -9999}])
+def test_sources_whose_numbers_are_of_another_kind(tmp_path, now):
+    (tmp_path / "tiles").mkdir()
+    whole = {"kind": "int16", "nodata": -32768, "holes": True}
+    files = [tile(tmp_path / "tiles", i, j, 0, **whole) for i in range(4) for j in range(4)]
+    store, other = tmp_path / "area.oro", tmp_path / "other.oro"
+    build(files, store, update=True, resolution=17.0, **OPTIONS).close()
+    if now["kind"] == "float32":
+        tile(tmp_path / "tiles", 0, 0, 3, **now)
+    else:
+        for k in range(16):
+            tile(tmp_path / "tiles", k // 4, k % 4, 0, holes=True, **now)
+    build(files, store, update=True, resolution=17.0, **OPTIONS).close()
+    assert objects(store) == fresh(files, other, resolution=17.0)
+
+
+def test_points(tmp_path):
+    rng = np.random.default_rng(0)
+    table, store = tmp_path / "p.csv", tmp_path / "p.oro"
+    for count in (300, 290):
+        places = [[0, 0], [900, 0], [0, 900], [900, 900], *rng.uniform(0, 900, (count, 2))]
+        points = np.c_[places, rng.uniform(0, 90, count + 4)]
+        np.savetxt(table, points, delimiter=",", header="x,y,z", comments="")
+        build(table, store, update=True, resolution=20, **OPTIONS).close()
+        assert objects(store) == fresh(table, tmp_path / "other.oro", resolution=20)
 
 
 def test_what_cannot_be_updated_is_made_again_and_a_note_says_why(tmp_path):

@@ -19,7 +19,7 @@ _DECIDING = re.compile(rb"<(?:SRS|GeoTransform|NoDataValue|UnitType|Offset|Scale
 _APART = 0.01  # samples
 
 
-def doubts(dataset: Any, band: int) -> list[str]:
+def diagnose(dataset: Any, band: int) -> list[str]:
     """Warnings of a note that says another CRS, place, unit, scale or nodata value than the GeoTIFF beside it.
 
     Args:

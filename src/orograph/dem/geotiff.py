@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orograph.dem.missing import check_text, impossible_nodata, nodata_of
 from orograph.dem.whole.files import here, stream
-from orograph.dem.whole.tiff import TiffFile
+from orograph.dem.whole.tiff import TiffFile, first_directory
 from orograph.dem.whole.tiff_tags import COUNTS, Directory
 from orograph.errors import ReadError
 
@@ -29,7 +29,7 @@ _APART = 0.75  # samples
 _MOST_IMAGES = 64
 
 
-def doubts(dataset: Any, band: int, asked: float | str | None, masked: bool, unit: float | None) -> list[str]:
+def diagnose(dataset: Any, band: int, asked: float | str | None, masked: bool, unit: float | None) -> list[str]:
     """Warnings of what a GeoTIFF on this disk says of itself; none of other formats.
 
     Args:
@@ -48,23 +48,20 @@ def doubts(dataset: Any, band: int, asked: float | str | None, masked: bool, uni
         return []
     found: list[str] = []
     with stream(name) as file:
-        size = file.seek(0, 2)
-        file.seek(0)
-        try:
-            tiff = TiffFile(file, size)
-            first = tiff.directory(tiff.first)
-        except (struct.error, ValueError):
-            return []  # GDAL judges
+        begun = first_directory(file)
+        if begun is None:
+            return []
+        tiff, first = begun
         keys = _keys(tiff, first, name)
-        found += _place_doubts(dataset, tiff, first, name)
+        found += _diagnose_place(dataset, tiff, first, name)
         text = tiff.text(first, _NODATA)
         if asked is None and dataset.nodatavals[band - 1] is not None:
             check_text(dataset, text)
         if asked is None and text:
             found += impossible_nodata(dataset, band, text)
         if asked is None and not masked and nodata_of(dataset, band, None, dataset.dtypes[band - 1]) is None:
-            found += _sparse_doubts(tiff, first)
-        found += _image_doubts(tiff, first, name)
+            found += _diagnose_blocks(tiff, first)
+        found += _diagnose_images(tiff, first, name)
     said = _UNITS.get(keys.get(_VERTICAL_UNITS, 0))
     if said is not None and unit is not None and abs(said - unit) > 1e-9:
         found.append(
@@ -92,7 +89,7 @@ def _keys(tiff: TiffFile, first: Directory, name: str) -> dict[int, int]:
     return {key: value for key, (place, _, value) in keys.items() if place == 0}
 
 
-def _place_doubts(dataset: Any, tiff: TiffFile, first: Directory, name: str) -> Iterator[str]:
+def _diagnose_place(dataset: Any, tiff: TiffFile, first: Directory, name: str) -> Iterator[str]:
     """What its tags say of where it lies against the place that GDAL makes of them."""
     scale, ties, matrix = (tiff.doubles(first, tag) for tag in (_SCALE, _TIES, _MATRIX))
     turned = tiff.numbers(first, 274)
@@ -139,7 +136,7 @@ def _far(matrix: NDArray[np.float64], dataset: Any) -> tuple[float, float]:
     )
 
 
-def _sparse_doubts(tiff: TiffFile, first: Directory) -> Iterator[str]:
+def _diagnose_blocks(tiff: TiffFile, first: Directory) -> Iterator[str]:
     """Blocks that are not written, where nothing says that they are missing."""
     for tag in COUNTS:
         sizes = tiff.numbers(first, tag)
@@ -151,7 +148,7 @@ def _sparse_doubts(tiff: TiffFile, first: Directory) -> Iterator[str]:
             )
 
 
-def _image_doubts(tiff: TiffFile, first: Directory, name: str) -> Iterator[str]:
+def _diagnose_images(tiff: TiffFile, first: Directory, name: str) -> Iterator[str]:
     """Further images that are no overviews and no masks of the first, which is the one that is read."""
     directory, number = first, 1
     shape = _shape(tiff, first)

@@ -35,7 +35,7 @@ from orograph.dem.bands import (
     unit_tag,
 )
 from orograph.dem.deciding import know
-from orograph.dem.doubts import doubts
+from orograph.dem.diagnostics import diagnose
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
@@ -169,7 +169,7 @@ class Source:
             plain = encoding is None
             if plain:
                 masked = mask != "none"
-                warnings += doubts(dataset, band, nodata=nodata, unit=vertical_unit, masked=masked, crs=crs)
+                warnings += diagnose(dataset, band, nodata=nodata, unit=vertical_unit, masked=masked, crs=crs)
                 check_scale(dataset, band)
             return cls(
                 path=os.fspath(path),

@@ -28,10 +28,10 @@ _OPENED = IDLE
 _MOST_RECTANGLES = 4096
 
 
-def doubts(
+def diagnose(
     dataset: Any, band: int, *, nodata: float | str | None, unit: str | None, masked: bool, crs: CRS | None
 ) -> list[str]:
-    """Warnings of a VRT; the arguments are those of ``doubts.doubts``."""
+    """Warnings of a VRT; the arguments are those of ``diagnostics.diagnose``."""
     if dataset.driver != "VRT":
         return []
     parts = [

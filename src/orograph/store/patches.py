@@ -108,7 +108,7 @@ class PatchErrors:
         self.table: DiamondTable = terrain.derived("diamonds", error=kind)
         self.spread = terrain.height_range[1] - terrain.height_range[0]
         self.size = max(BLOCK, 1024 >> self.q)
-        self.P: dict[int, Heights] = {}
+        self.P = {k: np.zeros(octave_shape(terrain, k), np.float32) for k in range(self.q, terrain.n)}
 
     def tasks(self) -> list[tuple[int, int]]:
         """The blocks: the octave, and the number of the block in it, row by row."""
@@ -125,8 +125,7 @@ class PatchErrors:
     def take(self, spot: tuple[int, int], found: Heights) -> None:
         """Take over a block."""
         k, (i, j) = spot[0], self._begin(spot)
-        whole = self.P.setdefault(k, np.zeros(octave_shape(self.terrain, k), np.float32))
-        whole[i : i + found.shape[0], j : j + found.shape[1]] = found
+        self.P[k][i : i + found.shape[0], j : j + found.shape[1]] = found
 
     def finished(self) -> list[Heights]:
         """An array for each level, when all blocks are there."""

@@ -22,6 +22,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from orograph.error.diamonds import ALIGNED, REACH, SMALL
 from orograph.errors import UsageError
 from orograph.progress import Progress
@@ -30,6 +32,7 @@ from orograph.store.colors import COLORS
 from orograph.store.diamond_table import diamond_spec
 from orograph.store.digests import Spot
 from orograph.store.inputs import inputs_of
+from orograph.store.lattices import LatticeRecord
 from orograph.store.layers import LAYERS
 from orograph.store.layout import PARTS, Record, dumps, heights_spec
 from orograph.store.places import PLAN, ROOT, begun, is_store
@@ -146,11 +149,12 @@ def seeded(
         return None
     shape = record.grid.shape
     every, sides = tasks(shape, record.shard), tasks(shape, area_of(record.shard))
-    heights = [spot for spot in every if not _meets(_grown(spot, record.shard, 1), changed)]
-    near = list(_of_errors(shape, changed))
-    errors = [spot for spot in sides if not _meets(_grown(spot, area_of(record.shard), 0), near)]
+    others = _Windows(changed)
+    heights = [spot for spot in every if not others.meet(_grown(spot, record.shard, 1))]
+    near = _Windows(_of_errors(shape, changed))
+    errors = [spot for spot in sides if not near.meet(_grown(spot, area_of(record.shard), 0))]
     _link(final, storage, _keys(record, heights, errors))
-    _link(final, storage, _keys_of_lattices(record, changed))
+    _link(final, storage, _keys_of_lattices(record, others))
     left = len(every) - len(heights)
     progress.note(
         f"{final.url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
@@ -166,9 +170,9 @@ def _unlike(final: FolderStorage, record: Record, raster: HeightSource, coding: 
     before = record.coding
     if (None if before is None else before.step) != (None if coding is None else coding.step):
         return "the data have other steps now"
-    lattices = [lattice.grid for lattice in getattr(raster, "resampled_from", ())]
-    if lattices != [lattice.grid for lattice in record.lattices]:
-        return "its sources lie on other lattices, or their samples are not kept"
+    lattices = [LatticeRecord.of(lattice) for lattice in getattr(raster, "resampled_from", ())]
+    if [each.to_json() for each in lattices] != [each.to_json() for each in record.lattices]:
+        return "its sources lie on other lattices, have numbers of another kind, or their samples are not kept"
     return ""
 
 
@@ -178,8 +182,8 @@ def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window]
     Args:
         before, now: as of ``inputs.inputs_of``.
     """
-    if not before or not now or "windows" not in before:
-        return "it was not built from files"
+    if not before or not now or not before.get("windows") or not now["windows"]:
+        return "it was not built from raster files, whose windows are known"
     if before["options"] != now["options"] or before.get("geoid") != now.get("geoid"):
         return "its options differ"
     old, new = _by_path(before), _by_path(now)
@@ -231,8 +235,16 @@ def _grown(spot: Spot, side: int, beyond: int) -> Window:
     return row, row + side + beyond, col, col + side + beyond
 
 
-def _meets(one: Window, others: Iterable[Window]) -> bool:
-    return any(one[0] < b[1] and b[0] < one[1] and one[2] < b[3] and b[2] < one[3] for b in others)
+class _Windows:
+    """Windows that others are compared with, of which there may be very many."""
+
+    def __init__(self, windows: Iterable[Window]) -> None:
+        self._ends = np.array(list(windows), np.int64).reshape(-1, 4).T
+
+    def meet(self, one: Window) -> bool:
+        """Whether any of them has a sample of another window."""
+        row0, row1, col0, col1 = self._ends
+        return bool(((row0 < one[1]) & (row1 > one[0]) & (col0 < one[3]) & (col1 > one[2])).any())
 
 
 def _keys(record: Record, heights: Iterable[Spot], errors: Iterable[Spot]) -> Iterator[str]:
@@ -251,7 +263,7 @@ def _keys(record: Record, heights: Iterable[Spot], errors: Iterable[Spot]) -> It
             yield from (spec.key((i, j)) for i in rows for j in cols)
 
 
-def _keys_of_lattices(record: Record, changed: list[Window]) -> Iterator[str]:
+def _keys_of_lattices(record: Record, changed: _Windows) -> Iterator[str]:
     """What tasks wrote and kept of source lattices; their windows are looked for on the terrain, generously."""
     from affine import Affine
 
@@ -264,7 +276,7 @@ def _keys_of_lattices(record: Record, changed: list[Window]) -> Iterator[str]:
             row0, row1, col0, col1 = spec.window(spot)
             place = compose(lattice.grid.transform, Affine.translation(col0, row0))
             grid = Grid((row1 - row0, col1 - col0), place, lattice.grid.crs)
-            if not _meets(box_of(grid, record.grid, 17), changed):
+            if not changed.meet(box_of(grid, record.grid, 17)):
                 yield look_key(number, spot)
                 yield spec.key(spot)
 

@@ -12,6 +12,9 @@ from orograph.output import Beside, check_folder, remove
 from orograph.progress import Progress
 from orograph.reporting import reporting
 
+PICTURES = {".png", ".jpeg", ".gif", ".webp", ".bmp", ".svg"}
+"""Endings of what lies in folders beside rasters; elevations as pictures have to be named."""
+
 SAVED = 256
 """Files after which what was found is kept, should the rest be broken off."""
 
@@ -38,7 +41,8 @@ def manifest(
     opened. So is what was found before the work was broken off.
 
     Args:
-        files: paths, URLs, folders (all in them that is no side file), patterns with ``*``, other manifests.
+        files: paths, URLs, folders (all in them but side files, pictures and manifests), patterns with ``*``, other
+            manifests.
         path: of the manifest; it ends in ``.manifest.geojsonl``.
         skip_damaged: files that cannot be opened are no error; they are listed with the cause in any case.
         jobs: files that are opened at once; None: as many as there are processors, of files on servers 16.
@@ -112,7 +116,7 @@ def named(files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> l
 
 def _expanded(name: str) -> Iterable[str]:
     """The files that a name means, in the order of their names."""
-    from orograph.dem.handles import SIDE_FILES
+    from orograph.dem.handles import SIDE_FILES, is_manifest
     from orograph.store.given import matching
 
     folder = Path(name)
@@ -123,7 +127,11 @@ def _expanded(name: str) -> Iterable[str]:
         for root, folders, inner in os.walk(folder):
             folders[:] = [one for one in folders if not one.startswith(".") and not one.endswith((".oro", ".partial"))]
             inside += [Path(root, file) for file in inner if not file.startswith(".")]
-        return [str(file) for file in sorted(inside) if file.suffix.lower() not in SIDE_FILES]
+        return [
+            str(file)
+            for file in sorted(inside)
+            if file.suffix.lower() not in SIDE_FILES | PICTURES and not is_manifest(file)
+        ]
     return matching(name)
 
 

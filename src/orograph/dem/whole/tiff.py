@@ -66,6 +66,17 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
     )
 
 
+def first_directory(file: IO[bytes]) -> tuple[TiffFile, Directory] | None:
+    """A TIFF with its first directory; None if these cannot be read, of which GDAL judges."""
+    size = file.seek(0, 2)
+    file.seek(0)
+    try:
+        tiff = TiffFile(file, size)
+        return tiff, tiff.directory(tiff.first)
+    except (struct.error, ValueError):
+        return None
+
+
 _LERC = 34887
 _FLOATS = 3
 TURNED = "Write it anew with the byte order that LERC has (gdal_translate -co ENDIANNESS=LITTLE) from its source."
@@ -74,13 +85,10 @@ TURNED = "Write it anew with the byte order that LERC has (gdal_translate -co EN
 def turned_floats(file: IO[bytes]) -> bool:
     """Whether a TIFF holds floats by LERC with their high byte first: GDAL turns the bytes of what it gives to LERC and
     of what comes back, so that the codec rounds other numbers, and what is read is not what was written."""
-    size = file.seek(0, 2)
-    file.seek(0)
-    try:
-        tiff = TiffFile(file, size)
-        first = tiff.directory(tiff.first)
-    except (struct.error, ValueError):
+    found = first_directory(file)
+    if found is None:
         return False
+    tiff, first = found
     codec, kinds = tiff.numbers(first, 259), tiff.numbers(first, 339)
     return tiff.order == ">" and _LERC in codec and _FLOATS in kinds
 

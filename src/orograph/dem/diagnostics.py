@@ -10,7 +10,7 @@ from orograph.dem import beside, geotiff, virtual_bands
 from orograph.dem.header import vertical_axis
 
 
-def doubts(
+def diagnose(
     dataset: Any, band: int, *, nodata: float | str | None, unit: str | None, masked: bool, crs: CRS | None
 ) -> list[str]:
     """Warnings about a dataset.
@@ -28,7 +28,7 @@ def doubts(
     axis = vertical_axis(crs) if unit is None else None
     metres = None if axis is None else float(axis.unit_conversion_factor)
     return [
-        *geotiff.doubts(dataset, band, nodata, masked, metres),
-        *beside.doubts(dataset, band),
-        *virtual_bands.doubts(dataset, band, nodata=nodata, unit=unit, masked=masked, crs=crs),
+        *geotiff.diagnose(dataset, band, nodata, masked, metres),
+        *beside.diagnose(dataset, band),
+        *virtual_bands.diagnose(dataset, band, nodata=nodata, unit=unit, masked=masked, crs=crs),
     ]
