@@ -223,6 +223,7 @@ def command(
       orograph build points.laz -o area.oro --resolution 1 --max-edge 50
       orograph build -o area.oro --repair
     """
+    # (One function, though long: most of it is its options and its help.)
     if repair:
         _repair(ctx, dem, store, max_memory, jobs, as_json, options)
         return

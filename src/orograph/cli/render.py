@@ -74,6 +74,7 @@ def command(
       orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
       orograph render area.oro -o wall.tif --size 100000x60000 --workers 8 --max-memory 16GiB
     """
+    # (One function, though long: most of it is its options and its help.)
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_camera(options)

@@ -157,6 +157,7 @@ def build(
             missing, or it cannot be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
+    # (One function, though long: two thirds of it are its options and what they mean.)
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)

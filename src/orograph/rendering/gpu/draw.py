@@ -34,11 +34,31 @@ from orograph.rendering.picture import Picture, plan_grid
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
+from orograph.viewpoint import View
 
 TOLERANCE = 1.0
 """Pixels, where the scene does not say."""
 LEAST = 64 << 20
 """Bytes of a method's tables, and of textures for tiles, however little memory is allowed."""
+
+
+def _check(scene: Scene, device: Device, around: View) -> None:
+    """Raise UsageError for what the GPU does not draw.
+
+    Args:
+        around: the view with the rim that is drawn around it.
+    """
+    if scene.surface.detail is not None:
+        raise UsageError("The GPU draws no `detail` beyond the data.", remedy='Use `backend="cpu"`.')
+    view = scene.view
+    if view.part is not None and scene.annotations.furniture:
+        raise UsageError("A tile has no furniture: that belongs to the whole picture.")
+    most = largest(device)
+    if max(around.width, around.height) > most:
+        raise UsageError(
+            f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
+            remedy="Draw it by tiles: orograph render, or rendering.large.draw_large.",
+        )
 
 
 def draw(
@@ -64,20 +84,11 @@ def draw(
         UsageError: the picture is larger than the device can draw, or the scene's method is unknown.
     """
     begun = time.perf_counter()
-    if scene.surface.detail is not None:
-        raise UsageError("The GPU draws no `detail` beyond the data.", remedy='Use `backend="cpu"`.')
     device = device or open_device()
     view, whole = scene.view, scene.view.part is None
-    if not whole and scene.annotations.furniture:
-        raise UsageError("A tile has no furniture: that belongs to the whole picture.")
     around, own_pixels = rimmed(scene)
+    _check(scene, device, around)
     scene = scene.but(view=around)
-    most = largest(device)
-    if max(around.width, around.height) > most:
-        raise UsageError(
-            f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
-            remedy="Draw it by tiles: orograph render, or rendering.large.draw_large.",
-        )
     if scene.surface.tolerance is None and scene.surface.triangles is None:
         scene = scene.but(tolerance=TOLERANCE)
     other = mesh_choice(scene.surface.method, "gpu", scene.surface.triangles)
