@@ -181,6 +181,8 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
         (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma says"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "-1"), 2, "standard deviation"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--draws", "0"), 2, "1 to 65,535 draws"),
+        (("viewshed", A, "-o", "a.tif", "--draws", "50"), 2, "--draws applies to uncertain heights only"),
+        (("viewshed", A, "-o", "a.tif", "--seed", "2"), 2, "--seed applies to uncertain heights only"),
         (("slope", "-o", "a.tif"), 2, "how uncertain heights are"),
         (("slope", "-o", "a.tif", "--sigma", "no.tif"), 3, "no.tif"),
         (("contours", "-o", "a.tif", "--sigma", "1"), 2, "give one of the two"),

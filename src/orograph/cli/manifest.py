@@ -21,7 +21,7 @@ from orograph.cli.options import FILE, jobs_option, progress_of, source_options
 )
 @source_options
 @jobs_option
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, skip_damaged: bool, jobs: int | None, as_json: bool,

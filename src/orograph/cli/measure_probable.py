@@ -57,7 +57,7 @@ def height_error(sigma: str | None, reach: float, horizontal: float) -> HeightEr
         for name in ("draws", "seed"):
             if source(name) is ParameterSource.COMMANDLINE:
                 raise UsageError(
-                    f"--{name} is of uncertain heights, and these are certain.", remedy="Give --sigma or --horizontal."
+                    f"--{name} applies to uncertain heights only.", remedy="Give --sigma or --horizontal."
                 )
     if sigma is None:
         if reach:

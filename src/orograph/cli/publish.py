@@ -14,7 +14,7 @@ from orograph.cli.options import progress_of
 @click.argument("url", metavar="URL")
 @click.option("--overwrite", is_flag=True, help="Replace a store that is there; it is gone from the beginning.")
 @click.option("--jobs", type=click.IntRange(min=1), help="Objects under way at once (default: 16).")
-@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def command(ctx: click.Context, /, store: str, url: str, overwrite: bool, jobs: int | None, as_json: bool) -> None:
     """Copy a finished store to a URL (s3://, gs://, az://…), where it opens when all of it is there.
