@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.delaunay import Surface, lattice_bits, without_slivers
+from orograph.dem.delaunay import Surface, lattice_bits
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lod import quadtin_build as build
@@ -74,7 +74,7 @@ def truth_of(terrain: Terrain) -> tuple[Truth, int]:
     """The surface that a QuadTIN is to be, and the lattice's bits."""
     if has_points(terrain):
         surface: Surface = terrain.derived("points")
-        used, places = np.unique(without_slivers(surface), return_inverse=True)
+        used, places = np.unique(surface.triangles, return_inverse=True)
         corners: NDArray[np.int32] = places.reshape(-1, 3).astype(np.int32)
         z = surface.z[used].astype(np.float64)
         return Truth(surface.x[used], surface.y[used], z, corners, build.rim_of(corners, len(used))), surface.bits
