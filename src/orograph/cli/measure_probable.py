@@ -56,9 +56,7 @@ def height_error(sigma: str | None, reach: float, horizontal: float) -> HeightEr
         source = click.get_current_context().get_parameter_source
         for name in ("draws", "seed"):
             if source(name) is ParameterSource.COMMANDLINE:
-                raise UsageError(
-                    f"--{name} applies to uncertain heights only.", remedy="Give --sigma or --horizontal."
-                )
+                raise UsageError(f"--{name} applies to uncertain heights only.", remedy="Give --sigma or --horizontal.")
     if sigma is None:
         if reach:
             raise UsageError("--range is that of errors, whose size --sigma says.")
