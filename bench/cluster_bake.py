@@ -39,7 +39,7 @@ def main() -> None:
         record = read_record(storage)
         made = [_record(product(name), options, None, record) for name in args.products.split(",") if name in BAKED]
         _kept(storage, record, made, True)
-        recipe = recipe_of(storage, options, made, record.shard, 1 << 30)
+        recipe = recipe_of(storage, storage.named(), options, made, record.shard, 1 << 30)
         shop = BakeShop(recipe)
         read, written = [0], [0]
         get, put = shop.storage.get, shop.storage.put
