@@ -78,7 +78,7 @@ def main() -> None:
             if done >= args.tasks:
                 break
         table = np.array(rows[1:])  # the first one compiles, or reads what is compiled
-        print(f"{len(table)} tasks of {record.shard}² samples, {args.azimuths} azimuths, {args.products}")
+        print(f"{len(table)} tasks, {args.azimuths} azimuths, {args.products}")
         for name, column, unit in zip(
             ("processor", "heights read", "sums and hulls read", "written", "peak of arrays"), table.T,
             (1.0, 1e6, 1e6, 1e6, 1e6),
