@@ -222,7 +222,7 @@ def test_bounds_of_boxes_hold_for_what_is_in_view():
         low = float(rng.uniform(*t.height_range))
         box = (west, west + rng.uniform(0, 20), north, north + rng.uniform(0, 20), low, low + rng.uniform(0, 200))
         e = float(10 ** rng.uniform(-1, 2))
-        lens = camera_parameters(view, t.grid, exaggeration=exaggeration)
+        lens = camera_parameters(Camera.over(t.grid, view, exaggeration))
         away = distances(t, view, exaggeration, Boxes(*(np.array([v]) for v in box)))[0]
         bound = box_bound(lens, box, float(away), float(np.sqrt(off_axis(view))), e)
         share = rng.choice([0, 0.5, 1], (200, 3))

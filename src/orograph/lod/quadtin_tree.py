@@ -208,7 +208,7 @@ def finished(tree: Tree, grid: Grid, bits: int, finest: float) -> Hierarchy:
     """A tree as it is selected from."""
     count, v = int(tree.counts[build.TRIANGLES]), int(tree.counts[build.VERTICES])
     col, row = (np.ldexp(a[:v].astype(np.float64), -bits) for a in (tree.x, tree.y))
-    a, b, _, d, e, _ = grid.samples[:6]
+    (a, b), (d, e) = grid.linear
     east, north, z = a * col + b * row, d * col + e * row, tree.z[:v]
     error, radius = np.zeros((2, v))
     build.saturate(tree, east, north, error, radius)

@@ -51,7 +51,7 @@ def walls(grid: Grid, span: tuple[float, float], step: float, ground: Ground, pa
     low, high = span
     top = high + OVER * (high - low)
     right, bottom = grid.cols - 1.0, grid.rows - 1.0
-    gap_x, gap_y = (GAP * longer(grid) / s for s in _spacing(grid))
+    gap_x, gap_y = (GAP * longer(grid) / s for s in grid.spacing)
     part = np.linspace(0.0, 1.0, COLUMNS + 1)
     found = []
     # Sections along a row and along a column through the middle; of each the two walls, by their row or column.
@@ -63,7 +63,7 @@ def walls(grid: Grid, span: tuple[float, float], step: float, ground: Ground, pa
         colors = paint((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2)
         found.append(_trace(x, y, heights, longer(grid) / 2200))
         for place in places:
-            out = math.copysign(1.0, place) * BEHIND * longer(grid) / _spacing(grid)[1 if along_row else 0]
+            out = math.copysign(1.0, place) * BEHIND * longer(grid) / grid.spacing[1 if along_row else 0]
 
             def at(layer: int, place: float = place, out: float = out, u: Array = u, row: bool = along_row) -> Array:
                 """(m, 2) places along the wall, of one of its layers."""
@@ -81,12 +81,6 @@ def walls(grid: Grid, span: tuple[float, float], step: float, ground: Ground, pa
                 found.append(_panels(ends, rule - thick / 4, rule + thick / 4, np.asarray(RULE), middle))
             found.append(_panels(at(3)[[0, -1]], np.array([low]), np.array([top]), np.asarray(BACK), middle))
     return Things.joined([*found, _note(step)])
-
-
-def _spacing(grid: Grid) -> tuple[float, float]:
-    """Metres from column to column and from row to row."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return float(np.hypot(a, d)), float(np.hypot(b, e))
 
 
 def _panels(line: Array, low: Array, top: Array, rgb: Colors | Array, middle: Array, known: Any = None) -> Things:

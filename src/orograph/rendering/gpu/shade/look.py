@@ -77,7 +77,7 @@ class Look:
         u["sunlight"] = *sunlight, maps.strength if scene.lighting.relief is None else scene.lighting.relief
         u["skylight"] = *skylight, BOUNCE
         u["water"] = *WATER, SHORE
-        u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
+        u["paper"] = *PAPER, terrain.chart.spacing
         u["tint"][:3] = self.tint.low, self.tint.high, self.tint.floor
         u["searched"] = _samples(maps.searched if scene.data.water == "auto" else None)
         u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
