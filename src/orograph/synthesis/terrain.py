@@ -50,7 +50,7 @@ class ByExample:
         *,
         crs: CRS | None = None,
         jitter: float | Sequence[float] | None = None,
-        passes: int | Sequence[int] | None = None,
+        passes: float | Sequence[float] | None = None,
         jobs: int | None = None,
         progress: Progress = SILENT,
     ) -> None:

@@ -66,7 +66,7 @@ class Endless:
 
     def __init__(
         self, exemplar: Exemplar, seed: int = 1, *, jitter: float | Sequence[float] | None = None, kappa: int = 1,
-        passes: int | Sequence[int] | None = None,
+        passes: float | Sequence[float] | None = None,
     ) -> None:  # fmt: skip
         levels = exemplar.top + 1
         if jitter is None:

@@ -35,7 +35,7 @@ def synth(
     roughness: float | None = None,
     exemplar: Any = None,
     jitter: float | Sequence[float] | None = None,
-    passes: int | Sequence[int] | None = None,
+    passes: float | Sequence[float] | None = None,
     compress: str = "zstd",
     overwrite: bool = False,
     jobs: int | None = None,
@@ -84,7 +84,7 @@ def synth(
 def maker(
     size: int | str | tuple[int, int], seed: int, spacing: float | None, crs: Any, relief: float | None,
     roughness: float | None, exemplar: Any, jitter: float | Sequence[float] | None, jobs: int | None,
-    progress: Progress, *, passes: int | Sequence[int] | None = None,
+    progress: Progress, *, passes: float | Sequence[float] | None = None,
 ) -> Synth | ByExample:  # fmt: skip
     """What makes the terrain that these arguments of ``synth`` ask for.
 
