@@ -269,7 +269,9 @@ def command(
             dask=dask,
         )
     except KeyboardInterrupt:
-        click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
+        again = " again" if update or finish or part else " with --resume" + " in place of --overwrite" * overwrite
+        what = f"Part {part}" if part else "The new store" if overwrite or update else store
+        click.echo(f"\n{what} is not complete; run the same command{again} to finish it.", err=True)
         raise
     if terrain is None:
         click.echo(json.dumps({"path": store, "part": part}) if as_json else f"{store}: part {part} is made")

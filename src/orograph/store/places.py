@@ -42,6 +42,13 @@ def begun(storage: Storage) -> bool:
     return storage.exists(PLAN) or (not storage.remote and storage.exists(ROOT))
 
 
+def sweep(path: Path) -> None:
+    """Remove the store that another has taken the place of, if the process that did it was killed before it could."""
+    old = FolderStorage(replaced(path))
+    if old.path.exists() and is_store(FolderStorage(path)):
+        old.remove()
+
+
 def left_over(path: str | os.PathLike[str]) -> bool:
     """Whether builds left folders of a store that is not there itself."""
     if Path(path).exists():

@@ -60,7 +60,7 @@ class LightMaps:
         by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
-        searched: where it is known what of level ground is water; None: everywhere.
+        searched: where it is known what ground is water; None: everywhere.
     """
 
     pool: Values
@@ -137,7 +137,7 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
 
 def _searched(scene: Scene, window: Rectangle) -> Rectangle | None:
     """Where a search for water over a window leaves nothing unknown."""
-    if scene.data.water != "auto" or window == Rectangle.whole(window.level, scene.terrain.mean_shape(window.level)):
+    if scene.data.water is None or window == Rectangle.whole(window.level, scene.terrain.mean_shape(window.level)):
         return None
     return window
 
