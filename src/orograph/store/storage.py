@@ -103,12 +103,16 @@ class FolderStorage(Storage):
         path: of the folder.
         many: whether several processes may write the same objects (of the same bytes) at once. What one that is killed
             leaves beside them is only removed by ``sweep``, then.
+
+    Attributes:
+        home: the folder it was made for, also when it has moved (``follow``).
     """
 
     remote = False
 
     def __init__(self, path: str | os.PathLike[str], many: bool = False) -> None:
         self.path, self.many = Path(path), many
+        self.home = self.path
         self.url = str(self.path)
         self._lock = threading.Lock()
         self._open: OrderedDict[str, _File] = OrderedDict()
@@ -209,7 +213,13 @@ class FolderStorage(Storage):
         return found.st_ino, found.st_mtime_ns, found.st_size
 
     def anew(self) -> Storage:
-        return FolderStorage(self.path)
+        return FolderStorage(self.home)
+
+    def follow(self, path: Path) -> None:
+        """Go on reading in another folder, to which what was read so far has moved."""
+        with self._lock:
+            self.path, self.url = path, str(path)
+            self._open.clear()
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
         return str(self.path.absolute()), None

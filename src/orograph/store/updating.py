@@ -34,8 +34,8 @@ from orograph.store.digests import Spot
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layers import LAYERS
-from orograph.store.layout import PARTS, Record, dumps, heights_spec
-from orograph.store.places import PLAN, ROOT, begun, is_store
+from orograph.store.layout import Record, dumps, heights_spec
+from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store
 from orograph.store.plan import compared, differing, plan_of
 from orograph.store.pyramid import part_key, tasks
 from orograph.store.resampling import look_key
