@@ -19,9 +19,10 @@ from orograph.geovis.data import patterns, signs
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.painting import painted, shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
-from orograph.geovis.data.reading import matches, read
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions, bilinear
 from orograph.geovis.data.scales import ColorScale, class_breaks, suppressed
+from orograph.geovis.data.times import matches
 
 UTM = "EPSG:32630"
 
