@@ -24,11 +24,11 @@ from typing import Any
 from orograph.errors import StoreError
 from orograph.output import remove
 from orograph.processes import host
+from orograph.servers import SILENCE as SILENCE
 from orograph.store.ranges import Range
 
 OPEN_FILES = 128
 WRITING = ".writing"  # how the names of files end that are not complete
-SILENCE = 10.0  # seconds that a web server may let pass without a byte
 AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
 LONGER = (2.0, 4.0, 8.0, 16.0)  # and then of a bucket
 

@@ -192,7 +192,7 @@ def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window]
     if [path for path in old if path in new] != [path for path in new if path in old]:
         return "its files have another order"
     if any(state[0]["size"] is None for state in (*old.values(), *new.values())):
-        return "of files at URLs it cannot be told whether they changed"
+        return "of files at URLs it is not known whether they changed (orograph manifest finds out)"
     same = {path for path in old.keys() & new.keys() if old[path] == new[path]}
     return [state[2] for states in (old, new) for path, state in states.items() if path not in same]
 
