@@ -109,5 +109,5 @@ def walks(folder: Path) -> dict[str, dict[str, Any]]:
     walk = orograph.Dataset(str(folder / "walks.gpx"), name="Walks")
     return {
         "tubes": {**common, "data": walk.but(style="tubes", variable="speed", colormap="plasma", name="Speed")},
-        "space–time paths": {**common, "data": walk.but(style="paths"), "aids": "shadows"},
+        "paths": {**common, "data": walk.but(style="paths"), "aids": "shadows"},
     }

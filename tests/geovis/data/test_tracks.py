@@ -68,7 +68,7 @@ def test_what_is_no_moment_is_refused():
 
 
 @settings(deadline=None, max_examples=80)
-@given(st.floats(0, 2e9), st.floats(1, 1e9))
+@given(st.integers(0, 2_000_000_000), st.integers(1, 1_000_000_000))
 def test_ticks_are_round_and_few(first, long):
     at, words = ticks(first, first + long)
     assert len(at) == len(words) <= 8 and ((at >= first) & (at <= first + long)).all()
@@ -193,7 +193,6 @@ def test_geojson_lines_have_times_in_their_properties():
         ({"when": "then"}, "no attribute 'then'"),
         ({"group": "whose"}, "no attribute 'whose'"),
         ({"time": "2019-01"}, "no moment"),
-        ({"time": "2019-01-01"}, "has begun"),
         ({"height": "pulse+pulse"}, "no interval"),
     ],
 )
@@ -226,3 +225,9 @@ def test_moments_are_written_beside_the_axis():
     near = changed[np.abs(changed[:, 0] - v) < 10]
     assert len(near) and near[:, 1].max() < u < near[:, 1].max() + 25
     assert shown.pixels.shape == (300, 400, 3)
+
+
+def test_before_a_track_begins_nothing_of_it_is_there():
+    data = Dataset(table(), group="who", style="paths")
+    found = things(data.but(time="2019-01-01"))
+    assert not np.isfinite(found.values).any() and len(found.marks) > 2

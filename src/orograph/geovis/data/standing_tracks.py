@@ -55,7 +55,7 @@ def things_of_tracks(
         moment: seconds; what is later is not shown. None: all.
 
     Raises:
-        UsageError: nothing says when, and height is time; nothing has been at that moment.
+        UsageError: nothing says when, and height is time, or a moment is asked for.
     """
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[str(dataset.style)]
     paths = dataset.style == "paths"
@@ -69,8 +69,6 @@ def things_of_tracks(
     step = max(*grid.spacing, longer(grid) / PIECES)
     follows = not paths and not np.isfinite(tracks.at[:, 2]).any()
     pieces = _on(_pieces(tracks, step if follows else np.inf), grid)
-    if not len(pieces.of):
-        raise UsageError("None of its tracks has begun at that time.", path=str(dataset.source), remedy="Name another.")
     span = _span(whole, grid)
     height = size if dataset.size is not None else size / stretch
     start, end = pieces.start, pieces.end

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -38,6 +38,29 @@ def times_of(file: Any) -> list[str]:
             continue
         found.append(str(moment.astype("datetime64[m]")))
     return found
+
+
+def neighbours(times: Sequence[str], asked: str) -> tuple[str, str, float] | None:
+    """The times (ISO 8601, in order) before and after a moment between two of them, and how far it is from the one to
+    the other, 0 to 1; None where one of them is meant, or it lies outside, or is no moment.
+    """
+    if len(times) < 2 or asked.startswith("T") or any(matches(time, asked) for time in times):
+        return None
+    try:
+        second = seconds_of([asked], "", "")[0]
+    except ReadError:
+        return None
+    known = seconds_of(times, "", "")
+    if not known[0] < second < known[-1]:
+        return None
+    k = int(np.searchsorted(known, second)) - 1
+    return times[k], times[k + 1], float((second - known[k]) / (known[k + 1] - known[k]))
+
+
+def written(second: float) -> str:
+    """A moment, ISO 8601 in UTC, to the minute, or to the second where it is none."""
+    moment = datetime.fromtimestamp(round(second), UTC)
+    return f"{moment:%Y-%m-%dT%H:%M}" + (f"{moment::%S}" if moment.second else "")
 
 
 LONG_AGO = 1e11

@@ -142,6 +142,19 @@ def read_tracks(given: Dataset, rows: Rows, grid: Grid) -> Tracks:
     return Tracks(at, seconds, part, values, sigma, len(np.unique(track[here])), name, unit, classes)
 
 
+def span_of(given: Dataset, grid: Grid) -> tuple[float, float] | None:
+    """The first and the last moment of a source of tracks, seconds since 1970; None: it is none, or says no times."""
+    if given.style not in ("tubes", "paths"):
+        return None
+    rows = rows_of(given, grid)
+    when = None if rows is None else given.when or next((k for k in rows.texts if k.lower() in WHEN), None)
+    if rows is None or when not in rows.texts:
+        return None
+    seconds = seconds_of(rows.texts[when], rows.name, when)
+    known = seconds[np.isfinite(seconds)]
+    return (float(known.min()), float(known.max())) if len(known) else None
+
+
 def until(tracks: Tracks, second: float) -> Tracks:
     """What of tracks has been at a moment: their last places are linear between their neighbours in time."""
     before = tracks.seconds <= second
