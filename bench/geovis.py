@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import tempfile
 import time
 from itertools import product
 from pathlib import Path
@@ -209,6 +210,9 @@ def main() -> None:
         row(f"track {name}", **{**options, "priority": "T+D+U-"})
     for name, options in geovis_volumes.pictures().items():
         row(f"volume {name}", **{"priority": "T+D+U-", **options})
+    with tempfile.TemporaryDirectory() as folder:
+        for name, options in geovis_volumes.walks(Path(folder)).items():
+            row(f"walk {name}", **{"priority": "T+D+U-", **options})
     for name, options in shapes().items():
         row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
@@ -220,21 +224,16 @@ def main() -> None:
         save(made, given.pictures)
 
 
+COLUMNS = {"T": 4, "style": 4, "sign": 4, "standing": 3, "shape": 2, "two": 2, "track": 3, "volume": 2, "walk": 2}
+"""Pictures side by side in the sheets, by kind."""
+
+
 def save(made: dict[str, Picture], folder: Path) -> None:
     """The manual's pictures: figure 5 of the paper, and sheets of priorities, styles, signs and things."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
-    for kind, columns in (
-        ("T", 4),
-        ("style", 4),
-        ("sign", 4),
-        ("standing", 3),
-        ("shape", 2),
-        ("two", 2),
-        ("track", 3),
-        ("volume", 2),
-    ):
+    for kind, columns in COLUMNS.items():
         names = [name for name in made if name.startswith(kind + ("" if kind == "T" else " "))]
         if names:
             sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")

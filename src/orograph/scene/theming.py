@@ -72,7 +72,8 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     if len(around) > 1:
         raise UsageError("Walls show one volume.", remedy="Give one of the data another style: curtains.")
     inside = tuple(one for one in data if one.style != "walls")
-    found = [_read(one, terrain, max(size), priority) for one in pairs(inside)]
+    stretch = float(options.get("exaggeration") or 1.0)
+    found = [_read(one, terrain, max(size), priority, stretch) for one in pairs(inside)]
     standing = [one for one in found if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
@@ -88,12 +89,12 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
 
 
 def _read(
-    dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority
+    dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority, stretch: float
 ) -> Shown | Things:
     """What a dataset is shown by: something painted, or things that stand.
 
     Args:
-        pixels: along the longer side of the picture.
+        pixels: along the longer side of the picture. stretch: of its heights.
     """
     from orograph.geovis.data.bivariate import shown_pair
     from orograph.geovis.data.features import has_features, read_features
@@ -109,6 +110,8 @@ def _read(
     grid, texels = terrain.grid, int(min(MOST, max(LEAST, FINER * pixels)))
     if isinstance(dataset, tuple):
         return shown_pair(*dataset, grid, texels)
+    if dataset.style in ("tubes", "paths") and (moving := _tracks(dataset, terrain, stretch)) is not None:
+        return moving
     features = read_features(dataset, grid) if has_features(dataset.source) else None
     if dataset.derived and (features is not None or is_table(dataset.source)):
         raise UsageError(
@@ -138,6 +141,31 @@ def _read(
     if stands(dataset):
         return _on_lattice(dataset, grid, priority)
     return shown(dataset, grid, texels, priority, lambda over: _heights(terrain, over))
+
+
+def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None:
+    """What stands for tracks; None: a source of lines that say no times.
+
+    Raises:
+        UsageError: their heights are to be times.
+    """
+    from orograph.geovis.data.standing_tracks import things_of_tracks
+    from orograph.geovis.data.times import seconds_of
+    from orograph.geovis.data.tracks import read_tracks, rows_of
+
+    rows = rows_of(dataset, terrain.grid)
+    if rows is None and dataset.style == "tubes":
+        return None
+    if rows is None:
+        raise UsageError("Its lines say no times.", path=str(dataset.source), remedy="Name points with times, or GPX.")
+    moment = None if dataset.time is None else float(seconds_of([dataset.time], "time=", "value")[0])
+    found = read_tracks(dataset.but(time=None), rows, terrain.grid)
+    if dataset.above is not None or dataset.depth is not None:
+        turn = 1.0 if dataset.above is not None else -1.0
+        at = found.at.copy()
+        at[:, 2] = _ground_at(terrain, at[:, 0], at[:, 1]) + turn * at[:, 2]
+        found = found._replace(at=at)
+    return things_of_tracks(dataset, found, terrain.grid, terrain.height_range[1], stretch, moment)
 
 
 def _heights(terrain: Terrain, over: Grid) -> Any:

@@ -41,7 +41,7 @@ def things(data, ground=None, **options):
 def points(level, hole=None):
     n = len(level)
     return Points(np.zeros(n), np.zeros(n), np.arange(float(n)), None, "v", level=np.array(level, float),
-                  hole=None if hole is None else np.array(hole))  # fmt: skip
+                  group=None if hole is None else np.array(hole))  # fmt: skip
 
 
 @settings(deadline=None, max_examples=60)
@@ -80,7 +80,7 @@ def test_columns_are_in_the_ground_and_pass_their_values_on(tmp_path):
     # Texts of a table are classes; depths in other units; what is not upright is made of tubes.
     file = tmp_path / "holes.csv"
     file.write_text(f"x,y,id,km,rock\n{x},{y},a,0,clay\n{x + 30},{y},a,0.02,sand\n{x + 60},{y},a,0.04,clay\n")
-    leaning = things(Dataset(str(file), variable="rock", depth="km:km", hole="id", style="columns"), ground)
+    leaning = things(Dataset(str(file), variable="rock", depth="km:km", group="id", style="columns"), ground)
     assert [name for name, _ in leaning.legend.classes] == ["clay", "sand"]
     assert set(leaning.kind) == {Kind.TUBE} and leaning.values.tolist() == [0, 1, 0]
     np.testing.assert_allclose(leaning.x + leaning.ends[:, 1], [2 * x, 2 * x + 60, 2 * x + 120])
@@ -153,7 +153,7 @@ def test_what_is_below_and_in_front_of_it_is_drawn_once():
         ({"depth": "from+to+grain"}, "two ends"),
         ({"depth": "from:mi"}, "no unit"),
         ({"depth": None, "height": "to", "style": "logs"}, "has no length"),
-        ({"hole": "name"}, "no attribute 'name'"),
+        ({"group": "name"}, "no attribute 'name'"),
         ({"height": "to"}, "Give one of them|all say"),
         ({"uncertainty": "grain", "style": "bars"}, "stand on the ground"),
     ],

@@ -11,7 +11,8 @@ import orograph
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.data import standing_sections as sections
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.reading import levels_in, read
+from orograph.geovis.data.listing import levels_in
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.standing import Kind
 from orograph.geovis.data.vertical import axis_of, geometric, standard_heights
 from orograph.geovis.data.volume import read_volume

@@ -24,7 +24,7 @@ Style = Literal[
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
 Standing = Literal[
-    "bars", "spheres", "cones", "discs", "flags", "tubes", "curtains", "columns", "logs", "walls"
+    "bars", "spheres", "cones", "discs", "flags", "tubes", "paths", "curtains", "columns", "logs", "walls"
 ]  # fmt: skip
 """Ways of showing values at places by things that stand on the ground (A³), or in it."""
 
@@ -128,8 +128,9 @@ class Dataset:
         height, above, depth: of points, the attribute that says how high they are, in metres above the heights' zero,
             or above or below the ground ("z": the height of a feature's own place; "z:km", "z:ft" in other units); of
             columns and logs also two, the ends of an interval ("from+to").
-        hole: of columns and logs, the attribute that says which borehole (or ascent) a row belongs to. None: rows at
-            one place belong together.
+        group: of columns, logs, tubes and paths, the attribute that says which borehole, ascent or track a row belongs
+            to. None: rows of a borehole are at one place; all are one track.
+        when: of tracks, the attribute that says when; None: time, timestamp, datetime or date.
         hidden: with which opacity (0 to 1) what the ground hides is seen through it. None: 0.65 of what has a depth,
             else 0.
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
@@ -164,7 +165,8 @@ class Dataset:
     height: str | None = None
     above: str | None = None
     depth: str | None = None
-    hole: str | None = None
+    group: str | None = None
+    when: str | None = None
     hidden: float | None = None
     size: float | None = None
     width: float | str | None = None

@@ -39,7 +39,7 @@ class Points:
         level: (n,) how high they are, metres, as ``Dataset.height``, ``above`` or ``depth`` say; (n, 2) of intervals;
             None: they are on the ground.
         name: what they are. classes: the names of values 0, 1, …; None: they are numbers.
-        hole: (n,) which borehole each belongs to, numbered from 0, as ``Dataset.hole`` says; None: it says nothing.
+        group: (n,) which borehole each belongs to, numbered from 0, as ``Dataset.group`` says; None: it says nothing.
     """
 
     x: Array
@@ -49,7 +49,7 @@ class Points:
     name: str
     classes: tuple[str, ...] | None = None
     level: Array | None = None
-    hole: NDArray[np.int64] | None = None
+    group: NDArray[np.int64] | None = None
 
 
 def is_table(source: Any) -> bool:
@@ -73,18 +73,18 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     """
     if found is None and has_features(given.source):
         found = read_features(given, grid)
-    columns, texts, crs, name = _columns(given.source) if found is None else _of_features(found)
+    columns, texts, crs, name = columns_of(given.source) if found is None else columns_of_features(found)
     east, north = places_in(columns, name, "the terrain's CRS")
     if crs is None and east.lower() in DEGREES:
         crs = "EPSG:4326"
     numbers = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
-    level, used = _level(given, numbers, name)
-    hole = None
-    if given.hole is not None:
-        if given.hole not in texts:
-            raise UsageError(f"There is no attribute {given.hole!r}.", path=name, remedy="Name one: hole=NAME.")
-        hole = np.unique(texts[given.hole].astype(str), return_inverse=True)[1]
-        used |= {given.hole}
+    level, used = level_of(given, numbers, name)
+    group = None
+    if given.group is not None:
+        if given.group not in texts:
+            raise UsageError(f"There is no attribute {given.group!r}.", path=name, remedy="Name one: group=NAME.")
+        group = np.unique(texts[given.group].astype(str), return_inverse=True)[1]
+        used |= {given.group}
     if given.variable is None and given.uncertainty is None and not used >= set(numbers):
         numbers = {k: v for k, v in numbers.items() if k not in used}
     bare = not numbers and given.variable is None and given.uncertainty is None
@@ -93,9 +93,9 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     classes = None
     if given.variable in texts and given.variable not in numbers:
         numbers[str(given.variable)], classes = classes_in(texts[str(given.variable)], str(given.variable), name)
-    value = _attribute(given.variable, numbers, name)
+    value = attribute_of(given.variable, numbers, name)
     doubt = given.uncertainty
-    sigma = None if doubt is None else _attribute(doubt.source, numbers, name)
+    sigma = None if doubt is None else attribute_of(doubt.source, numbers, name)
     if sigma is not None and (numbers[sigma] < 0).any():
         raise ReadError(f"{sigma} is a standard deviation, never negative.", path=name, remedy="Name another.")
     x, y = columns[east], columns[north]
@@ -117,10 +117,10 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
     alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
     return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike or classes,
-                  None if level is None else level[here], None if hole is None else hole[here])  # fmt: skip
+                  None if level is None else level[here], None if group is None else group[here])  # fmt: skip
 
 
-def _level(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[Array | None, set[str]]:
+def level_of(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[Array | None, set[str]]:
     """How high points are, in metres, (n,), or (n, 2) of intervals, and which attributes say so."""
     option = given.leveled
     if option is None:
@@ -128,14 +128,14 @@ def _level(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[Arr
     told, _, unit = str(getattr(given, option)).partition(":")
     if unit not in LENGTHS:
         raise UsageError(f"{unit!r} is no unit of {option}=; there are {', '.join(filter(None, LENGTHS))}.", path=name)
-    names = [_attribute(part, numbers, name, option) for part in told.split("+")]
+    names = [attribute_of(part, numbers, name, option) for part in told.split("+")]
     if len(names) > 2:
         raise UsageError(f"{option}= names one attribute, or the two ends of an interval (from+to).", path=name)
     level = np.stack([numbers[one] for one in names], 1) * LENGTHS[unit]
     return level if len(names) == 2 else level[:, 0], set(names)
 
 
-def _attribute(asked: Any, numbers: Mapping[str, Array], name: str, option: str = "variable") -> str:
+def attribute_of(asked: Any, numbers: Mapping[str, Array], name: str, option: str = "variable") -> str:
     if asked is None and len(numbers) == 1:
         return next(iter(numbers))
     if asked in numbers:
@@ -144,7 +144,7 @@ def _attribute(asked: Any, numbers: Mapping[str, Array], name: str, option: str 
     raise UsageError(f"{what}: {', '.join(numbers) or 'none'}.", path=name, remedy=f"Choose one: {option}=NAME.")
 
 
-def _columns(source: Any) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
+def columns_of(source: Any) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
     """Columns of a table by name, as numbers and as texts, their CRS (None: not known), and the source's name."""
     if isinstance(source, str):
         written: dict[str, Any] = dict(read_texts(source))
@@ -159,8 +159,8 @@ def _columns(source: Any) -> tuple[dict[str, Array], dict[str, Texts], Any, str]
     return columns, texts, None, source if isinstance(source, str) else "points"
 
 
-def _of_features(found: Features) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
-    """Of features, as ``_columns`` has it: a row for each place."""
+def columns_of_features(found: Features) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
+    """Of features, as ``columns_of`` has it: a row for each place."""
     if found.kind != "points":
         raise UsageError(f"It holds {found.kind}, not points.", path=found.name)
     places = np.concatenate([np.concatenate(own) for own in found.parts])

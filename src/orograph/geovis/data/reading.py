@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,9 +24,10 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.choosing import chosen_bands, is_level, picked, wants_members
 from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.data.listing import array_of, subdataset, times_in
 from orograph.geovis.data.statistics import statistic
-from orograph.geovis.data.times import matches, times_of
-from orograph.geovis.data.vertical import Levels, levels_of, vertical_dimension
+from orograph.geovis.data.times import matches, neighbours
+from orograph.geovis.data.vertical import vertical_dimension
 from orograph.geovis.keys import written_unit
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
@@ -96,13 +96,17 @@ class Field:
 
 
 def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
-    """The values of data over a terrain with this grid.
+    """The values of data over a terrain with this grid. At a moment between two times of a series they are linear in
+    time; of classes, those of the nearer time.
 
     Raises:
         ReadError: the file is missing or broken, or lies beside the terrain, or has no valid value there.
         UsageError: what was chosen is not there, or it is not clear what is meant.
     """
-    if isinstance(given.source, str):
+    around = None if given.time is None else neighbours(times_in(given), given.time)
+    if around is not None:
+        found = _between(given, grid, *around)
+    elif isinstance(given.source, str):
         found = _of_file(given, grid)
     else:
         found = _of_array(given, grid)
@@ -114,10 +118,23 @@ def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
     return found
 
 
+def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, part: float) -> Field:
+    """Values at a moment between two times."""
+    first, last = (read(replace(given, time=time), grid) for time in (before, after))
+    named = first.palette is not None or "flag_meanings" in first.tags or getattr(given, "style", None) == "classes"
+    moment, way = str(given.time).replace("T", " "), "nearest" if named else "linear"
+    if named:
+        values = (first if part < 0.5 else last).values
+    else:
+        values = np.asarray(first.values + (last.values - first.values) * np.float32(part), np.float32)
+    words = f"at {moment}, {way} between {before.replace('T', ' ')} and {after.replace('T', ' ')}"
+    return replace(first, values=values, chosen=words)
+
+
 def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
     from rasterio.errors import RasterioError
 
-    location = _subdataset(locate(given.source), given.variable, given.source)
+    location = subdataset(locate(given.source), given.variable, given.source)
     told: list[str] = []
     with HANDLES.borrow(location) as file:
         bands, chosen = chosen_bands(file, given)
@@ -200,86 +217,6 @@ def _window(placement: Placement, name: str) -> tuple[int, int, int, int]:
     )
 
 
-def _inside(location: str) -> tuple[dict[str, str], int]:
-    """The variables that a file holds, what GDAL opens for each, and how many bands it has by itself."""
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(location) as file:  # (what is damaged, who opens it next says)
-                inside, count = list(file.subdatasets), file.count
-    except RasterioError:
-        inside, count = [], 1
-    return {one.rpartition(":")[2].rpartition("/")[2]: one for one in inside}, count
-
-
-def _subdataset(location: str, variable: str | None, name: str) -> str:
-    """What GDAL opens for a variable of a file.
-
-    Raises:
-        UsageError: there is no such variable, or there are several and none is named.
-    """
-    known, count = _inside(location)
-    if not known:
-        return location
-    if variable is None:
-        if count:
-            return location
-        if len(known) == 1:
-            return next(iter(known.values()))
-    if variable in known:
-        return known[variable]
-    what = "It holds several variables" if variable is None else f"It holds no variable {variable!r}"
-    raise UsageError(f"{what}: {', '.join(known)}.", path=name, remedy="Choose one: variable=NAME.")
-
-
-def levels_in(given: Dataset) -> Levels | None:
-    """The levels of a variable, from the lowest value, each once; None: it has no vertical dimension.
-
-    Raises:
-        UsageError: there is no such variable.
-    """
-    source = array_of(given)
-    if array_of(given) is not None:
-        found = vertical_dimension(source, given.vertical)
-        levels = None if found is None else Levels(np.asarray(source.coords[found[0]].values, np.float64), found[1])
-    elif isinstance(given.source, str):
-        with HANDLES.borrow(_subdataset(locate(given.source), given.variable, given.source)) as file:
-            levels = levels_of(file, given.vertical)
-    else:
-        return None
-    if levels is None:
-        return None
-    return levels._replace(values=np.unique(levels.values[np.isfinite(levels.values)]))
-
-
-def array_of(given: Dataset | Uncertainty) -> Any:
-    """The DataArray that is meant, where the source is one, or a Dataset of xarray's; else None.
-
-    Raises:
-        UsageError: there is no such variable.
-    """
-    import sys
-
-    xarray, source = sys.modules.get("xarray"), given.source
-    if xarray is not None and isinstance(source, xarray.Dataset):
-        if given.variable not in source:
-            raise UsageError(
-                f"A Dataset holds {', '.join(map(str, source.data_vars))}.", remedy="Choose one: variable=."
-            )
-        source = source[given.variable]
-    return source if xarray is not None and isinstance(source, xarray.DataArray) else None
-
-
-def variables_in(given: Dataset) -> list[str]:
-    """The variables of a source that holds several, by name."""
-    if not isinstance(given.source, str):
-        return [str(name) for name in getattr(given.source, "data_vars", ())]
-    return list(_inside(locate(given.source))[0])
-
-
 def members_in(given: Dataset, grid: Grid, asked: str) -> list[int]:
     """The numbers, from 1, of the members or bands of a raster that are asked for: ``all``, ``3``, ``1-6``.
 
@@ -287,30 +224,10 @@ def members_in(given: Dataset, grid: Grid, asked: str) -> list[int]:
         UsageError: there are none such. Others: as ``read``.
     """
     if isinstance(given.source, str):
-        with HANDLES.borrow(_subdataset(locate(given.source), given.variable, given.source)) as file:
+        with HANDLES.borrow(subdataset(locate(given.source), given.variable, given.source)) as file:
             return picked(range(1, file.count + 1), asked, given.source)
     count = len(read(replace(given, member="all", uncertainty=None), grid).values)
     return picked(range(1, count + 1), asked, "the data")
-
-
-def times_in(given: Dataset) -> list[str]:
-    """The times of a dataset, ISO 8601 in UTC, in order; none of what is no series."""
-    import sys
-
-    from orograph.geovis.data.features import has_features
-    from orograph.geovis.data.points import is_table
-
-    source, xarray = given.source, sys.modules.get("xarray")
-    if xarray is not None and isinstance(source, xarray.Dataset):
-        source = source[str(given.variable).split("+")[0]]
-    if xarray is not None and isinstance(source, xarray.DataArray):
-        found = np.atleast_1d(source.coords["time"].values) if "time" in source.coords else np.empty(0, "M8[m]")
-        return sorted(set(found.astype("datetime64[m]").astype(str).tolist()))
-    if not isinstance(source, str) or has_features(source) or is_table(source):
-        return []
-    variable = given.variable.split("+")[0] if given.variable is not None else None
-    with HANDLES.borrow(_subdataset(locate(source), variable, source)) as file:
-        return sorted({time for time in times_of(file) if time})
 
 
 def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:

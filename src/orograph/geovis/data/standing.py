@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,15 @@ FLOATING = ("spheres", "discs")
 KINDS = {"bars": Kind.BAR, "spheres": Kind.SPHERE, "cones": Kind.CONE, "discs": Kind.CYLINDER, "flags": Kind.FLAG}
 
 
+class Mark(NamedTuple):
+    """Words at a place in the terrain's CRS, and a height in metres, stretched as the ground is."""
+
+    x: float
+    y: float
+    level: float
+    words: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Things:
     """What stands on the ground.
@@ -77,6 +86,7 @@ class Things:
             shadows, columns, panels and sections x, y and height of the other end (of the last three of the upper
             one), else NaN; None: all stand on the ground.
         hidden: (n,) with which opacity each is seen through the ground that hides it; None: not at all.
+        marks: words beside them.
     """
 
     kind: NDArray[np.int8]
@@ -90,6 +100,7 @@ class Things:
     legend: Legend
     ends: Array | None = None
     hidden: Array | None = None
+    marks: tuple[Mark, ...] = ()
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -118,6 +129,7 @@ class Things:
             **arrays,
             hidden=np.concatenate(through) if any(one.hidden is not None for one in several) else None,
             ends=np.concatenate(upright) if any(one.ends is not None for one in several) else None,
+            marks=tuple(mark for one in several for mark in one.marks),
             legend=Legend(
                 tuple(scale for one in legends for scale in one.scales),
                 tuple(swatch for one in legends for swatch in one.swatches),

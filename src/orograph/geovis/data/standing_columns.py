@@ -64,7 +64,7 @@ def things_of_profiles(dataset: Dataset, points: Points, grid: Grid, ground: Arr
     if not len(parts.of):
         raise UsageError(
             f"None of its {parts.alone} holes has two samples, and one has no length.", path=str(dataset.source),
-            remedy="Say which belong together (hole=NAME), or show them as spheres.",
+            remedy="Say which belong together (group=NAME), or show them as spheres.",
         )  # fmt: skip
     count = len(np.unique(parts.hole))
     notes = [f"{count} hole{'s' * (count != 1)}"]
@@ -91,7 +91,7 @@ def parts_of(points: Points) -> Parts:
     assert points.level is not None
     n = len(points.x)
     places = np.unique(np.stack([points.x, points.y], 1), axis=0, return_inverse=True)[1].reshape(n)
-    hole = places if points.hole is None else points.hole
+    hole = places if points.group is None else points.group
     if points.level.ndim == 2:
         start, end = (np.stack([points.x, points.y, points.level[:, k]], 1) for k in (0, 1))
         long = start[:, 2] != end[:, 2]
