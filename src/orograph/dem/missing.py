@@ -59,6 +59,8 @@ def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) ->
     value = _declared(dataset, band, dtype) if asked is None else asked
     if value is None:
         return None
+    if isinstance(value, int) and abs(value) >= 1 << 64:
+        value = float(str(value))  # no integer is stored that large; a text of any length is a float, or infinite
     if np.dtype(dtype).kind == "f":
         return float(value)
     info = np.iinfo(dtype)
