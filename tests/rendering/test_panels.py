@@ -8,6 +8,7 @@ from affine import Affine
 
 import orograph
 from orograph.errors import UsageError
+from orograph.rendering.furniture.furnish import EDGE
 from orograph.rendering.panels import _boxes, deviations, panels_of, read_data
 
 PLACE = Affine(50, 0, 500_000, 0, -50, 5_600_000)
@@ -144,3 +145,14 @@ def test_each_time_has_the_spread_of_its_own_members(ground):
     spreads = [deviations(one, field, ground.grid)[1] for one, field in zip(found, fields)]
     for spread, members in zip(spreads, values):
         np.testing.assert_allclose(np.sort(spread, None), np.sort(members.std(0, ddof=1), None), rtol=1e-4)
+
+
+def test_a_long_legend_leaves_panels_alone(ground, data):
+    """The legend keeps off the panels whatever it says, and a scale keeps its unit."""
+    named = data.but(name="A variable with quite a long name")
+    view = orograph.camera.whole(ground, (900, 560))
+    picture = orograph.render(ground, view, data=named, each="view", furniture=True)
+    bare = orograph.render(ground, view, data=named, each="view")
+    assert picture.pixels.shape == bare.pixels.shape
+    # Right of the panels there is the legend alone, on paper without a frame of its own.
+    assert not (picture.pixels == np.array(EDGE, np.uint8)).all(-1).any()

@@ -75,7 +75,10 @@ def draw_panels(
     """
     panels = panels_of(datasets_of(options.get("data")), each, terrain)
     size = (view.width, view.height)
-    free = insets(size, terrain.attribution) if options.get("furniture") else (0.0, 0.0, 0.0, 0.0)
+    common = {name: value for name, value in options.items() if name not in ("furniture", "title", "data")}
+    free = (0.0, 0.0, 0.0, 0.0)
+    if options.get("furniture"):
+        free = insets(size, terrain.attribution, (), Scene.of(terrain, view, **common, data=panels[0].data).keys)
     style = Style.of(size, " ".join(panel.title for panel in panels))
     caption = math.ceil(CAPTION * style.unit)
     boxes = _boxes(len(panels), size, free, caption, style.gap)
@@ -84,7 +87,6 @@ def draw_panels(
     sheet[:] = PAPER
     cover = np.zeros(sheet.shape[:2], bool)
     draw = session(progress, backend=backend)
-    common = {name: value for name, value in options.items() if name not in ("furniture", "title", "data")}
     made: list[tuple[Scene, Picture]] = []
     with progress.task("Drawing panels", total=len(panels)) as task:
         for panel, (x, y, _, _) in zip(panels, boxes):
