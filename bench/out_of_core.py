@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from orograph import store
+from orograph.dem.synth import Synth
 from orograph.folders import parse_bytes
-from synthetic import CELL, LEFT, SEED, Formula
+from synthetic import CELL, LEFT, SEED
 
 NEEDS: dict[str, dict[str, Any]] = {
     "nothing": {"errors": ()},
@@ -58,7 +59,7 @@ def build(size: int, method: str, jobs: int, allowed: int, folder: Path, out: Co
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
-    source = Formula((size, size), SEED, spacing=CELL)
+    source = Synth((size, size), SEED, spacing=CELL)
     source.prepare()
     began = time.perf_counter()
     store.build(source, place, jobs=jobs, max_memory=allowed, progress=False, **NEEDS[method]).close()

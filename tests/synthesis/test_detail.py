@@ -16,7 +16,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.scene.detail import Detail
 from orograph.synthesis.detailed import Detailed, doublings_for, steering_of
-from orograph.synthesis.refining import Data, Range, doubled, roughness
+from orograph.synthesis.refining import Data, Range, doubled, metres, parents_of, roughness
 from orograph.viewpoint import View
 
 UTM = CRS.from_epsg(32632)
@@ -108,13 +108,13 @@ def test_seeds_differ(coarse: orograph.Terrain) -> None:
 def test_the_4_point_rule_reproduces_cubics() -> None:
     y, x = np.mgrid[:20, :23].astype(float)
 
-    class Cubic:
-        def read(self, r: Range) -> np.ndarray:
-            row, col = np.mgrid[r.row0 : r.row1, r.col0 : r.col1].astype(float)
-            return 1 + col - row * col**2 + 0.5 * row**3 - col**3
-
-    found = doubled(Cubic(), Range(-3, 17, 4, 27))
+    r = Range(-3, 17, 4, 27)
+    above = parents_of(r)
+    row, col = np.mgrid[above.row0 : above.row1, above.col0 : above.col1]
+    quanta = 1024 * (2 + 2 * col - 2 * row * col**2 + row**3 - 2 * col**3)  # of 1/2048
+    found = metres(doubled(quanta.astype(np.int32), above, r), 1 / 2048)
     row, col = (y - 3) / 2, (x + 4) / 2
+    # (No rounding: denominators are below 2048.)
     np.testing.assert_allclose(found, 1 + col - row * col**2 + 0.5 * row**3 - col**3, atol=1e-9)
 
 
@@ -123,7 +123,8 @@ def test_the_4_point_rule_reproduces_cubics() -> None:
 def test_doubling_and_roughness_do_not_depend_on_the_window(row: int, col: int, rows: int, cols: int) -> None:
     data = Data(terrain_of(30 * ground(37, 90, 2.0)))
     part, whole = Range(row, row + rows, col, col + cols), Range(-32, 90, -33, 140)
-    np.testing.assert_array_equal(doubled(data, part), doubled(data, whole)[part.within(whole)])
+    one, other = (doubled(data.read(parents_of(r)), parents_of(r), r) for r in (part, whole))
+    np.testing.assert_array_equal(one, other[part.within(whole)])
     for one, other in zip(roughness(data, part), roughness(data, whole)):
         np.testing.assert_array_equal(one, other[part.within(whole)])
 

@@ -79,6 +79,46 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     assert any("no time" in message.text for message in window.session.messages.shown)
 
 
+def series(window):
+    """A series of three times whose values are 0, 10 and 20 everywhere."""
+    xr = pytest.importorskip("xarray")
+    grid = window.session.terrain.grid
+    x, _ = grid.xy(np.arange(grid.cols), np.zeros(grid.cols))
+    _, y = grid.xy(np.zeros(grid.rows), np.arange(grid.rows))
+    when = np.array(["2020-01-01T00", "2020-01-01T12", "2020-01-02T00"], "M8[ns]")
+    cube = np.array([0.0, 10.0, 20.0])[:, None, None] + np.zeros((1, grid.rows, grid.cols))
+    about = {"crs": grid.crs.to_wkt()} if grid.crs is not None else {}
+    return Dataset(xr.DataArray(cube, coords={"time": when, "y": y, "x": x}, dims=("time", "y", "x"), attrs=about))
+
+
+def test_time_goes_step_by_step_between_and_by_itself(window, hand):
+    settings = window.session.settings
+    settings.shown = ShownData((series(window),), Priority.parse("T+D+U-"), window.session.terrain.grid)
+    settings.show(window.session.terrain)
+    shown = settings.shown
+    x, y = (float(v) for v in window.session.nav.centre()[:2])
+
+    def value():
+        return shown.at(x, y)[0].value
+
+    panel.step(window, 1)
+    assert shown.time == "2020-01-01T00:00" and value() == pytest.approx(0)
+    panel.step(window, 1)
+    assert shown.time == "2020-01-01T12:00" and value() == pytest.approx(10)
+    panel.step(window, -1)
+    panel.step(window, -1)  # there is none before
+    assert shown.time == "2020-01-01T00:00"
+    panel.change(window, time=shown.at_part(0.25))
+    assert value() == pytest.approx(5) and "linear between" in shown.told
+    shown.playing = True
+    assert panel.advance(window, panel.PLAYED / 2)
+    assert shown.part == pytest.approx(0.75, abs=1e-3) and value() == pytest.approx(15, abs=0.05)
+    hand.until(lambda: shown.part != pytest.approx(0.75, abs=1e-3))  # frames go on by themselves
+    shown.playing = False
+    assert not panel.advance(window, 1.0)
+    hand.rest()
+
+
 def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
     import sys
     import types

@@ -28,6 +28,7 @@ VERBS = {
     "check": "Read all of a store, and list what is damaged.",
     "publish": "Copy a finished store into a bucket.",
     "export": "Write heights, or data on the ground, for other tools.",
+    "contours": "Write contour lines as vectors.",
     "bake": "Bake light into a store: sky, occlusion, apertures.",
     "info": "Describe a DEM or a store, and what is suspicious about it.",
     "manifest": "List what many DEM files are, once, for the other verbs.",

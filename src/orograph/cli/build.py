@@ -155,6 +155,12 @@ class MaxError(click.ParamType[str | float]):
     is_flag=True,
     help="Make again only what follows of files that were added, changed or removed; begins a build if there is none.",
 )
+@click.option(
+    "--keep",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --update: versions that are left, with the new one; STORE@2 opens the second.  [default: 2]",
+)
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
 @cluster_options("Build", ", which share --max-memory")
@@ -173,6 +179,7 @@ def command(
     overwrite: bool,
     resume: bool,
     update: bool,
+    keep: int | None,
     repair: bool,
     max_memory: int,
     jobs: int | None,
@@ -211,7 +218,7 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
-      orograph build tiles/*.tif -o area.oro --update
+      orograph build tiles/*.tif -o area.oro --update --keep 5
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
@@ -254,6 +261,7 @@ def command(
             overwrite=overwrite,
             resume=resume,
             update=update,
+            keep=keep,
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
@@ -270,7 +278,9 @@ def command(
             dask=dask,
         )
     except KeyboardInterrupt:
-        click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
+        again = " again" if update or finish or part else " with --resume" + " in place of --overwrite" * overwrite
+        what = f"Part {part}" if part else "The new store" if overwrite or update else store
+        click.echo(f"\n{what} is not complete; run the same command{again} to finish it.", err=True)
         raise
     if terrain is None:
         click.echo(json.dumps({"path": store, "part": part}) if as_json else f"{store}: part {part} is made")
@@ -304,6 +314,7 @@ def _tell(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequen
     known = low == low
     result = {
         "path": terrain.url,
+        "version": terrain.version,
         "size_bytes": size,
         "shape": list(grid.shape),
         "levels": terrain.levels,
@@ -352,6 +363,7 @@ def _repair(
         "overwrite",
         "resume",
         "update",
+        "keep",
         "products",
         "errors",
         "tins",

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import CameraParameters, camera_parameters
 from orograph.errors import UsageError
-from orograph.geo.chart import AffineChart
 from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
@@ -200,11 +199,7 @@ class QuadTin(Method):
             self._leaves = np.empty(2 * len(self._leaves), np.int32)
 
     def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
-        if not isinstance(camera.chart, AffineChart):
-            raise UsageError(f"{self.info.name} refines flat terrain only.")
-        return camera_parameters(
-            camera.view, camera.chart.grid, exaggeration=camera.exaggeration, tolerance=tolerance
-        )  # fmt: skip
+        return camera_parameters(camera, tolerance=tolerance)
 
     def _mesh(self, found: Refined, stats: dict[str, Any]) -> Tessellation:
         """The triangles of a mesh, its vertices numbered, with its strip."""

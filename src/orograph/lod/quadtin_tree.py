@@ -163,8 +163,7 @@ class Resident:
             state[base : base + count] = np.concatenate([one.state for one in parts])[2:]
             base += count
         parents[parents < 0] = 0
-        a, b, _, d, e, _ = self.grid.samples[:6]
-        metres = np.column_stack([where @ np.array([[a, d], [b, e]]), z])
+        metres = np.column_stack([where @ np.array(self.grid.linear).T, z])
         reach = np.linalg.norm(metres[corners[:, :2]] - metres[corners[:, 2:]], axis=-1).max(axis=1) + off
         return Hierarchy(
             np.column_stack([where, z]), error, radius, parents, corners, child, node, state, off, reach, nodes,

@@ -18,11 +18,13 @@ from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty, datasets_of
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.features import has_features
+from orograph.geovis.data.listing import times_in
 from orograph.geovis.data.painting import MEASURES, image_grid
 from orograph.geovis.data.points import is_table
-from orograph.geovis.data.reading import Field, matches, members_in, read, times_in
+from orograph.geovis.data.reading import Field, members_in, read
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import spanned
+from orograph.geovis.data.times import matches
 from orograph.geovis.layers import drawn as visible
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import session

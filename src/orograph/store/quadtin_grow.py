@@ -100,8 +100,7 @@ class Making:
         if np.isnan(low):
             raise UsageError("There is no ground to triangulate.", path=terrain.name)
         self._blank = 0.5 * (low + high)
-        a, b, _, d, e, _ = terrain.grid.samples[:6]
-        self._metric = np.array([[a, b], [d, e]])
+        self._metric = np.array(terrain.grid.linear)
         across = self.layout.across
         self.corners = np.array(
             [

@@ -20,7 +20,7 @@ from orograph.raycast.select import distances, tile_boxes
 from orograph.store.given import source_of
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable, tile_shape
 from orograph.synthesis.exemplar import Exemplar
-from orograph.synthesis.refining import Data, Doubled, Fractal, Lattice
+from orograph.synthesis.refining import Data, Doubled, Fractal, Lattice, metres
 from orograph.synthesis.steered import Steered, Steering
 from orograph.synthesis.terrain import example
 from orograph.synthesis.windows import Range
@@ -80,9 +80,16 @@ class Detailed(Terrain):
             return np.zeros((row1 - row0, col1 - col0), np.float32)
         # The last sample of a level repeats the raster's last one where it falls beyond it.
         step, (rows, cols) = 1 << level, self.grid.shape
-        lattice = self._lattices[self.doublings - level]
+        lattice, finer = self._lattices[self.doublings - level], self.doublings - level
         inner = Range(row0, min(row1, (rows - 1) // step + 1), col0, min(col1, (cols - 1) // step + 1))
-        heights = lattice.read(inner).astype(np.float32)
+        heights = metres(lattice.read(inner), lattice.quantum).astype(np.float32)
+        # The data's own samples are not rounded to quanta.
+        first, last = (tuple(-(-at >> finer) for at in ends) for ends in ((inner.row0, inner.col0),
+                                                                            (inner.row1, inner.col1)))  # fmt: skip
+        if first[0] < last[0] and first[1] < last[1]:
+            own = self.data.read(0, first[0], last[0], first[1], last[1])
+            times = 1 << finer
+            heights[-inner.row0 % times :: times, -inner.col0 % times :: times] = own
         return np.pad(heights, ((0, row1 - inner.row1), (0, col1 - inner.col1)), mode="edge")
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:

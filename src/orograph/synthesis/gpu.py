@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
 from orograph.synthesis.exemplar import Integers
-from orograph.synthesis.kernels import MARGIN, ORDER
+from orograph.synthesis.kernels import order
 from orograph.synthesis.windows import Endless, Range
 
 _FIELDS = (
@@ -59,13 +59,13 @@ class EndlessOnGpu:
         found = [(ranges[0], first, raised(0, ranges[0], first, None, None))]
         for n in range(1, level + 1):
             above, places, heights = found[-1]
-            wide = ranges[n].wider(MARGIN)
+            wide = ranges[n].wider(endless.margin(n))
             one, other = self._empty(wide, 2), self._empty(wide, 2)
             common = {"step": e.step(n), "kappa": endless.kappa}
             self._placed(self._upsample, wide, places, one, n, **common, reach=endless.reach[n],
                          seed=endless.seed + 7919 * n, row0=above.row0, col0=above.col0,
                          from_width=above.shape[1])  # fmt: skip
-            for k, (row, col) in enumerate(ORDER):
+            for k, (row, col) in enumerate(order(endless.passes[n])):
                 self._placed(self._correct, wide, one, other, n, **common, inset=2 * (k + 1),
                              even_row=(int(row) + wide.row0) & 1, even_col=(int(col) + wide.col0) & 1)  # fmt: skip
                 one, other = other, one

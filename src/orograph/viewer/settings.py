@@ -176,7 +176,7 @@ class Settings:
         data, first = self.options["data"], self.options["priority"]
         self.options |= {"data": (), "priority": None}
         if data or first is not None:
-            self.shown = ShownData(data, first or Priority(data=True))
+            self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
             self.show(terrain)
         if options.get("normals") == "auto":
             self.normals = "computed"

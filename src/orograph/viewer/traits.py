@@ -41,7 +41,8 @@ class Widget(HasTraits):
         light: "relief", "ao", "aperture", "raytraced" or "none".
         layers: over the ground, bottom to top, as ``orograph.render`` takes them.
         priority: of terrain, data and uncertainty, "T+D+U-"; "" without data.
-        time: of a series, "2019-03-01T12:00"; "": as the data were given.
+        time: of a series, "2019-03-01T12:00", or a moment between two of its times (values are linear); "": as the data
+            were given. times: all times of the data.
         found: what data say under the pointer, each (name, value, sigma, unit).
         measure: what clicks measure: "pick", "profile"…; "" while they do not.
         picked: the points that were clicked, each (easting, northing, height); set them to have them measured.
@@ -56,6 +57,7 @@ class Widget(HasTraits):
     layers = Anything(())
     priority = Unicode("")
     time = Unicode("")
+    times = Tuple(read_only=True)
     found = Tuple(read_only=True)
     measure = Unicode("")
     picked = Tuple()
@@ -111,6 +113,9 @@ class Widget(HasTraits):
         self.layers = tuple(settings.layers)
         shown = settings.shown
         self.priority, self.time = ("", "") if shown is None else (str(shown.priority), shown.time)
+        times = () if shown is None else tuple(shown.times)
+        if self.times != times:
+            self.set_trait("times", times)
         found = tuple((one.name, one.value, one.sigma, one.unit) for one in self.window.found())
         if self.found != found:
             self.set_trait("found", found)

@@ -203,6 +203,7 @@ class Window:
         gone = min(passed, 0.25) if self._was_moving else 1 / 60
         session.advance(gone)
         self.touring.advance(gone)
+        playing = panels.data.advance(self, min(passed, 0.5))
         moving = session.moving or self.touring.playing
         if moving or session.view != self._viewed:
             if self._was_moving:
@@ -232,7 +233,7 @@ class Window:
             hook(self)
         if self.pictures.asked is not None and self._pending == 0:
             self.pictures.save()
-        self._go_on(moving or not settled)
+        self._go_on(moving or not settled or playing)
 
     def _ask(self, now: float, moving: bool) -> None:
         """Ask what is under a pointer that rests while the camera moves."""
