@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
-import threading
 import urllib.request
 from pathlib import Path
 
@@ -55,7 +53,12 @@ def bucket(home: Path) -> str:
     assert server.stdout is not None
     url = server.stdout.readline().strip()
     SERVERS.append(server)
-    os.environ |= {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_ENDPOINT_URL": url}
+    os.environ |= {
+        "AWS_ACCESS_KEY_ID": "key",
+        "AWS_SECRET_ACCESS_KEY": "secret",
+        "AWS_EC2_METADATA_DISABLED": "true",
+        "AWS_ENDPOINT_URL": url,
+    }
     return url
 
 
@@ -74,8 +77,13 @@ def emptied(url: str) -> None:
 
 def objects(url: str) -> Files:
     """What the bucket holds of the store, but for its lock."""
-    keys = re.findall(r"<Key>out\.oro/([^<]*)</Key>", asked(f"{url}/terrain?list-type=2&max-keys=10000").decode())
-    return {key: asked(f"{url}/terrain/out.oro/{key}") for key in keys}
+    code = (
+        "import boto3, json, hashlib\nbucket = boto3.resource('s3', region_name='us-east-1').Bucket('terrain')\n"
+        "print(json.dumps({o.key: hashlib.sha256(o.get()['Body'].read()).hexdigest() "
+        "for o in bucket.objects.all() if 'lock' not in o.key}))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    return {key.removeprefix("out.oro/"): digest.encode() for key, digest in json.loads(told).items()}
 
 
 def served(home: Path) -> Path:
@@ -137,24 +145,44 @@ def verbs(home: Path) -> list[Verb]:
     url, table_of = bucket(home), str(served(home))
     fetch = ["fetch", "--bbox", "-120.3,38.3,-119.8,38.6", "--product", "copernicus-90", "--table", table_of, "-o"]
     film = ["movie", str(ridge), "--orbit", "--seconds", "0.5", "--fps", "12", "--size", "160x96"]
-    listed = [
+    return [
         Verb("build", ["build", str(lidar), *out, *small]),
         Verb("build-degrees", ["build", str(degrees), *out, *small, "--max-error", "0.1", "--codec", "compact"]),
         Verb("build-points", ["build", str(table), *out, *small, "--resolution", "60"]),
         Verb("build-overwrite", ["build", str(lidar), *out, *small, "--overwrite"], have(again)),
-        Verb("build-bake", ["build", str(ridge), *out, *small, "--bake", "sky-view-factor"],
-             in_place=True),
+        Verb("build-bake", ["build", str(ridge), *out, *small, "--bake", "sky-view-factor"], in_place=True),
         Verb("update", ["build", *map(str, tiles), *out, *small, "--update"], have(again)),
         Verb("update-new", ["build", *map(str, tiles), *out, *small, "--update"]),
         Verb("repair", ["build", *out, "--repair"], have(damaged), in_place=True),
-        Verb("colors", ["build", *out, str(lidar), "--color-errors", "--drape", str(drape), *small],
-             in_place=True),
-        Verb("bake", ["bake", "out.oro", "--products", "sky-view-factor,aperture", "--azimuths", "8"],
-             have(ground), in_place=True),
-        Verb("light", ["light", str(lidar), "--product", "slope,sky-view-factor,shadow", "--azimuths", "16", "-o", "l.tif"]),
-        Verb("light-store", ["light", str(lidar), "--product", "sky-view-factor", "--azimuths", "8", "-o", "l.tif",
-                             "--max-memory", "120MiB"]),
-        Verb("light-resume", ["light", str(ground), "--product", "openness,sky-view-factor", "-o", "l.tif", "--resume"]),
+        Verb("colors", ["build", *out, str(lidar), "--color-errors", "--drape", str(drape), *small], in_place=True),
+        Verb(
+            "bake",
+            ["bake", "out.oro", "--products", "sky-view-factor,aperture", "--azimuths", "8"],
+            have(ground),
+            in_place=True,
+        ),
+        Verb(
+            "light",
+            ["light", str(lidar), "--product", "slope,sky-view-factor,shadow", "--azimuths", "16", "-o", "l.tif"],
+        ),
+        Verb(
+            "light-store",
+            [
+                "light",
+                str(lidar),
+                "--product",
+                "sky-view-factor",
+                "--azimuths",
+                "8",
+                "-o",
+                "l.tif",
+                "--max-memory",
+                "120MiB",
+            ],
+        ),
+        Verb(
+            "light-resume", ["light", str(ground), "--product", "openness,sky-view-factor", "-o", "l.tif", "--resume"]
+        ),
         Verb("movie", [*film, "-o", "film.mp4"]),
         Verb("movie-gif", [*film, "-o", "film.gif"]),
         Verb("movie-frames", [*film, "-o", "frames/%03d.png"]),
@@ -168,22 +196,44 @@ def verbs(home: Path) -> list[Verb]:
         Verb("synth", ["synth", "--size", "500x400", "-o", "s.tif"]),
         Verb("synth-example", ["synth", "--exemplar", str(ridge), "--size", "200x150", "-o", "s.tif"]),
         Verb("render", ["render", str(ridge), "-o", "r.png", "--size", "300x200", "--furniture"]),
-        Verb("render-large", ["render", str(lidar), "-o", "r.png", "--size", "2600x2000", "--max-memory", "250MiB",
-                              "--samples", "1"]),
+        Verb(
+            "render-large",
+            ["render", str(lidar), "-o", "r.png", "--size", "2600x2000", "--max-memory", "250MiB", "--samples", "1"],
+        ),
         Verb("render-tif", ["render", str(lidar), "-o", "r.tif", "--projection", "plan", "--size", "1500x1200"]),
         Verb("compare", ["compare", str(ridge), "--method", "roam", "--size", "200x100", "--picture", "c.png"]),
         Verb("tour", ["tour", "new", str(ridge), "--orbit", "-o", "t.json"]),
-        Verb("best-view", ["best-view", str(ridge), "--target", str(target), "-o", "v.json", "--azimuths", "8",
-                           "--pieces", "50", "--size", "120x80"]),
-        Verb("viewshed", ["measure", "viewshed", str(ridge), place, "-o", "v.tif", "--picture", "v.png", "--size", "200x100"]),
+        Verb(
+            "best-view",
+            [
+                "best-view",
+                str(ridge),
+                "--target",
+                str(target),
+                "-o",
+                "v.json",
+                "--azimuths",
+                "8",
+                "--pieces",
+                "50",
+                "--size",
+                "120x80",
+            ],
+        ),
+        Verb(
+            "viewshed",
+            ["measure", "viewshed", str(ridge), place, "-o", "v.tif", "--picture", "v.png", "--size", "200x100"],
+        ),
         Verb("flood", ["measure", "flood", str(ridge), "--level", "3000", "-o", "f.tif"]),
-        Verb("publish", ["publish", str(ground), "s3://terrain/out.oro"], lambda folder: emptied(url),
-             results=lambda folder: objects(url)),
+        Verb(
+            "publish",
+            ["publish", str(ground), "s3://terrain/out.oro"],
+            lambda folder: emptied(url),
+            results=lambda folder: objects(url),
+        ),
         Verb("fetch", [*fetch, "f.tif"]),
-        Verb("fetch-store", [*fetch, "f.oro"]),
         Verb("demo", ["demo", "-o", "shown"]),
     ]
-    return listed
 
 
 def centre(path: Path) -> tuple[float, float]:
@@ -219,7 +269,7 @@ def warm(listed: list[Verb], home: Path) -> None:
         verb.given(folder)
         os.chdir(folder)
         command = cli.get_command(click.Context(cli), verb.line[0])
-        line = [a for a in verb.line]
+        line = list(verb.line)
         if "-j" in line:
             line[line.index("-j") + 1] = "1"
         elif any("-j" in p.opts for p in command.params):
@@ -230,7 +280,7 @@ def warm(listed: list[Verb], home: Path) -> None:
             print(f"{verb.name}: {type(error).__name__}: {error}", flush=True)
         os.chdir(here)
         shutil.rmtree(folder)
-        threads = os.listdir("/proc/self/task") if os.path.isdir("/proc/self/task") else threading.enumerate()
+        threads = [task.name for task in Path("/proc/self/task").iterdir()]
         if len(threads) > 1:
             print(verb.name, "left threads", threads, flush=True)
 

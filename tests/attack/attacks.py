@@ -194,7 +194,9 @@ class Attack:
         stores = {name.split("/")[0] for name in shown if ".oro/" in name}
         for store in stores:
             part = {n: d for n, d in shown.items() if n.startswith(store + "/")}
-            whole = [{n: d for n, d in these.items() if n.startswith(store + "/")} for these in (self.before, self.after)]
+            whole = [
+                {n: d for n, d in these.items() if n.startswith(store + "/")} for these in (self.before, self.after)
+            ]
             if part not in whole:
                 raise Broken(f"{store} is neither that before nor that after ({len(part)} files)")
         for name, data in shown.items():
@@ -267,7 +269,7 @@ class Attack:
         which = self.rng.choice(("out", "out", "out", "cache", "tmp"))
         disk = folder.parent / which
         size = max(4096, int(self.rng.uniform(0, 1.2) * self.sizes[which]))
-        with small_disk(disk, size, folder.parent / "hold"):
+        with small_disk(disk, size):
             if which == "out":
                 with contextlib.suppress(OSError):
                     self.verb.given(folder)
@@ -317,8 +319,7 @@ class Attack:
 
 
 @contextlib.contextmanager
-def small_disk(at: Path, size: int, hold: Path) -> Iterator[None]:
-    del hold
+def small_disk(at: Path, size: int) -> Iterator[None]:
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={-(-size // 4096) * 4}k", "tmpfs", at], check=True)
     try:
         yield

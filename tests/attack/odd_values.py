@@ -1,7 +1,7 @@
 """Odd values for every option of every verb: the right code, one clear message, nothing written (run as a script).
 
-Arguments: folder, cases, seed, verbs. Each case is a fork of this process, which has no threads: one option of a line that
-works gets a value that nobody expects.
+Arguments: folder, cases, seed, verbs. Each case is a fork of this process, which has no threads: one option of a line
+that works gets a value that nobody expects.
 """
 
 from __future__ import annotations
@@ -28,14 +28,30 @@ from attacks import HARSH, files
 from orograph.cli import VERBS, cli, main
 
 ODD = [
-    "nan", "inf", "-inf", "-1", "0", "-0.0", "1e308", "1e-308", "1e400", "99999999999999999999", "-99999999999999999999", "",
-    " ", "٣", "Ω", "💥", "0x10", "1,5", "1_000", "+7", "None", "[]", "{}", "nowhere.tif", "/", ".", "/dev/null", "-", "--",
-    "a" * 5000, "\udcff", "\n", "1:2", "2:1", "nan:nan", "1,2,3", "nan,nan", "0,0", "1e9,1e9", "inf,inf,inf", "1x1", "0x0",
-    "99999x99999", "-5x5", "nanxnan", "auto", "none", "true", "%s%n", "$(date)", "*", "../..", "C:\\x", "file\x01name",
-    "1/0", "3/2", "0/0", "-1/2", "1GiB", "-1GiB", "0B", "1e99GiB", "2026-13-45", "2026-02-30T25:61", "0001-01-01T00:00Z",
-    "EPSG:0", "EPSG:4326", "EPSG:99999", "+proj=nonsense", "T+D+U+", "T9", "name=,=", "a=b=c", ",,,,", "roam,error=nan",
-    "soar,nothing=1", "raycast", "180,90", "-181,91,1", "7.5,45.9,7.4,45.8", "179,0,-179,1", "NaN,1,2,3",
+    "nan", "inf", "-inf", "-1", "0", "-0.0", "1e308", "1e-308", "1e400", "99999999999999999999", "-" + "9" * 20, "",
+    " ", "٣", "Ω", "💥", "0x10", "1,5", "1_000", "+7", "None", "[]", "{}", "nowhere.tif", "/", ".", "/dev/null", "-",
+    "--", "a" * 5000, "\udcff", "\n", "1:2", "2:1", "nan:nan", "1,2,3", "nan,nan", "0,0", "1e9,1e9", "inf,inf,inf",
+    "1x1", "0x0", "99999x99999", "-5x5", "nanxnan", "auto", "none", "true", "%s%n", "$(date)", "*", "../..", "C:\\x",
+    "file\x01name", "1/0", "3/2", "0/0", "-1/2", "1GiB", "-1GiB", "0B", "1e99GiB", "2026-13-45", "2026-02-30T25:61",
+    "0001-01-01T00:00Z", "EPSG:0", "EPSG:4326", "EPSG:99999", "+proj=nonsense", "T+D+U+", "T9", "name=,=", "a=b=c",
+    ",,,,", "roam,error=nan", "soar,nothing=1", "raycast", "180,90", "-181,91,1", "7.5,45.9,7.4,45.8", "179,0,-179,1",
+    "NaN,1,2,3",
 ]  # fmt: skip
+NUMBERS = ["nan", "inf", "-inf", "-1", "0", "-0.0", "1e308", "1e-308", "1e300", "1e9", "1e6", "0.001", "0.5", "2", "7",
+           "1000", "99999999999999999999", "-1e9", "360", "-90", "90", "89.9999", "180", "1e-12"]  # fmt: skip
+KEYED = {
+    "--data": ("ridge.tif", "variable band time member value exceeds layer geometry style colormap range classes "
+               "breaks height above size width opacity name unit"),
+    "--drape": ("ridge.tif", "opacity blend colormap range band nodata visible name"),
+    "--ghost": ("ridge.tif", "color opacity hidden name band vertical_unit"),
+    "--uncertainty": ("ridge.tif", "variable band time member range style"),
+    "--focus": ("lens", "at radius priority blend distance width"),
+    "--detail": ("fractal", "seed exemplar"),
+    "--method": ("soar", "error metric tolerance bins leaf order"), "--aids": ("poles", "metres grid"),
+    "--for": ("soar", "error metric"), "--panel": ("ridge.tif", "name"),
+}  # fmt: skip
+"""Options that are a thing and keys with values: these get the odd values, too."""
+
 CODES = {0, 2, 3, 4, 5, 6}
 
 
@@ -57,7 +73,8 @@ def lines(home: Path) -> dict[str, list[str]]:
         "tessellate": [ridge, "-o", "o.npz", *tiny], "compare": [ridge, "--method", "soar", *tiny],
         "synth": ["--size", "40x30", "-o", "o.tif"], "best-view": [ridge, "--target", "target.geojson", "-o", "o.json"],
         "measure pick": [ridge, at], "measure profile": [ridge, at, at], "measure viewshed": [ridge, at, "-o", "o.tif"],
-        "measure slope": [ridge, "--sigma", "2", "-o", "o.tif"], "measure flood": [ridge, "--level", "3000", "-o", "o.tif"],
+        "measure slope": [ridge, "--sigma", "2", "-o", "o.tif"],
+        "measure flood": [ridge, "--level", "3000", "-o", "o.tif"],
         "measure contours": [ridge, "--sigma", "2", "-o", "o.tif"], "measure los": [ridge, at, at],
         "fetch": ["--bbox", "7.5,45.9,7.6,46.0", "-o", "o.tif", "--product", "copernicus-90"], "methods": [],
         "publish": ["ground.oro", "s3://nowhere/o.oro"], "doctor": [], "measure area": [ridge, "--bbox", "1,2,3,4"],
@@ -92,7 +109,7 @@ def case(home: Path, line: list[str], number: int) -> tuple[int, str, float]:
     if pid == 0:
         with contextlib.suppress(BaseException):
             os.chdir(folder)
-            os.symlink(home / "target.geojson", "target.geojson")
+            Path("target.geojson").symlink_to(home / "target.geojson")
             shutil.copytree(home / "ground.oro", "ground.oro")
             said = os.open(home / f"said{number}", os.O_CREAT | os.O_WRONLY)
             os.dup2(said, 1)
@@ -126,6 +143,17 @@ def case(home: Path, line: list[str], number: int) -> tuple[int, str, float]:
 LIMIT = 40.0
 
 
+def odd(option: click.Option, rng: random.Random, home: Path) -> str:
+    """A value that nobody expects of an option; of the kind that gets past its first check, where there is one."""
+    keyed = KEYED.get(max(option.opts, key=len))
+    if keyed is not None and rng.random() < 0.8:
+        what, keys = keyed
+        what = str(home / what) if "." in what else what
+        return f"{what},{rng.choice(keys.split())}={rng.choice(ODD + NUMBERS)}"
+    numeric = isinstance(option.type, click.types.FloatParamType | click.types.IntParamType)
+    return rng.choice(NUMBERS if numeric and rng.random() < 0.8 else ODD)
+
+
 def attack(home: Path, cases: int, seed: int, chosen: list[str]) -> int:
     rng = random.Random(seed)
     known = {verb: line for verb, line in lines(home).items() if not chosen or verb in chosen}
@@ -137,7 +165,7 @@ def attack(home: Path, cases: int, seed: int, chosen: list[str]) -> int:
     codes, found, slow = Counter[int](), [], []
     for number in range(cases):
         verb, option = rng.choice(places)
-        value = rng.choice(ODD)
+        value = odd(option, rng, home)
         line = [*verb.split(), *known[verb]]
         name = max(option.opts, key=len)
         for own in option.opts:  # in place of the value that works
