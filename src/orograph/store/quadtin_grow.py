@@ -73,7 +73,7 @@ class Grown(NamedTuple):
     """
 
     cuts: Ints
-    sides: list[tuple[Ints, Ints]]
+    sides: list[tuple[NDArray[np.int32], NDArray[np.int32]]]
     ground: NDArray[np.float64]
     own: tuple[int, int]
     stuck: int
@@ -160,7 +160,7 @@ class Making:
         truth = Truth(col << bits, row << bits, z, triangles, rim_of(triangles, len(z)))
         return truth, (1 << bits, cols, c0, r0)
 
-    def grow(self, block: int, forced: Sequence[Ints]) -> tuple[Part, Grown]:
+    def grow(self, block: int, forced: Sequence[NDArray[np.int32]]) -> tuple[Part, Grown]:
         """A block, with vertices at least at these places of its sides; errors and radii are of what vertices split.
 
         Raises:
@@ -192,7 +192,9 @@ class Making:
             build.gather_lists(tree, pool)
             tree = tree._replace(pool=pool)
 
-    def _outline(self, block: int, forced: Sequence[Ints], truth: Truth, raster: tuple[int, int, int, int]) -> Outline:
+    def _outline(
+        self, block: int, forced: Sequence[NDArray[np.int32]], truth: Truth, raster: tuple[int, int, int, int]
+    ) -> Outline:  # fmt: skip
         bounds = np.array(self.bounds(block), np.int64)
         inner = np.array([self.beyond(block, side) is not None for side in range(4)], np.uint8)
         near = [np.zeros(0, np.int32)] * 4
@@ -237,7 +239,7 @@ class Making:
         for side, (across, along, line) in enumerate(((x, y, west), (x, y, east), (y, x, north), (y, x, south))):
             on = np.flatnonzero((across[4:] == line) if outline.inner[side] else np.zeros(v - 4, bool)) + 4
             on = on[np.argsort(along[on], kind="stable")]
-            sides.append((along[on], on))
+            sides.append((along[on].astype(np.int32), on.astype(np.int32)))
         mine = np.ones(v, bool)
         mine[:4] = mine[sides[EAST][1]] = mine[sides[SOUTH][1]] = False
         steiner = tree.steiner[:v][vertices] == 1

@@ -40,9 +40,6 @@ from orograph.store.quadtin_layout import (
 )
 from orograph.store.terrain import Terrain
 
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
-
 
 class Waiting:
     """Blocks that wait in a scratch file."""
@@ -101,7 +98,7 @@ def made(
 def _agreed(making: Making, waiting: Waiting, jobs: int | None, progress: Progress) -> list[Grown]:
     """Grow all blocks until they agree at their sides; what there is to know of them."""
     count = making.layout.blocks
-    nothing = [np.zeros(0, np.int64)] * 4
+    nothing = [np.zeros(0, np.int32)] * 4
     forced = [nothing] * count
     grown: list[Grown | None] = [None] * count
     todo: Iterable[int] = range(count)
