@@ -126,7 +126,8 @@ class QuadTin(Method):
             raise UsageError(
                 f"The store has no hierarchy of a QuadTIN, and to make it in memory takes {needed >> 20} MiB.",
                 path=self.terrain.name,
-                remedy="Allow more memory, build a store with it (`orograph build --for quadtin`), or give a coarser "
+                remedy="Allow more memory, build a store with it "
+                f"(`orograph.build(..., quadtin={(self.options.finest, self.options.split)})`), or give a coarser "
                 "`resolution` or a smaller area (`bbox`).",
             )  # fmt: skip
 
