@@ -15,6 +15,7 @@ from orograph.geovis.data.priority import Priority
 from orograph.rendering.standing import stand
 from orograph.viewer.data import ShownData
 from orograph.viewer.panels import data as panel
+from orograph.viewer.panels import plot
 
 EAST, NORTH = 412_000.0, 4_987_000.0
 
@@ -137,6 +138,16 @@ def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
     for name, wrong in (("priority", "X"), ("time", "1999"), ("found", ())):
         with pytest.raises(traitlets.TraitError):
             setattr(widget, name, wrong)
+    assert widget.selection == {} and widget.times == ()
+    widget.selection = {"ranges": {"part": (0.5, 1)}}
+    assert widget.selection == {"ranges": {"part": (0.5, 1.0)}, "area": ()}
+    assert widget.window.session.settings.veil is not None
+    for wrong in ({"ranges": {"part": (1, 0)}}, {"rows": 3}, {"area": [(1, 2)]}):
+        with pytest.raises(traitlets.TraitError):
+            widget.selection = wrong
+    plot.select(widget.window, ranges={}, area=())  # as the panel does
+    widget.canvas.draw()
+    assert widget.selection == {} and widget.window.session.settings.veil is None
     widget.window.session.settings.show(widget.window.session.terrain, priority=Priority.parse("T+D-U+"))
     widget.canvas.draw()
     assert widget.priority == "T+D-U+"

@@ -173,9 +173,12 @@ class ShownData:
         """What a thing that stands shows, by its number."""
         if self.things is None or not 0 <= number < len(self.things) or not np.isfinite(self.things.values[number]):
             return ()
-        scales = self.things.legend.scales
-        name, unit = (scales[0].label, scales[0].unit) if len(scales) == 1 else ("value", "")
-        return (Found(name, float(self.things.values[number]), None, unit),)
+        which = int(self.things.shown[number])
+        if which < 0:
+            return ()
+        name, unit, classes = self.things.shows[which]
+        value = float(self.things.values[number])
+        return (Found(name, classes[int(value)] if classes else value, None, unit),)
 
 
 def _clock(time: str) -> str:
