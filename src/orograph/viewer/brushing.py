@@ -222,7 +222,7 @@ def _lattice(grid: Grid) -> tuple[Array, Array]:
 
 
 def sampled(x: Array, y: Array, terrain: Terrain, shown: ShownData | None) -> Sampled:
-    """Heights and painted numbers at places (n,); of two variables of one name the upper one."""
+    """Heights, painted numbers and their standard deviations at places (n,); of two of one name the upper one."""
     grid = terrain.grid
     col, row = grid.index(x, y)
     here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1)
@@ -230,17 +230,19 @@ def sampled(x: Array, y: Array, terrain: Terrain, shown: ShownData | None) -> Sa
     values: dict[str, Array] = {HEIGHT: np.where(here, found, np.nan)}
     for one in () if shown is None else shown.painted:
         if one.square is None:
-            values[one.title] = _of_painted(one, x, y)
+            values[one.title] = _of_painted(one, one.values, x, y)
+            if one.sigma is not None:
+                values[f"± {one.title}"] = _of_painted(one, one.sigma, x, y)
     return Sampled(x, y, values)
 
 
-def _of_painted(one: Shown, x: Array, y: Array) -> Array:
-    """Values (n,) of painted data at places: of the nearest texel."""
+def _of_painted(one: Shown, values: NDArray[np.float32], x: Array, y: Array) -> Array:
+    """Values (n,) at places of what (rows, cols) painted data have: of the nearest texel."""
     col, row = (np.rint(v).astype(np.int64) for v in one.over.index(x, y))
     here = (row >= 0) & (row < one.over.rows) & (col >= 0) & (col < one.over.cols)
     row, col = np.where(here, row, 0), np.where(here, col, 0)
     there = here if one.cover is None else here & (one.cover[row, col] >= 0.5)
-    return np.where(there, one.values[row, col].astype(np.float64), np.nan)
+    return np.where(there, values[row, col].astype(np.float64), np.nan)
 
 
 def inside(x: Array, y: Array, corners: Array) -> Mask:
