@@ -114,7 +114,7 @@ def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
 @pytest.mark.parametrize(
     ("each", "says"),
     [
-        ("station", "view, member, band, time"),
+        ("station", "view, data, member, band, time"),
         ("member=9", "no 9"),
         ("member=2", "there is 1"),
         ("time", "there are 0"),
@@ -156,3 +156,14 @@ def test_a_long_legend_leaves_panels_alone(ground, data):
     assert picture.pixels.shape == bare.pixels.shape
     # Right of the panels there is the legend alone, on paper without a frame of its own.
     assert not (picture.pixels == np.array(EDGE, np.uint8)).all(-1).any()
+
+
+def test_each_of_several_data_has_a_panel_and_its_own_scale(ground, data):
+    other = orograph.Dataset(np.linspace(0, 300, 48, dtype=np.float32).reshape(6, 8), variable="rain_sum")
+    view = orograph.camera.whole(ground, (400, 300))
+    found = panels_of((data, other), "data", ground)
+    assert [panel.title for panel in found] == ["Field", "rain sum"]
+    sheet = orograph.render(ground, view, data=[data, other], each="data", furniture=True, progress=False)
+    assert sheet.facts["panels"] == 2
+    with pytest.raises(UsageError, match="there are 1"):
+        panels_of((data,), "data", ground)
