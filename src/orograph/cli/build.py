@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from orograph.error import ErrorKind
     from orograph.progress import Progress
+    from orograph.store.chunked import Kind
     from orograph.store.stored import StoredTerrain
 
 
@@ -385,9 +386,9 @@ def _repair(
 
 def _needed(
     methods: Sequence[str], progress: Progress, legs: str | None
-) -> tuple[tuple[ErrorKind, ...], int | None, tuple[int, float] | None]:
-    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, and the cells and
-    metres of the finest chunks.
+) -> tuple[tuple[ErrorKind, ...], int | None, Kind | None]:
+    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, and the
+    kind of the chunks.
 
     Args:
         legs: of TINs that are asked for outright.
@@ -396,11 +397,12 @@ def _needed(
         UsageError: one of them is no method, or two need other TINs or other chunks.
     """
     tins = {} if legs is None else {int(legs): None}
-    chunked: dict[tuple[int, float], None] = {}
+    chunked: dict[Kind, None] = {}
     if not methods:
         return (), next(iter(tins), None), None
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
+    from orograph.store.chunked import Kind
     from orograph.store.patches import LEGS
 
     found: dict[ErrorKind, None] = {}
@@ -409,9 +411,7 @@ def _needed(
         needs = choice.method.needs(choice.options)
         found.update(dict.fromkeys(kinds_of(needs)))
         tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
-        chunked.update(
-            dict.fromkeys((need.options["cells"], need.options["finest"]) for need in needs if need.name == "chunked")
-        )
+        chunked.update(dict.fromkeys(Kind(**need.options) for need in needs if need.name == "chunked"))
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
@@ -422,7 +422,10 @@ def _needed(
             remedy="Ask for those of one kind.",
         )  # fmt: skip
     if len(chunked) > 1:
-        sizes = " and ".join(f"{cells} cells from {finest:g} m on" for cells, finest in chunked)
+        sizes = " and ".join(
+            f"{cells} cells from {finest:g} m on{', compressed' if compressed else ''}"
+            for cells, finest, compressed in chunked
+        )
         raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
     return tuple(found), next(iter(tins), None), next(iter(chunked), None)
 

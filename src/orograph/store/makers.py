@@ -13,6 +13,7 @@ import numpy as np
 from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
+from orograph.store.chunked import Kind
 from orograph.store.chunked_kind import CHUNKED, spooled
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
 from orograph.store.executing import Executor
@@ -34,7 +35,7 @@ class Work(NamedTuple):
         writer: of shards; all heights, means and tables are written.
         jobs: threads. executor: runs what is done by shard. progress: is told of tasks.
         tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
-        chunked: cells and metres of the finest chunks whose meshes are wanted; None: none are.
+        chunked: the kind of chunks whose meshes are wanted; None: none are.
     """
 
     errors: tuple[ErrorKind, ...]
@@ -43,7 +44,7 @@ class Work(NamedTuple):
     executor: Executor
     progress: Progress
     tins: int | None = None
-    chunked: tuple[int, float] | None = None
+    chunked: Kind | None = None
 
     def terrain(self, record: Record) -> StoredTerrain:
         """What is written by now."""
@@ -103,11 +104,10 @@ def make_chunked(record: Record, work: Work) -> Record:
 
     if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
         return record
-    cells, finest = work.chunked
     with spooled() as spool:
-        stage = ChunkStage(work.terrain(record), work.writer, cells, finest, spool)
+        stage = ChunkStage(work.terrain(record), work.writer, work.chunked, spool)
         work.executor.run(stage, work.progress)
-    return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": stage.chunks.error, "rows": stage.rows})
+    return CHUNKED.put(record, {**work.chunked._asdict(), "error": stage.chunks.error, "rows": stage.rows})
 
 
 MAKERS: dict[str, Callable[[Record, Work], Record]] = {
