@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from orograph.error import ErrorKind
     from orograph.progress import Progress
+    from orograph.store.chunked import Kind
     from orograph.store.stored import StoredTerrain
 
 
@@ -398,9 +399,9 @@ def _repair(
 
 def _needed(
     methods: Sequence[str], progress: Progress, legs: str | None
-) -> tuple[tuple[ErrorKind, ...], int | None, tuple[int, float] | None, tuple[float, str] | None]:
-    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, the cells and metres of
-    the finest chunks, and the metres and way of splitting of a QuadTIN.
+) -> tuple[tuple[ErrorKind, ...], int | None, Kind | None, tuple[float, str] | None]:
+    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, the kind of the chunks,
+    and the metres and way of splitting of a QuadTIN.
 
     Args:
         legs: of TINs that are asked for outright.
@@ -409,12 +410,13 @@ def _needed(
         UsageError: one of them is no method, or two need other TINs, chunks or QuadTINs.
     """
     tins = {} if legs is None else {int(legs): None}
-    chunked: dict[tuple[int, float], None] = {}
+    chunked: dict[Kind, None] = {}
     quadtin: dict[tuple[float, str], None] = {}
     if not methods:
         return (), next(iter(tins), None), None, None
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
+    from orograph.store.chunked import Kind
     from orograph.store.patches import LEGS
 
     found: dict[ErrorKind, None] = {}
@@ -423,9 +425,7 @@ def _needed(
         needs = choice.method.needs(choice.options)
         found.update(dict.fromkeys(kinds_of(needs)))
         tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
-        chunked.update(
-            dict.fromkeys((need.options["cells"], need.options["finest"]) for need in needs if need.name == "chunked")
-        )
+        chunked.update(dict.fromkeys(Kind(**need.options) for need in needs if need.name == "chunked"))
         quadtin.update(
             dict.fromkeys((need.options["finest"], need.options["split"]) for need in needs if need.name == "quadtin")
         )
@@ -439,7 +439,10 @@ def _needed(
             remedy="Ask for those of one kind.",
         )  # fmt: skip
     if len(chunked) > 1:
-        sizes = " and ".join(f"{cells} cells from {finest:g} m on" for cells, finest in chunked)
+        sizes = " and ".join(
+            f"{cells} cells from {finest:g} m on{', compressed' if compressed else ''}"
+            for cells, finest, compressed in chunked
+        )
         raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
     if len(quadtin) > 1:
         kinds = " and ".join(f"finest={finest:g},split={split}" for finest, split in quadtin)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
+from orograph.store.chunked import Kind
 from orograph.store.chunked_kind import CHUNKED, rows_of, spooled
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
 from orograph.store.executing import Executor
@@ -38,7 +39,7 @@ class Work(NamedTuple):
         writer: of shards; all heights, means and tables are written.
         jobs: threads. executor: runs what is done by shard. progress: is told of tasks.
         tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
-        chunked: cells and metres of the finest chunks whose meshes are wanted; None: none are.
+        chunked: the kind of chunks whose meshes are wanted; None: none are.
         quadtin: metres and way of splitting of the QuadTIN that is wanted; None: none is.
     """
 
@@ -48,7 +49,7 @@ class Work(NamedTuple):
     executor: Executor
     progress: Progress
     tins: int | None = None
-    chunked: tuple[int, float] | None = None
+    chunked: Kind | None = None
     quadtin: tuple[float, str] | None = None
 
     def terrain(self, record: Record) -> StoredTerrain:
@@ -109,11 +110,10 @@ def make_chunked(record: Record, work: Work) -> Record:
 
     if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
         return record
-    cells, finest = work.chunked
     with spooled() as spool:
-        stage = ChunkStage(work.terrain(record), work.writer, cells, finest, spool)
+        stage = ChunkStage(work.terrain(record), work.writer, work.chunked, spool)
         work.executor.run(stage, work.progress)
-    return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": stage.chunks.error, "rows": stage.rows})
+    return CHUNKED.put(record, {**work.chunked._asdict(), "error": stage.chunks.error, "rows": stage.rows})
 
 
 def make_quadtin(record: Record, work: Work) -> Record:

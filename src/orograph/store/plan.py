@@ -8,6 +8,7 @@ from typing import Any
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
 from orograph.geo.grid import wkt_of
+from orograph.store.chunked import Kind
 from orograph.store.chunked_kind import CHUNKED
 from orograph.store.coding import Coding
 from orograph.store.diamond_table import DIAMONDS
@@ -26,7 +27,7 @@ def plan_for(
     chunk: int,
     kinds: tuple[ErrorKind, ...],
     tins: int | None,
-    chunked: tuple[int, float] | None,
+    chunked: Kind | None,
     quadtin: tuple[float, str] | None,
     keep_source: bool,
     coding: Coding | None,
@@ -66,7 +67,7 @@ def plan_of(record: Record) -> dict[str, Any]:
         "chunk": record.chunk,
         "errors": list(DIAMONDS.of(record).errors),
         "tins": TINS.of(record).get("legs"),
-        "chunked": [of[name] for name in ("cells", "finest")] if (of := CHUNKED.of(record)) else None,
+        "chunked": [of[name] for name in Kind._fields] if (of := CHUNKED.of(record)) else None,
         "quadtin": QUADTIN.of(record).get("asked"),
         "keep_source": bool(record.lattices),
         "codec": None if record.coding is None else record.coding.asked(),

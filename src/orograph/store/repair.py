@@ -22,6 +22,7 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
+from orograph.store.chunked import Kind
 from orograph.store.chunked_kind import CHUNKED
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
@@ -158,7 +159,7 @@ class _Repair:
                 errors = tuple(DIAMONDS.of(self.record).errors)
                 tins = TINS.of(self.record).get("legs")
                 found = CHUNKED.of(self.record)
-                chunked = (found["cells"], found["finest"]) if found else None
+                chunked = Kind(*(found[name] for name in Kind._fields)) if found else None
                 asked = QUADTIN.of(self.record).get("asked")
                 quadtin = (asked[0], asked[1]) if asked else None
                 threads = Threads(self.jobs, False)

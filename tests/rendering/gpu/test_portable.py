@@ -70,6 +70,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "rays": {"light": "raytraced", "rays": 4, **LIGHTS},
     "mesh": {"method": "soar", "wireframe": True},
     "tree": {"method": "cbt", "wireframe": True},
+    "chunks": {"method": "chunked-lod,cells=16,compressed=yes", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
     "both": {"method": "hybrid,shares=turns,block=32", "normals": "faces"},

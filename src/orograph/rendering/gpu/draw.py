@@ -151,7 +151,7 @@ def draw(
         "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
-    mesh = renderer.mesh if renderer.tree is None else renderer.tree.tessellation()
+    mesh = renderer.mesh if renderer.resident is None else renderer.resident.tessellation()
     if mesh is not None:
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     if renderer.windows is not None:
