@@ -27,6 +27,7 @@ from orograph.scene import camera
 from orograph.scene.scene import Scene
 from orograph.store.clusters import Cluster
 from orograph.store.workshop import forget, learn
+from orograph.viewpoint import Camera
 
 SIZE = (257, 150)
 
@@ -51,7 +52,7 @@ def views(land):
 def test_parts_of_heights_show_what_the_whole_shows(name, count):
     land = ground()
     view = views(land)[name]
-    projection, shape = Projection.of(view, land.grid), land.grid.shape
+    projection, shape = Projection.of(Camera.over(land.grid, view)), land.grid.shape
     windows = [Rectangle.whole(2, land.shape(2)), Rectangle(1, 64, 301, 64, 401), Rectangle(0, 200, 521, 300, 701)]
     whole = RaySurface(Caster(load(land, windows), shape), projection)
     boxes = split(windows, shape, count)
@@ -120,7 +121,7 @@ def test_parts_of_a_mesh_show_what_the_whole_shows():
     rng = np.random.default_rng(4)
     land = ground(130, 170)
     view = camera.around(land, SIZE, azimuth=215, pitch=25, distance=2500)
-    projection = Projection.of(view, land.grid)
+    projection = Projection.of(Camera.over(land.grid, view))
     rows, cols = land.grid.shape
     heights = land.read(0, 0, rows, 0, cols)
     y, x = (a.ravel() for a in np.mgrid[0:rows:3, 0:cols:3])

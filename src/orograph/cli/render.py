@@ -46,9 +46,10 @@ OWN = {*DRAWING, *CAMERA}
 )
 @click.option(
     "--each",
-    metavar="view|member|band|time[=SOME]",
-    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), or one for each "
-    "member, band or time of the first --data, all or some: member=1-6, time=T12.",
+    metavar="view|data|member|band|time[=SOME]",
+    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), one for each "
+    "--data (data, each with its own scale), or for each member, band or time of the first, all or some: member=1-6, "
+    "time=T12.",
 )
 @click.option("--save-view", type=FILE, metavar="VIEW.json", help="Also write the camera that was used.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")

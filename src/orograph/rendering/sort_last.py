@@ -44,7 +44,7 @@ from orograph.scene.parts import Surface as Surfacing
 from orograph.scene.scene import Scene
 from orograph.store.clusters import TRIES, Cluster, check_workers, workforce
 from orograph.store.workshop import opened
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class Parts:
     def surface(self, part: Part) -> Surface:
         """What a part shows."""
         terrain, jobs = self.scene.terrain, self.scene.budget.jobs
-        projection = Projection.of(part.view, terrain.grid, part.surface.exaggeration)
+        projection = Projection.of(Camera(part.view, terrain.chart, part.surface.exaggeration))
         with self._making:
             if part.share is None:
                 shape = terrain.grid.shape

@@ -47,6 +47,13 @@ def begun(storage: Storage) -> bool:
     return storage.exists(PLAN) or (not storage.remote and storage.exists(ROOT))
 
 
+def sweep(path: Path) -> None:
+    """Remove the store that another has taken the place of, if the process that did it was killed before it could."""
+    old = FolderStorage(replaced(path))
+    if old.path.exists() and is_store(FolderStorage(path)):
+        old.remove()
+
+
 def kept(path: str | os.PathLike[str]) -> list[tuple[int, Path]]:
     """The older versions beside a store (``versions``), the newest of them first."""
     folder = Path(path)

@@ -244,7 +244,7 @@ class FolderStorage(Storage):
         return StoreError(
             f"{key or 'The folder'} could not be {what}: {error.strerror or error}.",
             path=self.path,
-            remedy="Make room, then run it again with `resume=True`." if full else "",
+            remedy="Make room, and run it again: a build with `resume=True`, an update as it is." if full else "",
         )
 
 

@@ -89,7 +89,7 @@ def draw(
     for warning in facts["warnings"]:
         progress.warn(warning)
     if scene.surface.detail is not None:
-        from orograph.rendering.cpu.detail import detailed
+        from orograph.rendering.detail import detailed
 
         scene, facts["detail"] = detailed(scene, memo, progress)
     subject = _Subject(scene)

@@ -35,6 +35,7 @@ from orograph.rendering.rays import Hits, Rays
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
+from orograph.viewpoint import Camera
 
 Array = NDArray[np.float64]
 
@@ -108,9 +109,7 @@ class Ground:
         self.rays = Rays(scene, self._seen(scene, mesh, memo, cast))
         if scene.annotations.silhouettes is not None:
             self.ends = memo("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
-        grid = terrain.grid
-        linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
-        self.linear = linear  # metres east and north per column and per row
+        self.linear = linear = terrain.chart.linear  # metres east and north per column and per row
         self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
         self.to_samples = np.linalg.inv(linear)
 
@@ -132,8 +131,8 @@ class Ground:
 
     def _seen(self, scene: Scene, mesh: Tessellation | None, memo: Memo, cast: Cast | None) -> Surface:
         """What the camera looks at: a mesh's triangles, or the caster's heights, behind patches over missing data."""
-        view, grid, jobs = scene.view.whole, scene.terrain.grid, scene.budget.jobs
-        projection = Projection.of(view, grid, scene.surface.exaggeration)
+        view, jobs = scene.view.whole, scene.budget.jobs
+        projection = Projection.of(Camera(view, scene.terrain.chart, scene.surface.exaggeration))
         seen: Surface
         if cast is not None:
             seen = cast(scene, self.windows, projection)
@@ -145,7 +144,7 @@ class Ground:
                 "triangles", known, lambda: MeshSurface(mesh.vertices, mesh.triangles, projection, jobs), mesh
             )  # fmt: skip
         if scene.terrain.valid_fraction < 1:
-            shape = grid.shape
+            shape = scene.terrain.grid.shape
             found = memo("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
             if found:
                 over = memo("over", jobs, lambda: Caster(found, shape, jobs), found)
