@@ -2,8 +2,8 @@
 
 A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
 folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times, the
-reading options and the errors that it holds: the next picture of it opens that store at once. One process builds it, and
-others that want it wait. The folder keeps within a size (``store.kept``).
+reading options and the errors that it holds: the next picture of it opens that store at once. One process builds it,
+and others that want it wait. The folder keeps within a size (``store.kept``).
 """
 
 from __future__ import annotations
@@ -158,9 +158,10 @@ def _built(
     waits = False
     while True:
         try:
-            return build(
+            made: StoredTerrain = build(
                 mosaic, kept, resume=True, errors=errors, keep_source=False, jobs=jobs, progress=progress, **memory
             )
+            return made
         except StoreBusyError as error:
             if not waits:
                 progress.note(f"{error.what} It is waited for.")
