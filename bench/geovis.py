@@ -189,7 +189,7 @@ def main() -> None:
     row("member value p90", data=plain.but(value="p90"))
     row("member exceeds 10", data=plain.but(exceeds=10.0))
     row("focus lens", data=data, priority="T+D-U-", focus=orograph.Focus("lens", "T+D+U+"))
-    row("ghost", ghosts=orograph.Ghost(terrain, opacity=0.4))
+    row("a ghost", ghosts=orograph.Ghost(terrain, opacity=0.4))
     for sign in Sign.__args__:  # type: ignore[attr-defined]
         if sign not in ("errorbars", "none"):
             doubt = orograph.Uncertainty("spread", style=sign)
@@ -210,6 +210,8 @@ def main() -> None:
         row(f"track {name}", **{**options, "priority": "T+D+U-"})
     for name, options in geovis_volumes.pictures().items():
         row(f"volume {name}", **{"priority": "T+D+U-", **options})
+    for name, options in geovis_volumes.ghosts().items():
+        row(f"ghost {name}", **options)
     with tempfile.TemporaryDirectory() as folder:
         for name, options in geovis_volumes.walks(Path(folder)).items():
             row(f"walk {name}", **{"priority": "T+D+U-", **options})
@@ -224,7 +226,8 @@ def main() -> None:
         save(made, given.pictures)
 
 
-COLUMNS = {"T": 4, "style": 4, "sign": 4, "standing": 3, "shape": 2, "two": 2, "track": 3, "volume": 2, "walk": 2}
+COLUMNS = {"T": 4, "style": 4, "sign": 4, "standing": 3, "shape": 2, "two": 2, "track": 3, "volume": 2, "walk": 2,
+           "ghost": 2}  # fmt: skip
 """Pictures side by side in the sheets, by kind."""
 
 

@@ -111,3 +111,38 @@ def walks(folder: Path) -> dict[str, dict[str, Any]]:
         "tubes": {**common, "data": walk.but(style="tubes", variable="speed", colormap="plasma", name="Speed")},
         "paths": {**common, "data": walk.but(style="paths"), "aids": "shadows"},
     }
+
+
+def ghosts() -> dict[str, dict[str, Any]]:
+    """Options of pictures of surfaces seen through, by name."""
+    made: dict[str, dict[str, Any]] = {}
+    ground = SHARED / "n44w072-hgt" / "N44W072.hgt"
+    if ground.exists():
+        from scipy.ndimage import gaussian_filter, minimum_filter
+
+        land = orograph.terrain(ground, bbox=(-71.45, 44.08, -71.1, 44.4))
+        heights = land.read(0, 0, land.grid.rows, 0, land.grid.cols)
+        table = gaussian_filter(minimum_filter(np.nan_to_num(heights, nan=float(np.nanmin(heights))), 25), 12) + 12
+        water = orograph.Ghost(table.astype(np.float32), color="#0a5fc2", opacity=0.85, hidden=0.1,
+                               name="Water table (made)")  # fmt: skip
+        view = orograph.camera.around(land, SIZE, azimuth=180, pitch=38, exaggeration=1.5)
+        made["water table"] = {"terrain": land, "view": view, "exaggeration": 1.5, "ghosts": water, "water": "none",
+                               "furniture": True, "title": "White Mountains"}  # fmt: skip
+    folder = SHARED / "swiss-alps-geoids"
+    first, second = folder / "chgeo2004_LV95.tif", folder / "us_nga_egm2008_1_clipAlps.tif"
+    if first.exists() and second.exists():
+        import rasterio
+        from rasterio.warp import Resampling, reproject
+
+        land = orograph.terrain(first)
+        heights = land.read(0, 0, land.grid.rows, 0, land.grid.cols)
+        other = np.full(heights.shape, np.nan, np.float32)
+        with rasterio.open(second) as file:
+            reproject(rasterio.band(file, 1), other, src_crs="EPSG:4326", dst_transform=land.grid.transform,
+                      dst_crs="EPSG:2056", resampling=Resampling.bilinear, dst_nodata=np.nan)  # fmt: skip
+        other += np.float32(np.nanmean(heights) - np.nanmean(other))
+        ghost = orograph.Ghost(other, color="#c8501e", opacity=0.7, hidden=0.2, name="EGM2008, same mean")
+        view = orograph.camera.around(land, SIZE, azimuth=180, pitch=30, exaggeration=6000)
+        made["two geoids"] = {"terrain": land, "view": view, "exaggeration": 6000, "ghosts": ghost, "furniture": True,
+                              "title": "Geoids of Switzerland"}  # fmt: skip
+    return made

@@ -60,6 +60,21 @@ def detailed(request: pytest.FixtureRequest, coarse: orograph.Terrain, lidar: or
     return Detailed(coarse, 3, 5, steering)  # one doubling finer than the example
 
 
+@pytest.mark.parametrize("example", [False, True])
+def test_a_gpu_makes_the_same(coarse: orograph.Terrain, lidar: orograph.Dem, device, example: bool) -> None:
+    """To the bit: at borders, beside voids, at every level, wherever a window begins."""
+    both = []
+    for one in (None, device):
+        steering = steering_of(coarse, lidar, -3, device=one)[0] if example else None
+        both.append(Detailed(coarse, 4, -3, steering, one))
+    cpu, gpu = both
+    rows, cols = cpu.grid.shape
+    for window in ((0, 70, cols - 90, cols), (rows - 40, rows, 0, 30), (5 * 16, 9 * 16, 400, 540)):
+        np.testing.assert_array_equal(gpu.read(0, *window), cpu.read(0, *window))
+    assert np.isnan(cpu.read(0, 5 * 16, 9 * 16, 400, 540)).any()
+    np.testing.assert_array_equal(gpu.read(2, 20, 60, 30, 90), cpu.read(2, 20, 60, 30, 90))
+
+
 def test_the_datas_own_samples_stay_and_levels_nest(coarse: orograph.Terrain, detailed: Detailed) -> None:
     whole = detailed.read(0, 0, detailed.grid.rows, 0, detailed.grid.cols)
     data = coarse.read(0, 0, 37, 0, 90)
@@ -198,9 +213,20 @@ def test_what_makes_no_sense_is_refused(coarse: orograph.Terrain, lidar: orograp
             orograph.render(coarse, view, progress=False, **options)
 
 
-def test_the_gpu_refuses_it(coarse: orograph.Terrain) -> None:
-    with pytest.raises(UsageError, match="The GPU draws no"):
-        orograph.render(coarse, near(coarse), detail=True, backend="gpu", progress=False)
+@pytest.mark.slow
+def test_the_gpu_draws_it(coarse: orograph.Terrain, lidar: orograph.Dem, device) -> None:
+    """As the CPU does: the same ground in nearly all pixels, within a pixel, and alike in colour."""
+    view = near(coarse)
+    for detail in (True, Detail(lidar, 2)):
+        cpu, gpu = (orograph.render(coarse, view, detail=detail, backend=b, progress=False) for b in ("cpu", "gpu"))
+        assert gpu.facts["detail"] == cpu.facts["detail"]
+        assert gpu.describe() == cpu.describe()
+        plain = orograph.render(coarse, view, backend="gpu", progress=False)
+        both = np.isfinite(cpu.depth) & np.isfinite(gpu.depth)
+        assert both.mean() > 0.98 * np.isfinite(cpu.depth).mean()
+        off, was = (np.abs(one.depth - cpu.depth)[both] / cpu.depth[both] for one in (gpu, plain))
+        assert np.median(off) < 1e-3 < np.nanmedian(was)
+        assert np.abs(gpu.pixels.astype(int) - cpu.pixels)[both].mean() < 4
 
 
 @pytest.mark.parametrize(

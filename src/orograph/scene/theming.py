@@ -74,7 +74,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     inside = tuple(one for one in data if one.style != "walls")
     stretch = float(options.get("exaggeration") or 1.0)
     found = [_read(one, terrain, max(size), priority, stretch) for one in pairs(inside)]
-    standing = [one for one in found if isinstance(one, Things)]
+    standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
@@ -86,6 +86,19 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
         beside = _walls(terrain, flat, around[0] if around else None)
         things = Things.joined([*([things] if things is not None else []), beside])
     return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
+
+
+def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things:
+    """Things that know what their values are."""
+    from orograph.geovis.data.standing import Variable
+
+    key = things.legend
+    if key.scales:
+        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),))
+    one = dataset if not isinstance(dataset, tuple) else dataset[0]
+    classes = tuple(name for name, _ in key.classes)
+    alike = one.name or one.variable or ("class" if len(classes) > 1 else "".join(classes))
+    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),))
 
 
 def _read(

@@ -24,7 +24,7 @@ from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
 from orograph.store.addresses import storage_at
-from orograph.store.chunked import checked_sizes
+from orograph.store.chunked import Kind, checked_kind
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
 from orograph.store.given import source_of
@@ -36,6 +36,7 @@ from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric
 from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store, partial, publish
 from orograph.store.plan import check_replaceable, compared, plan_for
+from orograph.store.quadtin_kind import checked_quadtin
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
@@ -75,7 +76,8 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
-    chunked: tuple[int, float] | None = None,
+    chunked: tuple[int, float] | tuple[int, float, bool] | None = None,
+    quadtin: tuple[float, str] | None = None,
     keep_source: bool = True,
     codec: str = CODECS[0],
     max_error: str | float = "lossless",
@@ -107,7 +109,8 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
-    chunked: tuple[int, float] | None = None,
+    chunked: tuple[int, float] | tuple[int, float, bool] | None = None,
+    quadtin: tuple[float, str] | None = None,
     keep_source: bool = True,
     codec: str = CODECS[0],
     max_error: str | float = "lossless",
@@ -138,8 +141,10 @@ def build(
             them: several, or a text ("exact,midpoint"); none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``); None: no TINs.
         chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
-            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes. They follow from ``midpoint`` errors,
-            which are stored, too.
+            from the terrain ((32, 0) for ``chunked-lod``), and whether they are compressed ((32, 0, True)); None: no
+            such meshes. They follow from ``midpoint`` errors, which are stored, too.
+        quadtin: metres within which the finest triangles of a stored QuadTIN are, 0: a sixteenth of the spacing of
+            samples, and which points split triangles ((0, "nearest") for ``quadtin``); None: none is stored.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
@@ -174,8 +179,10 @@ def build(
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
-        chunked = checked_sizes(chunked)
+        chunked = checked_kind(chunked)
         kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # which chunks follow from
+    if quadtin is not None:
+        quadtin = checked_quadtin(quadtin)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
@@ -198,7 +205,7 @@ def build(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = plan_for(raster, shard, chunk, kinds, tins, chunked, keep_lattices, coding)
+    plan = plan_for(raster, shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)
     storage = final if final.remote else FolderStorage(partial(final.url))
     if part is not None:
         build_part(raster, final, storage, plan, coding, part_of(part), jobs, overwrite, progress)
@@ -344,7 +351,9 @@ def _fill(
     if (surface := getattr(raster, "surface", None)) is not None:
         record = put_points(record, surface, writer)
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins"), plan.get("chunked")))
+        kind = None if plan.get("chunked") is None else Kind(*plan["chunked"])
+        wanted = plan.get("tins"), kind, plan.get("quadtin")
+        record = make(record, Work(kinds, writer, jobs, executor, progress, *wanted))
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
         progress.warn(told)
     if raster.fingerprint() != plan["source"]:

@@ -116,6 +116,10 @@ class Steering:
             chosen, other = other, chosen
         return np.asarray(chosen)
 
+    def residual(self, level: int) -> Steered:
+        """Of the doubling that is ``level`` doublings finer than the data."""
+        return Steered(self, level)
+
     def at(self, level: int) -> int:
         """The exemplar's level that is ``level`` doublings finer than the data."""
         return self.exemplar.top - self.doublings + level

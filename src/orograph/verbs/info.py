@@ -250,6 +250,8 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
         parts["TINs"] = _files(folder / "tins")
     if (folder / "chunked").is_dir():
         parts["chunks"] = _files(folder / "chunked")
+    if (folder / "quadtin").is_dir():
+        parts["QuadTIN"] = _files(folder / "quadtin")
     if (folder / "colors").is_dir():
         parts["color errors"] = _files(folder / "colors")
     for name in layers:

@@ -14,10 +14,13 @@ import numpy as np
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import read_data
+from orograph.geovis.data.features import has_features
 from orograph.geovis.data.listing import times_in
+from orograph.geovis.data.points import is_table
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.scales import PERCENTILES
+from orograph.geovis.data.standing import stands
 from orograph.geovis.data.times import neighbours, seconds_of, written
 from orograph.geovis.data.tracks import span_of
 
@@ -64,7 +67,8 @@ class ShownData:
     Attributes:
         times: of the data that have any, ISO 8601 in UTC, in order. span: the first and the last moment of them and of
             tracks, seconds since 1970; None: no time is known. time: the one that is shown; "": as given.
-        playing: whether time passes.
+        playing: whether time passes. exceeds: instead of the first raster's values, how probably they are above this
+            one is shown; None: its values are.
         painted: what is painted, bottom to top. things: what stands, or None.
     """
 
@@ -75,6 +79,7 @@ class ShownData:
         ends = [end for span in moving for end in span] + seconds_of(self.times[:1] + self.times[-1:], "", "").tolist()
         self.span = (min(ends), max(ends)) if len(self.times) > 1 or moving else None
         self.time, self.playing = "", False
+        self.exceeds: float | None = None
         self.painted: tuple[Shown, ...] = ()
         self.things: Things | None = None
         self._spans: dict[int, tuple[float, float]] = {}
@@ -124,7 +129,23 @@ class ShownData:
 
     def current(self, terrain: Terrain) -> tuple[Dataset, ...]:
         """The data of the chosen time. How members differ is not known of a series' single time."""
-        return tuple(self._at_time(k, one, terrain) for k, one in enumerate(self.data))
+        made = [self._at_time(k, one, terrain) for k, one in enumerate(self.data)]
+        k = self.doubtful
+        if self.exceeds is not None and k is not None:
+            doubt = made[k].uncertainty
+            own = None if doubt is None or doubt.of_members else doubt
+            made[k] = made[k].but(exceeds=self.exceeds, value=None, range=None, uncertainty=own)
+        return tuple(made)
+
+    @property
+    def doubtful(self) -> int | None:
+        """The number of the first data of which it can be asked how probably they exceed a value: a raster with an
+        uncertainty, or such a probability; None: there are none."""
+        for k, one in enumerate(self.data):
+            raster = not (has_features(one.source) or is_table(one.source) or stands(one))
+            if raster and (one.uncertainty is not None or one.exceeds is not None):
+                return k
+        return None
 
     def _at_time(self, k: int, one: Dataset, terrain: Terrain) -> Dataset:
         if not self.time:
@@ -173,9 +194,12 @@ class ShownData:
         """What a thing that stands shows, by its number."""
         if self.things is None or not 0 <= number < len(self.things) or not np.isfinite(self.things.values[number]):
             return ()
-        scales = self.things.legend.scales
-        name, unit = (scales[0].label, scales[0].unit) if len(scales) == 1 else ("value", "")
-        return (Found(name, float(self.things.values[number]), None, unit),)
+        which = int(self.things.shown[number])
+        if which < 0:
+            return ()
+        name, unit, classes = self.things.shows[which]
+        value = float(self.things.values[number])
+        return (Found(name, classes[int(value)] if classes else value, None, unit),)
 
 
 def _clock(time: str) -> str:

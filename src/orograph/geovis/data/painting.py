@@ -176,7 +176,7 @@ def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority
         raise UsageError("Classes have no mean, no value= and no exceeds=.", path=str(dataset.source),
                          remedy="Choose one band, time or member.")  # fmt: skip
     over = cropped(field, grid, texels)
-    table = ClassTable.of_tags(field.tags, field.palette)
+    table = ClassTable.of_tags(field.tags, field.palette, field.named)
     values, names, colors = numbered(classes_over(field, over), table, dataset.colormap, field.name)
     found = deviations(dataset, field, grid)
     sigma = None if found is None else Positions.of(over, found[0]).values(found[1])

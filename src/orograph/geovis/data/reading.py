@@ -22,6 +22,7 @@ from pyproj import CRS
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
+from orograph.geovis.data.attribute_table import Named, named_beside
 from orograph.geovis.data.choosing import chosen_bands, is_level, picked, wants_members
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.listing import array_of, subdataset, times_in
@@ -51,7 +52,8 @@ class Field:
         values: (members, rows, cols) float32, NaN where there are none. grid: of rows and columns, in their own CRS.
         name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
         statistic: what is shown of members ("mean", "p90"…: see ``statistics``).
-        tags, palette: of classes (``classes``), what the source says of their names and colours.
+        tags, palette, named: of classes (``classes``), what the source, or a file beside it, says of their names and
+            colours.
     """
 
     values: Values
@@ -63,6 +65,7 @@ class Field:
     statistic: str = "mean"
     tags: Mapping[str, Any] = field(default_factory=dict)
     palette: Mapping[int, Any] | None = None
+    named: Named | None = None
 
     @property
     def mean(self) -> Values:
@@ -121,7 +124,8 @@ def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
 def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, part: float) -> Field:
     """Values at a moment between two times."""
     first, last = (read(replace(given, time=time), grid) for time in (before, after))
-    named = first.palette is not None or "flag_meanings" in first.tags or getattr(given, "style", None) == "classes"
+    named = first.palette is not None or first.named is not None or "flag_meanings" in first.tags
+    named = named or getattr(given, "style", None) == "classes"
     moment, way = str(given.time).replace("T", " "), "nearest" if named else "linear"
     if named:
         values = (first if part < 0.5 else last).values
@@ -154,7 +158,8 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
 
         where = Window(col0, row0, col1 - col0, row1 - row0)
         coloured = file.colorinterp[bands[0] - 1].name == "palette"
-        said_so = coloured or "flag_meanings" in file.tags(bands[0])
+        named = named_beside(location, bands[0])
+        said_so = coloured or named is not None or "flag_meanings" in file.tags(bands[0])
         style = given.style if isinstance(given, Dataset) else "continuous"
         classes = style == "classes" or (style is None and said_so)
         way = Resampling.nearest if step == 1 else Resampling.mode if classes else Resampling.average
@@ -172,7 +177,8 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
         palette = file.colormap(bands[0]) if coloured else None
     values[~np.isfinite(values)] = np.nan
-    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette))
+    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette,
+                           named=named))  # fmt: skip
 
 
 def _in_degrees(file: Any, found: Grid) -> Grid:

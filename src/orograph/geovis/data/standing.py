@@ -74,6 +74,14 @@ class Mark(NamedTuple):
     words: str
 
 
+class Variable(NamedTuple):
+    """What values are: a name, a unit, and of classes their names."""
+
+    name: str
+    unit: str = ""
+    classes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Things:
     """What stands on the ground.
@@ -87,6 +95,7 @@ class Things:
             one), else NaN; None: all stand on the ground.
         hidden: (n,) with which opacity each is seen through the ground that hides it; None: not at all.
         marks: words beside them.
+        shows: what values are, and ``which``: (n,) the one of these that each shows, −1 of none; None: the first.
     """
 
     kind: NDArray[np.int8]
@@ -101,6 +110,8 @@ class Things:
     ends: Array | None = None
     hidden: Array | None = None
     marks: tuple[Mark, ...] = ()
+    shows: tuple[Variable, ...] = ()
+    which: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -110,6 +121,13 @@ class Things:
         """Nothing, with a legend: what ``but`` makes things of."""
         none = np.empty(0)
         return cls(none.astype(np.int8), none, none, none, none, none, np.empty((0, 3), np.float32), none, legend)
+
+    @property
+    def shown(self) -> NDArray[np.int64]:
+        """(n,) which of ``shows`` each thing shows, −1 of none."""
+        if self.which is not None:
+            return self.which
+        return np.where(np.isfinite(self.values) & (len(self.shows) > 0), 0, -1)
 
     def but(self, **changes: Any) -> Things:
         """The same with other attributes."""
@@ -125,8 +143,12 @@ class Things:
         legends = [one.legend for one in several]
         upright = [np.full((len(one), 4), np.nan) if one.ends is None else one.ends for one in several]
         through = [np.zeros(len(one)) if one.hidden is None else one.hidden for one in several]
+        begins = np.cumsum([0, *(len(one.shows) for one in several)])
+        which = [np.where(one.shown < 0, -1, one.shown + begin) for one, begin in zip(several, begins)]
         return cls(
             **arrays,
+            shows=tuple(name for one in several for name in one.shows),
+            which=np.concatenate(which),
             hidden=np.concatenate(through) if any(one.hidden is not None for one in several) else None,
             ends=np.concatenate(upright) if any(one.ends is not None for one in several) else None,
             marks=tuple(mark for one in several for mark in one.marks),

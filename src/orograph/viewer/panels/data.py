@@ -38,6 +38,7 @@ def draw(window: Window) -> None:
         tip(what)
         if moved:
             change(window, priority=replace(shown.priority, **{name: on}))
+    _exceeding(window)
     _times(window)
     for key in window.session.scene().keys:
         _key(key)
@@ -48,6 +49,41 @@ def change(window: Window, **changes: Any) -> None:
     try:
         window.session.settings.show(window.session.terrain, **changes)
     except (OrographError, OSError) as error:
+        window.session.messages.say(str(error))
+    window.touch()
+
+
+def _exceeding(window: Window) -> None:
+    """Whether values are shown, or how probably they are above one."""
+    shown = window.session.settings.shown
+    if shown is None or (k := shown.doubtful) is None:
+        return
+    moved, on = imgui.checkbox("how probably above##exceeds", shown.exceeds is not None)
+    tip("Of all members or times, or by the normal law; the panel Plot selects where it is 90 %, say.")
+    first = shown.painted[0] if shown.painted else None
+    if moved and first is not None:
+        exceed(window, float(f"{(first.scale.low + first.scale.high) / 2:.3g}") if on else None)
+    elif shown.exceeds is not None:
+        imgui.same_line()
+        imgui.set_next_item_width(-1)
+        _, value = imgui.input_float(f"##above{k}", float(window.texts.get("exceeds", shown.exceeds)), format="%.4g")
+        if imgui.is_item_active():
+            window.texts["exceeds"] = str(value)
+        if imgui.is_item_deactivated_after_edit():
+            window.texts.pop("exceeds", None)
+            exceed(window, value)
+
+
+def exceed(window: Window, value: float | None) -> None:
+    """Show how probably the first raster's values are above one; None: the values again."""
+    shown = window.session.settings.shown
+    if shown is None:
+        return
+    before, shown.exceeds = shown.exceeds, value
+    try:
+        window.session.settings.show(window.session.terrain)
+    except (OrographError, OSError) as error:
+        shown.exceeds = before
         window.session.messages.say(str(error))
     window.touch()
 
