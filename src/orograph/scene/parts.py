@@ -74,6 +74,10 @@ def check_exaggeration(factor: float) -> None:
         raise UsageError(f"The exaggeration is a factor greater than 0, and at most {STEEPEST:g}, not {factor:g}.")
 
 
+_HIGHEST = 1e9
+"""Metres that no ground of any body reaches."""
+
+
 @dataclass(frozen=True, slots=True)
 class Lighting:
     """How light falls, and the air that it goes through.
@@ -164,7 +168,7 @@ class Data:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if isinstance(self.water, float) and not math.isfinite(self.water):
+        if isinstance(self.water, float) and not abs(self.water) < _HIGHEST:
             raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
         if self.range is not None:
             low, high = _ends(self.range)
