@@ -63,11 +63,13 @@ class BakeRecipe(NamedTuple):
     """All that workers are told once of a bake.
 
     Attributes:
-        url: the store's folder. options: of the products. layers: what is made. plan: as it lies in the bake's folder.
+        named: the store (``Storage.named``). folder: in which ``layers/.partial`` lies, the store's or another.
+        options: of the products. layers: what is made. plan: as it lies in the bake's folder.
         memory, base: as of all recipes.
     """
 
-    url: str
+    named: tuple[str, dict[str, Any] | None]
+    folder: str
     options: Options
     layers: list[LayerRecord]
     plan: bytes
@@ -79,11 +81,13 @@ class BakeRecipe(NamedTuple):
 
 
 def recipe_of(
-    storage: FolderStorage, options: Options, layers: list[LayerRecord], shard: int, memory: int
-) -> BakeRecipe:
+    folder: FolderStorage, named: tuple[str, dict[str, Any] | None], options: Options, layers: list[LayerRecord],
+    shard: int, memory: int,
+) -> BakeRecipe:  # fmt: skip
     """The recipe of a bake whose plan lies in its folder.
 
     Args:
+        folder, named: as of the recipe.
         shard: samples along the sides of the store's shards. memory: bytes for each task, if that is enough.
 
     Raises:
@@ -95,8 +99,8 @@ def recipe_of(
         )
     bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
     needed = SWEEP + 3 * 4 * bands * shard * shard
-    plan = FolderStorage(storage.path / PARTIAL).get(PLAN) or b""
-    return BakeRecipe(str(storage.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
+    plan = FolderStorage(folder.path / PARTIAL).get(PLAN) or b""
+    return BakeRecipe(named, str(folder.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
 
 
 class BakeShop:
@@ -108,9 +112,10 @@ class BakeShop:
 
     def __init__(self, recipe: BakeRecipe) -> None:
         self.recipe = recipe
-        folder = Path(recipe.url) / PARTIAL
+        folder = Path(recipe.folder) / PARTIAL
         self.storage = guarded(FolderStorage(folder), PLAN, recipe.plan)
-        self.terrain = open_store(recipe.url, cache_bytes=CACHE)
+        url, said = recipe.named
+        self.terrain = open_store(url, cache_bytes=CACHE, storage_options=said)
         self.record = self.terrain.record
         self.strip = max(1, self.record.shard // STRIPS)
         kept = Checkpoint(folder, json.loads(recipe.plan or b"{}"))
@@ -266,7 +271,7 @@ class SweepStage(Stage[bool]):
 
     @property
     def place(self) -> str:
-        return self.shop.recipe.url
+        return self.shop.terrain.url
 
     def tasks(self) -> list[Spot]:
         rows, cols = (-(-n // self.shard) for n in self.shop.context.shape)
