@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from orograph.cli.files import check_ending
 from orograph.cli.measuring import POINTS, Measure, Point, of_terrain, on_terrain, opened, points_option, tell, without
 from orograph.cli.options import FILE, F, Float, progress_of, with_options
 from orograph.errors import UsageError
+from orograph.folders import temporary
 
 if TYPE_CHECKING:
     from orograph.measuring import HeightError, Probable
@@ -111,7 +111,7 @@ def written(
         marks: places that the picture shows too, a name and columns x and y.
     """
     progress = progress_of(ctx)
-    with tempfile.TemporaryDirectory(prefix="orograph-") as folder:
+    with temporary() as folder:
         path = output or str(Path(folder) / "probable.tif")
         told = found.save(path, progress)
         if picture is not None:

@@ -82,6 +82,10 @@ class Synth:
         self._carved: Floats | None = None
         self._lock = threading.Lock()
 
+    def fingerprint(self) -> str:
+        """Its numbers: they make it what it is."""
+        return f"synthetic {self.grid.shape} {self.seed} {self.spacing} {self.relief} {self.roughness}"
+
     def prepare(self, progress: Progress = SILENT) -> None:
         """Carve the coarse grid, if that is not done yet; ``read`` does so too, silently."""
         with self._lock:

@@ -131,8 +131,8 @@ class ErrorField:
         if not 0 <= seed < 1 << 63:
             raise UsageError(f"A seed is a whole number from 0, not {seed}.")
         self.terrain, self.error, self.seed = terrain, error, seed
-        a, b, _, d, e, _ = terrain.grid.transform[:6]
-        cell_x, cell_y = math.hypot(a, d), math.hypot(b, e)
+        (a, b), (d, e) = terrain.grid.linear
+        cell_x, cell_y = terrain.grid.spacing
         self.independent = error.range < INDEPENDENT * min(cell_x, cell_y)
         if not self.independent and abs(a * b + d * e) > SQUARE * cell_x * cell_y:
             raise UsageError(
@@ -239,7 +239,7 @@ class ErrorField:
             heights, inner = around(self.terrain, *windows[k])
             sigma: Any = float(self.error.sigma) if field is None else _sampled(field, self.terrain.grid, *windows[k])
             if self.error.horizontal:
-                east, north = gradient(heights, linear_of(self.terrain.grid), 1)
+                east, north = gradient(heights, self.terrain.grid.linear, 1)
                 tangent = np.hypot(east[inner].astype(np.float64), north[inner])
                 sigma = np.sqrt(sigma**2 + (self.error.horizontal * tangent) ** 2)
             missing = np.isnan(heights[inner])
@@ -255,12 +255,6 @@ class ErrorField:
                 path=str(self.error.sigma) if isinstance(self.error.sigma, str) else None,
                 remedy="Name one that covers the terrain, or cut the terrain to it (`bbox`, `clip`).",
             )  # fmt: skip
-
-
-def linear_of(grid: Grid) -> Array:
-    """(2, 2): metres east and north per column and per row."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return np.array([[a, b], [d, e]])
 
 
 def around(terrain: Terrain, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, tuple[slice, slice]]:

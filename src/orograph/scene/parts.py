@@ -290,7 +290,7 @@ class Surface:
     detail: Detail | None = option(
         None,
         "Invent detail where samples are coarser than pixels: fractal, as rough as the data, or after fine terrain "
-        "(exemplar=lidar.tif). The samples stay as they are; nothing that is measured has it (CPU).",
+        "(exemplar=lidar.tif). The samples stay as they are; nothing that is measured has it.",
         read=Detail.parse, given=given.detail, metavar="fractal|exemplar=FILE[,seed=N]", shown="none",
     )  # fmt: skip
 

@@ -256,8 +256,8 @@ def _error_bars(main: Things, half: Array) -> list[Things]:
 
 def longer(grid: Grid) -> float:
     """Metres along the longer side of a terrain."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return max(grid.cols * float(np.hypot(a, d)), grid.rows * float(np.hypot(b, e)))
+    across, down = grid.spacing
+    return max(grid.cols * across, grid.rows * down)
 
 
 def key_of(
@@ -288,8 +288,8 @@ def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
     Args:
         size: metres of the largest thing; things then stand at least half as far apart. None: ``LATTICE``.
     """
-    a, b, _, d, e, _ = grid.transform[:6]
+    across, down = grid.spacing
     step = longer(grid) / LATTICE if size is None else max(size / 2, longer(grid) / 200)
-    cols = np.arange(step / 2 / np.hypot(a, d), grid.cols - 1, step / np.hypot(a, d))
-    rows = np.arange(step / 2 / np.hypot(b, e), grid.rows - 1, step / np.hypot(b, e))
+    cols = np.arange(step / 2 / across, grid.cols - 1, step / across)
+    rows = np.arange(step / 2 / down, grid.rows - 1, step / down)
     return grid.xy(*(v.ravel() for v in np.meshgrid(cols, rows)))

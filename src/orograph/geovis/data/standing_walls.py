@@ -55,7 +55,7 @@ def walls(
     low, high = span
     top = high + OVER * (high - low)
     right, bottom = grid.cols - 1.0, grid.rows - 1.0
-    gap_x, gap_y = (GAP * longer(grid) / s for s in _spacing(grid))
+    gap_x, gap_y = (GAP * longer(grid) / s for s in grid.spacing)
     part = np.linspace(0.0, 1.0, COLUMNS + 1)
     found = []
     # Sections along a row and along a column through the middle; of each the two walls, by their row or column.
@@ -67,7 +67,7 @@ def walls(
         colors = paint((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2)
         found.append(_trace(x, y, heights, longer(grid) / 2200))
         for place in places:
-            out = math.copysign(1.0, place) * BEHIND * longer(grid) / _spacing(grid)[1 if along_row else 0]
+            out = math.copysign(1.0, place) * BEHIND * longer(grid) / grid.spacing[1 if along_row else 0]
 
             def at(layer: int, place: float = place, out: float = out, u: Array = u, row: bool = along_row) -> Array:
                 """(m, 2) places along the wall, of one of its layers."""
@@ -100,12 +100,6 @@ def _filled(line: Array, filling: Filling, number: int, middle: Array) -> Things
         start, end = end, start
     made = _made(Kind.PANEL, start, np.column_stack([cut.low, end, cut.top]), 0.0, filling.rgb[number])
     return made.but(values=cut.values)
-
-
-def _spacing(grid: Grid) -> tuple[float, float]:
-    """Metres from column to column and from row to row."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return float(np.hypot(a, d)), float(np.hypot(b, e))
 
 
 def _panels(line: Array, low: Array, top: Array, rgb: Colors | Array, middle: Array, known: Any = None) -> Things:

@@ -37,6 +37,7 @@ from orograph.rendering.gpu.stream.image_tiles import SIDE
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.chunks import DecodedChunks
 from orograph.rendering.gpu.surface.ground import Drawn, Ground
 from orograph.rendering.gpu.surface.left import Left
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
@@ -259,15 +260,15 @@ class Renderer(Reading):
         self, scene: Scene, overlay: Overlay, targets: Targets, chosen: _Choice, *, wait: bool
     ) -> tuple[Any, int]:  # fmt: skip
         """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
-        view, maps, mesh, tree = scene.view, self._light.maps, chosen.ground.mesh, chosen.ground.tree
+        view, maps, mesh, resident = scene.view, self._light.maps, chosen.ground.mesh, chosen.ground.resident
         assert maps is not None
         slopes = SLOPES[overlay.normals]
         given = bool(slopes)
-        coarse = mesh is not None or tree is not None
+        coarse = mesh is not None or resident is not None
         field = coarse and scene.annotations.contours is not None  # lines are the terrain's
         if wait:
-            if tree is not None and overlay.normals == "faces" and casts(scene):
-                mesh = tree.tessellation()
+            if resident is not None and overlay.normals == "faces" and casts(scene):
+                mesh = resident.tessellation()
             self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
         else:
             self._around.aside(scene)
@@ -315,8 +316,10 @@ class Renderer(Reading):
             triangles, bound = len(mesh.triangles), scene.surface.tolerance or 1.0
         elif rays is not None:
             bound = max(rays.bound, bound) if there else rays.bound
-        elif chosen.ground.tree is not None:
-            counts, bound = self._ground.growing.counts, chosen.ground.tree.reached
+        elif isinstance(chosen.ground.resident, DecodedChunks):
+            triangles, bound = chosen.ground.resident.triangles, scene.surface.tolerance or 1.0
+        elif chosen.ground.resident is not None:
+            counts, bound = self._ground.growing.counts, chosen.ground.resident.reached
             triangles = patches.stats["triangles"] if counts is None else counts.triangles
         return FrameStats(
             there, triangles, bound,
