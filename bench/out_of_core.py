@@ -1,6 +1,6 @@
 """What building a large store for a method takes of memory, and that any number of workers makes the same bytes.
 
-    python bench/out_of_core.py SIZE --for chunked-lod|bdam|seamless-patches [--jobs 1,2] [--allowed 512MiB]
+    python bench/out_of_core.py SIZE --for chunked-lod|bdam|seamless-patches|quadtin [--jobs 1,2] [--allowed 512MiB]
 
 A synthetic terrain of SIZE² samples goes into a store straight from its formula (``bench/synthetic.py``); each number
 of workers in a process of its own. Told are seconds, bytes, and peaks of memory: *anonymous*, which the process needs,
@@ -30,6 +30,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "seamless-patches": {},
     "bdam": {"errors": (), "tins": 16},
     "chunked-lod": {"errors": (), "chunked": (32, 0)},
+    "quadtin": {"errors": (), "quadtin": (0, "nearest")},
 }
 
 

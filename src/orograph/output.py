@@ -33,7 +33,7 @@ def beside(out: Path, ending: str) -> Path:
     """
     # A name without a host is of this machine.
     ours = re.compile(rf"\.{re.escape(out.name)}\.(?:{re.escape(host())}\.)?(\d+)\.(?:part|raw)(?:\..+)?")
-    for path in _left(out.parent):
+    for path in _left(out.parent.absolute()):
         found = ours.fullmatch(path.name)
         if found is not None and not running(int(found[1])):
             remove(path)
@@ -42,7 +42,7 @@ def beside(out: Path, ending: str) -> Path:
 
 @functools.cache
 def _left(folder: Path) -> list[Path]:
-    """What may have been left in a folder when it was first written to."""
+    """What may have been left in a folder (an absolute path) when it was first written to."""
     with contextlib.suppress(OSError):
         return [path for path in folder.iterdir() if re.fullmatch(r"\..+\.\d+\.(part|raw)(\..+)?", path.name)]
     return []

@@ -186,10 +186,13 @@ class Theme:
         "variable, band, time, member, value (of several: median, min, max, spread, p90), exceeds (how probably), "
         "layer, geometry (which of several), style "
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
-        "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
-        "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
-        "values: 0:5:10), height, above (ATTRIBUTE: metres of points over the "
-        "heights' zero, or over the ground), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        "spheres, cones, discs, flags; of lines tubes, curtains; of tracks tubes, paths; of boreholes columns, logs; "
+        "of volumes curtains, walls), colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: "
+        "0:5:10), height, above, depth (ATTRIBUTE[:km|ft]: metres of points over the heights' zero, or over or below "
+        "the ground; from+to), group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks), level (of "
+        "a volume), vertical (what its levels are: height, above, depth, pressure), along (FILE of lines, or "
+        "LON:LAT:LON:LAT…: where curtains through a volume run), hidden (how what is below the ground shows through "
+        "it), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
         read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     priority: Priority | None = option(

@@ -30,6 +30,7 @@ from typing import Any
 from orograph.errors import StoreError
 from orograph.output import beside, remove
 from orograph.processes import host, running
+from orograph.store.places import sweep
 from orograph.store.storage import FolderStorage, Storage
 
 TRIES = 100
@@ -71,6 +72,7 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
             remedy=f"A lock {path.name} is kept there while it is written.",
         ) from error  # fmt: skip
     try:
+        sweep(real)
         yield
     finally:
         lock.release()

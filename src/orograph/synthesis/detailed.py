@@ -15,7 +15,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.progress import SILENT, Progress
 from orograph.raycast.select import distances, tile_boxes
 from orograph.store.given import source_of
@@ -61,9 +61,10 @@ class Detailed(Terrain):
         self.data, self.doublings = terrain, doublings
         rows, cols = terrain.grid.shape
         scale = 2.0**-doublings
-        finer = Affine.translation(0.5, 0.5) @ Affine.scale(scale) @ Affine.translation(-0.5, -0.5)
+        middle = Affine.translation(0.5, 0.5)
+        transform = compose(terrain.grid.transform, middle, Affine.scale(scale), ~middle)
         shape = ((rows - 1) << doublings) + 1, ((cols - 1) << doublings) + 1
-        self.grid = Grid(shape, terrain.grid.transform @ finer, terrain.grid.crs)
+        self.grid = Grid(shape, transform, terrain.grid.crs)
         self.name, self.vertical, self.attribution = terrain.name, terrain.vertical, terrain.attribution
         self._lattices: list[Lattice] = [Data(terrain)]
         known = 0 if steering is None else steering.doublings
