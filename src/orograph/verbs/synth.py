@@ -61,7 +61,8 @@ def synth(
             on. None: 0.5, and 0 on the three finest.
         passes: with an exemplar, how often places are corrected, 0 to 2; likewise. None: 2, and 0 on the two finest.
         over: a terrain to make colours for, which is what ``orograph.terrain`` takes: ``exemplar`` is a photo then, and
-            ``ground`` the heights of what it shows. The file is an image, a layer for pictures (``layers=``).
+            the file an image, a layer for pictures (``layers=``).
+        ground: with ``over``, the heights of what the photo shows.
         compress: of the file: "zstd", "deflate" or "none". overwrite: replace one that is there.
         jobs: threads; None: all processors. progress: hears of it; False: nothing is said.
 
