@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from orograph.verbs.best_view import best_view
     from orograph.verbs.check import check
     from orograph.verbs.compare import compare
+    from orograph.verbs.contours import contours
     from orograph.verbs.doctor import doctor
     from orograph.verbs.export import export
     from orograph.verbs.info import info
@@ -82,6 +83,7 @@ __all__ = [
     "camera",
     "check",
     "compare",
+    "contours",
     "doctor",
     "export",
     "fetch",
@@ -127,6 +129,7 @@ _HOMES = {
     "camera": "orograph.scene.camera:",
     "check": "orograph.verbs.check",
     "compare": "orograph.verbs.compare",
+    "contours": "orograph.verbs.contours",
     "doctor": "orograph.verbs.doctor",
     "export": "orograph.verbs.export",
     "fetch": "orograph.fetching",

@@ -27,7 +27,7 @@ def dem():
         ("sky_view_factor", 'orograph.light(dem, "sky-view-factor")'),
         ("viewshed", "orograph.measure.viewshed"),
         ("profile", "orograph.measure.profile"),
-        ("contours", "orograph.render(dem, contours=50)"),
+        ("isolines", "orograph.contours"),
         ("mosaic", "orograph.build"),
         ("rendr", "Did you mean orograph.render or"),
     ],

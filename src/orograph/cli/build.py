@@ -156,6 +156,12 @@ class MaxError(click.ParamType[str | float]):
     is_flag=True,
     help="Make again only what follows of files that were added, changed or removed; begins a build if there is none.",
 )
+@click.option(
+    "--keep",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --update: versions that are left, with the new one; STORE@2 opens the second.  [default: 2]",
+)
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
 @cluster_options("Build", ", which share --max-memory")
@@ -174,6 +180,7 @@ def command(
     overwrite: bool,
     resume: bool,
     update: bool,
+    keep: int | None,
     repair: bool,
     max_memory: int,
     jobs: int | None,
@@ -212,7 +219,7 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
-      orograph build tiles/*.tif -o area.oro --update
+      orograph build tiles/*.tif -o area.oro --update --keep 5
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
@@ -240,7 +247,7 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    kinds, legs, chunked = _needed(methods, progress, tins)
+    kinds, legs, chunked, quadtin = _needed(methods, progress, tins)
     errors = (*errors, *(kind for kind in kinds if kind not in errors))
     if part is not None and (products or color_errors):
         raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
@@ -255,11 +262,13 @@ def command(
             overwrite=overwrite,
             resume=resume,
             update=update,
+            keep=keep,
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
             tins=legs,
             chunked=chunked,
+            quadtin=quadtin,
             keep_source=keep_source,
             codec=codec,
             max_error=max_error,
@@ -270,7 +279,9 @@ def command(
             dask=dask,
         )
     except KeyboardInterrupt:
-        click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
+        again = " again" if update or finish or part else " with --resume" + " in place of --overwrite" * overwrite
+        what = f"Part {part}" if part else "The new store" if overwrite or update else store
+        click.echo(f"\n{what} is not complete; run the same command{again} to finish it.", err=True)
         raise
     if terrain is None:
         click.echo(json.dumps({"path": store, "part": part}) if as_json else f"{store}: part {part} is made")
@@ -304,6 +315,7 @@ def _tell(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequen
     known = low == low
     result = {
         "path": terrain.url,
+        "version": terrain.version,
         "size_bytes": size,
         "shape": list(grid.shape),
         "levels": terrain.levels,
@@ -352,6 +364,7 @@ def _repair(
         "overwrite",
         "resume",
         "update",
+        "keep",
         "products",
         "errors",
         "tins",
@@ -386,20 +399,21 @@ def _repair(
 
 def _needed(
     methods: Sequence[str], progress: Progress, legs: str | None
-) -> tuple[tuple[ErrorKind, ...], int | None, Kind | None]:
-    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, and the
-    kind of the chunks.
+) -> tuple[tuple[ErrorKind, ...], int | None, Kind | None, tuple[float, str] | None]:
+    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, the kind of the chunks,
+    and the metres and way of splitting of a QuadTIN.
 
     Args:
         legs: of TINs that are asked for outright.
 
     Raises:
-        UsageError: one of them is no method, or two need other TINs or other chunks.
+        UsageError: one of them is no method, or two need other TINs, chunks or QuadTINs.
     """
     tins = {} if legs is None else {int(legs): None}
     chunked: dict[Kind, None] = {}
+    quadtin: dict[tuple[float, str], None] = {}
     if not methods:
-        return (), next(iter(tins), None), None
+        return (), next(iter(tins), None), None, None
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
     from orograph.store.chunked import Kind
@@ -412,6 +426,9 @@ def _needed(
         found.update(dict.fromkeys(kinds_of(needs)))
         tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
         chunked.update(dict.fromkeys(Kind(**need.options) for need in needs if need.name == "chunked"))
+        quadtin.update(
+            dict.fromkeys((need.options["finest"], need.options["split"]) for need in needs if need.name == "quadtin")
+        )
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
@@ -427,7 +444,10 @@ def _needed(
             for cells, finest, compressed in chunked
         )
         raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
-    return tuple(found), next(iter(tins), None), next(iter(chunked), None)
+    if len(quadtin) > 1:
+        kinds = " and ".join(f"finest={finest:g},split={split}" for finest, split in quadtin)
+        raise UsageError(f"A store has one QuadTIN, not {kinds}.", remedy="Ask for one.")
+    return tuple(found), next(iter(tins), None), next(iter(chunked), None), next(iter(quadtin), None)
 
 
 def crs_name(crs: CRS | None) -> str | None:

@@ -100,10 +100,21 @@ def _chunked(terrain: Terrain, options: Mapping[str, Any], resources: Resources)
         terrain.supply("chunked", **options)
 
 
+def _quadtin(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
+    if not isinstance(terrain, StoredTerrain) or terrain.has("quadtin", **options):
+        return
+    asked = f"({options['finest']:g}, {options['split']!r})"
+    resources.progress.note(
+        f"the store lacks this QuadTIN: made in memory (`orograph.build(..., quadtin={asked})` keeps it)"
+    )
+    # (The method itself makes it: ``lod.quadtin``.)
+
+
 SUPPLIERS: dict[str, Callable[[Terrain, Mapping[str, Any], Resources], None]] = {
     "diamonds": _diamonds,
     "patches": _patches,
     "tins": _tins,
     "chunked": _chunked,
+    "quadtin": _quadtin,
 }
 """By name of a need, what makes it; the options are the need's."""

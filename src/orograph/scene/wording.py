@@ -36,7 +36,7 @@ ELSEWHERE = {
     **dict.fromkeys(("elevation", "elevations", "height", "heights", "sample", "interp"), "measure.heights"),
     **{one: f"measure.{one}" for one in ("profile", "viewshed", "line_of_sight", "flood", "area", "pick")},
     **dict.fromkeys(("los", "intervisibility"), "measure.line_of_sight"),
-    **dict.fromkeys(("contour", "contours"), "render(dem, contours=50)"),
+    **dict.fromkeys(("contour", "isolines"), "contours"),
 }  # fmt: skip
 """What functions are called elsewhere, and here."""
 

@@ -18,9 +18,10 @@ from orograph.store.chunked_build import MemoryChunks
 from orograph.store.chunked_kind import rows_of, spooled
 from orograph.store.digests import Spot
 from orograph.store.executing import Found, ShardStage
-from orograph.store.layout import PARTS, Record, dumps
+from orograph.store.layout import Record, dumps
 from orograph.store.parts import pack, unpack
 from orograph.store.patches import LEGS, PatchErrors, spec, stored_levels
+from orograph.store.places import PARTS
 from orograph.store.storage import Storage
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Heights

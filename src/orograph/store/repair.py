@@ -34,6 +34,7 @@ from orograph.store.lock import alone
 from orograph.store.makers import MAKERS, Work
 from orograph.store.places import ROOT
 from orograph.store.pyramid import Finest, Pyramid, tasks
+from orograph.store.quadtin_kind import QUADTIN
 from orograph.store.registry import KINDS
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
@@ -159,8 +160,10 @@ class _Repair:
                 tins = TINS.of(self.record).get("legs")
                 found = CHUNKED.of(self.record)
                 chunked = Kind(*(found[name] for name in Kind._fields)) if found else None
+                asked = QUADTIN.of(self.record).get("asked")
+                quadtin = (asked[0], asked[1]) if asked else None
                 threads = Threads(self.jobs, False)
-                make(self.record, Work(errors, self.mender, self.jobs, threads, self.progress, tins, chunked))
+                make(self.record, Work(errors, self.mender, self.jobs, threads, self.progress, tins, chunked, quadtin))
         self._prove()
         if self.mender.damaged:
             raise self._left()

@@ -28,6 +28,7 @@ from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
+from orograph.synthesis.detailed import Detailed
 from orograph.synthesis.exemplar import Exemplar
 from orograph.synthesis.gpu import EndlessOnGpu
 from orograph.synthesis.windows import Endless, Range
@@ -112,6 +113,7 @@ def test_every_shader_is_used_within_the_limits(portable: Device) -> None:
     field = RayField.of([HeightWindow(0, 0, 0, heights)], heights.shape, np.diag([30.0, -30.0]))
     blocked(field, np.array([[2.0, 2.0, 900.0]]), np.array([[0.0, 0.0, 1.0]]))
     EndlessOnGpu(Endless(Exemplar.of(heights, jobs=1), 1), portable).heights(Range(0, 4, 0, 4))
+    Detailed(scene.terrain, 2, 1, device=portable).read(0, 0, 9, 0, 9)
 
     used: set[str] = set()
     for key in portable._modules:

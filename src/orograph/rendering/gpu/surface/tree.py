@@ -31,7 +31,7 @@ from orograph.rendering.gpu.surface.left import Left
 from orograph.rendering.gpu.targets import Targets
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 NODE = np.dtype(
     [("l", "<i4", 2), ("shape", "<u4"), ("spare", "<u4"), ("heights", "<f4", 4), ("links", "<u4", 4)]
@@ -202,7 +202,7 @@ class Tree:
 
     def _tuned(self, view: View, tolerance: float, exaggeration: float) -> NDArray[np.void]:
         u = np.zeros((), TUNING)
-        lens = camera_parameters(view, self.terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+        lens = camera_parameters(Camera.over(self.terrain.grid, view, exaggeration), tolerance=tolerance)
         plan = view.projection == "plan"
         eye = np.array([*(view.target if plan else view.eye)[:2], view.eye[2] * exaggeration])
         u["planes"][:] = 0, 0, 0, MISSING

@@ -1,0 +1,202 @@
+"""Lines with attributes as files for other tools, written some at a time.
+
+GeoPackage, Shapefile and FlatGeobuf by GDAL (pyogrio), GeoParquet 1.1 by pyarrow, GeoJSON (RFC 7946: longitude and
+latitude, to the nanodegree) as text. A file appears when it is complete.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.errors import OutputError, UsageError
+from orograph.geo.grid import wkt_of
+from orograph.output import Beside, remove
+
+Array = NDArray[np.float64]
+
+DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
+"""Of GDAL, by the ending of the file."""
+ENDINGS = (".gpkg", ".geojson", ".shp", ".parquet", ".fgb")
+"""Of files of lines."""
+ONCE = (".fgb",)
+"""Formats that cannot be added to: all lines are written together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Some lines.
+
+    Attributes:
+        points: (n, 2) in the CRS. offsets: (m + 1,): line i is points[offsets[i]:offsets[i + 1]].
+        columns: by name (m,) attributes.
+    """
+
+    points: Array
+    offsets: NDArray[np.int64]
+    columns: dict[str, NDArray[Any]]
+
+
+Writer = Callable[[Batch], None]
+
+
+def check_lines_file(path: Path, crs: CRS | None) -> None:
+    """Raise UsageError unless lines can be written to such a file here."""
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise UsageError(
+            f"Lines are not written as {ending or 'a file without ending'}.", path=path,
+            remedy=f"Use {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}.",
+        )  # fmt: skip
+    if ending == ".geojson" and crs is None:
+        raise UsageError(
+            "GeoJSON has longitudes and latitudes, and the terrain has no CRS.", path=path, remedy="Write a .gpkg.",
+        )  # fmt: skip
+    module, extra = ("pyarrow", "parquet") if ending == ".parquet" else ("pyogrio", "vector")
+    if ending != ".geojson":
+        import importlib
+
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise UsageError(
+                f"A {ending} needs {module}, which is not installed.", path=path,
+                remedy=f"Run pip install 'orograph[{extra}]', or write .geojson.",
+            ) from error  # fmt: skip
+
+
+@contextmanager
+def lines_file(
+    path: Path, crs: CRS | None, degrees: Callable[[Array], Array | None], columns: dict[str, Any]
+) -> Iterator[Writer]:
+    """What writes lines to a file, batch by batch; the file is complete when the block ends.
+
+    Args:
+        degrees: longitudes and latitudes (n, 2) of points.
+        columns: by name the dtype of each attribute.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    ending = path.suffix.lower()
+    with Beside(path) as part:
+        if ending == ".geojson":
+            with _geojson(part, degrees) as writer:
+                yield writer
+        elif ending == ".parquet":
+            with _parquet(part, crs, columns) as writer:
+                yield writer
+        else:
+            with _gdal(part, path, crs, columns) as writer:
+                yield writer
+
+
+@contextmanager
+def _geojson(part: Path, degrees: Callable[[Array], Array | None]) -> Iterator[Writer]:
+    with part.open("w", encoding="utf-8", newline="\n") as file:
+        file.write('{"type": "FeatureCollection", "features": [')
+        begun = False
+
+        def write(batch: Batch) -> None:
+            nonlocal begun
+            places = degrees(batch.points)
+            assert places is not None
+            places = np.round(places, 9)
+            for i, told in enumerate(_rows(batch.columns)):
+                line = places[batch.offsets[i] : batch.offsets[i + 1]]
+                if (np.abs(np.diff(line[:, 0])) > 180).any():  # over the 180th meridian: on, not around the globe
+                    line = np.stack([np.unwrap(line[:, 0], period=360), line[:, 1]], -1)
+                shape = {"type": "LineString", "coordinates": line.tolist()}
+                feature = {"type": "Feature", "properties": told, "geometry": shape}
+                file.write((",\n" if begun else "\n") + json.dumps(feature, allow_nan=False))
+                begun = True
+
+        yield write
+        file.write("\n]}\n")
+
+
+@contextmanager
+def _gdal(part: Path, path: Path, crs: CRS | None, columns: dict[str, Any]) -> Iterator[Writer]:
+    from pyogrio.errors import DataSourceError
+    from pyogrio.raw import write as write_features
+
+    made, driver = part.with_name(part.name + path.suffix.lower()), DRIVERS[path.suffix.lower()]
+    held: list[Batch] = []
+    begun = False
+
+    def flush(batch: Batch) -> None:
+        nonlocal begun
+        shapes = np.empty(len(batch.offsets) - 1, object)
+        shapes[:] = _wkb(batch)
+        values = [_plain(v) if driver == "ESRI Shapefile" else v for v in batch.columns.values()]
+        write_features(
+            str(made), shapes, values, list(batch.columns), geometry_type="LineString", driver=driver, crs=wkt_of(crs),
+            append=begun, **({"layer": path.stem} if driver == "GPKG" else {}),
+        )  # fmt: skip
+        begun = True
+
+    try:
+        yield held.append if path.suffix.lower() in ONCE else flush
+        empty = Batch(np.empty((0, 2)), np.zeros(1, np.int64), {k: np.empty(0, v) for k, v in columns.items()})
+        if held or not begun:
+            flush(_together([empty, *held]))
+        made.replace(part)
+        for other in part.parent.glob(f"{part.name}.*"):  # of a Shapefile: .shx, .dbf, .prj, .cpg
+            other.replace(path.with_suffix(other.suffix))
+    except DataSourceError as error:
+        raise OutputError(f"The file cannot be written: {error}", path=path) from error
+    finally:
+        for left in part.parent.glob(f"{part.name}.*"):
+            remove(left)
+
+
+@contextmanager
+def _parquet(part: Path, crs: CRS | None, columns: dict[str, Any]) -> Iterator[Writer]:
+    import pyarrow
+    import pyarrow.parquet
+
+    geometry: dict[str, Any] = {"encoding": "WKB", "geometry_types": ["LineString"],
+                                "crs": None if crs is None else crs.to_json_dict()}  # fmt: skip
+    geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
+    fields = [pyarrow.field(name, pyarrow.from_numpy_dtype(np.dtype(kind))) for name, kind in columns.items()]
+    schema = pyarrow.schema([*fields, pyarrow.field("geometry", pyarrow.binary())], {"geo": json.dumps(geo)})
+    with pyarrow.parquet.ParquetWriter(part, schema, compression="zstd") as file:
+
+        def write(batch: Batch) -> None:
+            arrays = [pyarrow.array(values) for values in batch.columns.values()]
+            file.write_table(pyarrow.Table.from_arrays([*arrays, pyarrow.array(_wkb(batch))], schema=schema))
+
+        yield write
+
+
+def _together(batches: list[Batch]) -> Batch:
+    shift = np.cumsum([0, *(len(b.points) for b in batches[:-1])])
+    offsets = [b.offsets[1:] + s for b, s in zip(batches, shift)]
+    columns = {name: np.concatenate([b.columns[name] for b in batches]) for name in batches[0].columns}
+    return Batch(np.concatenate([b.points for b in batches]), np.concatenate([[0], *offsets]), columns)
+
+
+def _wkb(batch: Batch) -> list[bytes]:
+    """Lines as well-known binary (OGC 06-103r4, 8), little endian."""
+    points = np.ascontiguousarray(batch.points, "<f8")
+    bounds = zip(batch.offsets[:-1].tolist(), batch.offsets[1:].tolist())
+    return [struct.pack("<BII", 1, 2, b - a) + points[a:b].tobytes() for a, b in bounds]
+
+
+def _rows(columns: dict[str, NDArray[Any]]) -> Iterator[dict[str, Any]]:
+    for row in zip(*(values.tolist() for values in columns.values())):
+        yield dict(zip(columns, row))
+
+
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Truth values as numbers, for formats that have none."""
+    return values.astype(np.int32) if values.dtype == np.bool_ else values
