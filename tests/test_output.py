@@ -93,6 +93,25 @@ def test_temporary_folders_of_killed_processes_go(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [stays]
 
 
+def test_what_is_alike_stays_if_asked_for(tmp_path):
+    """Another process may have it open, and would find that it was changed."""
+    out = tmp_path / "a.txt"
+    for text, stays in (("one", False), ("one", True), ("two", False)):
+        before = out.stat().st_ino if out.exists() else 0
+        with Beside(out, keep=True) as part:
+            part.write_text(text)
+        assert (out.stat().st_ino == before) == stays
+        assert out.read_text() == text
+        assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_folder_in_a_results_place_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in (".", "..", str(tmp_path)):
+        with pytest.raises(OutputError, match="It is a folder"), Beside(Path(name)):
+            pass
+
+
 def test_many_results_look_through_their_folder_once(tmp_path, monkeypatch):
     from pathlib import Path
 

@@ -256,6 +256,43 @@ def test_what_is_fetched_is_whole_wherever_the_disk_ends(california, tmp_path):
     np.testing.assert_array_equal(read(out).heights, expected)
 
 
+def test_fetches_at_the_same_time_do_not_disturb_each_other(california, truth, tmp_path):
+    """All read what the server has, and keep the same parts in the same place."""
+    script = (
+        "import sys, orograph\nfrom orograph.fetching import register\n"
+        f"register('copernicus-90', base={california.url + '/copernicus-90'!r})\n"
+        f"orograph.fetch({BOX}, 'copernicus-90', output=sys.argv[1])"
+    )
+    outs = [tmp_path / f"{number}.tif" for number in range(4)]
+    all_of_them = [
+        subprocess.Popen([sys.executable, "-c", script, out], env=dict(os.environ), stderr=subprocess.PIPE, text=True)
+        for out in outs
+    ]
+    for process, out in zip(all_of_them, outs):
+        _, err = process.communicate(timeout=120)
+        assert process.returncode == 0, err
+        np.testing.assert_array_equal(read(out).heights, truth)
+
+
+def test_a_part_that_another_process_puts_there_anew_is_read(california, truth, monkeypatch):
+    """Its file is another while it is being read."""
+    from orograph.fetching import raster
+
+    real, times = raster.Source.read, []
+
+    def disturbed(source, *window, **how):
+        if not times and "tiles" in source.path:
+            times.append(1)
+            data = Path(source.path).read_bytes()
+            Path(source.path).unlink()
+            Path(source.path).write_bytes(data)
+        return real(source, *window, **how)
+
+    monkeypatch.setattr(raster.Source, "read", disturbed)
+    np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
+    assert times
+
+
 def test_a_kept_part_that_is_damaged_is_told_and_read_again(california, truth):
     orograph.fetch(BOX, "copernicus-90")
     file = kept_files()[0]

@@ -195,6 +195,20 @@ def test_pictures_have_it_and_say_so(coarse: orograph.Terrain, lidar: orograph.D
     np.testing.assert_array_equal(again.pixels, picture.pixels)
 
 
+@pytest.mark.slow
+def test_clipmaps_have_it(coarse: orograph.Terrain) -> None:
+    """As Losasso and Hoppe draw it: rings finer than the data, on the ground that rays meet."""
+    view = near(coarse)
+    rings, rays, plain = (
+        orograph.render(coarse, view, tolerance=0.5, method=method, detail=detail, progress=False)
+        for method, detail in (("clipmap,n=127", True), ("auto", True), ("clipmap,n=127", None))
+    )
+    assert rings.facts["mesh"]["method"] == "clipmap" and rings.facts["detail"] == rays.facts["detail"]
+    both = np.isfinite(rings.depth) & np.isfinite(rays.depth) & np.isfinite(plain.depth)
+    off, was = (np.median(np.abs(one.depth - rays.depth)[both]) for one in (rings, plain))
+    assert both.mean() > 0.5 and off < 0.25 * was
+
+
 def test_far_away_there_is_none(coarse: orograph.Terrain) -> None:
     view = orograph.camera.whole(coarse, (64, 48))
     picture = orograph.render(coarse, view, detail=True, progress=False)
@@ -206,7 +220,9 @@ def test_what_makes_no_sense_is_refused(coarse: orograph.Terrain, lidar: orograp
     view = near(coarse)
     for options, words in (
         ({"detail": "exemplar"}, "fractal, or exemplar=FILE"), ({"detail": 3}, "fractal, or exemplar"),
-        ({"detail": True, "method": "soar"}, "mesh"), ({"detail": True, "contours": 10}, "Contour lines"),
+        ({"detail": True, "method": "soar"}, "clipmaps as printed"),
+        ({"detail": True, "method": "clipmap,rings=promise"}, "as printed"),
+        ({"detail": True, "contours": 10}, "Contour lines"),
         ({"detail": Detail(terrain_of(40 * ground(40, 40, 2)))}, "finer than the terrain"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):

@@ -128,6 +128,21 @@ def test_the_best_view_of_a_selection_is_flown_to(window, hand):
     assert depth > 0 and abs(u - view.width / 2) < 30 and abs(v - view.height / 2) < 30
 
 
+def test_a_stretched_terrain_looks_as_the_terrain_does_stretched(window):
+    from orograph.touring.stretched import Stretched
+    from orograph.viewpoint import View
+
+    terrain = window.session.terrain
+    made = Stretched(terrain, 3.0)
+    np.testing.assert_array_equal(made.read(0, 2, 9, 3, 8), terrain.read(0, 2, 9, 3, 8) * np.float32(3))
+    x, y = terrain.grid.xy(np.array([40.0, 90.0]), np.array([70.0, 20.0]))
+    eye, target = (x[0] - 5000.0, y[0] - 7000.0, 4000.0), (x[0], y[0], 700.0)
+    view = View(eye, target, fov_y=35.0, width=300, height=200)
+    here = view.project(np.stack([x, y, np.array([600.0, 900.0])], 1), 1.0)[0]
+    there = made.back(view).project(np.stack([x, y, np.array([200.0, 300.0])], 1), 3.0)[0]
+    np.testing.assert_allclose(here, there, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     "wrong", [{"ranges": {"a": (2, 1)}}, {"ranges": {"a": ("x", 1)}}, {"area": [(1, 2)]}, {"area": [(1,), 2, 3]}]
 )

@@ -61,6 +61,10 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "work.  [default: 2, and 0 on the two finest]",
 )
 @click.option(
+    "--over", metavar="FILE", help="Make colours for this terrain: --exemplar is a photo, --ground what it shows."
+)
+@click.option("--ground", metavar="FILE", help="With --over, the heights of the ground that the photo shows.")
+@click.option(
     "--compress",
     type=click.Choice(["zstd", "deflate", "none"]),
     default="zstd",
@@ -82,11 +86,14 @@ def command(
     exemplar: str | None,
     jitter: tuple[float, ...] | None,
     passes: tuple[float, ...] | None,
+    over: str | None,
+    ground: str | None,
     compress: str,
     overwrite: bool,
     jobs: int | None,
 ) -> None:
-    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example.
+    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example; or
+    colours for a terrain that take after a photo (a layer for pictures: --layer).
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
     blocks, so any size works in some hundred MiB of memory (a store's build takes up to 1 GiB); the file appears under
@@ -99,14 +106,22 @@ def command(
       orograph synth -o strip.tif --size 2049x8193 --relief 800 --spacing 10
       orograph synth -o like.tif --exemplar lidar.tif --size 8193
       orograph synth -o like.oro --exemplar lidar.tif --size 65537
+      orograph synth -o colours.tif --over dem.tif --exemplar photo.tif --ground lidar.tif
     """
     if output.exists() and not overwrite:
         raise UsageError("Something is there already.", path=output, remedy="Replace it with --overwrite.")
-    from orograph.verbs.synth import STORE, maker, write
+    from orograph.verbs.synth import STORE, colours, maker, write
 
     if output.suffix.lower() != STORE:
         check_ending("--output", str(output))
-    check_outputs({"--output": str(output)}, {"--exemplar": [exemplar]})
+    check_outputs({"--output": str(output)}, {"--exemplar": [exemplar], "--over": [over], "--ground": [ground]})
+    if over is not None or ground is not None:
+        said = {"--spacing": spacing, "--crs": crs, "--relief": relief, "--roughness": roughness, "--jitter": jitter,
+                "--passes": passes}  # fmt: skip
+        progress = progress_of(ctx)
+        colours(over, exemplar, ground, output, seed, said, compress=compress, jobs=jobs, progress=progress)
+        click.echo(f"{output}: colours for {over}, after {exemplar}")
+        return
     made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, progress_of(ctx), passes=passes)
     write(made, output, compress=compress, overwrite=overwrite, jobs=jobs, progress=progress_of(ctx))
     rows, cols = made.grid.shape

@@ -153,7 +153,11 @@ class KeptTile:
             "transform": Affine(a, b, c + a * col, d, e, f + e * row), "crs": header.crs or None,
         }  # fmt: skip
 
-        with self._writing(), raster_file(self.part(row, col)) as part, rasterio.open(part, "w", **profile) as file:
+        with (
+            self._writing(),
+            raster_file(self.part(row, col), keep=True) as part,
+            rasterio.open(part, "w", **profile) as file,
+        ):
             file.write(values, 1)
 
     @contextlib.contextmanager

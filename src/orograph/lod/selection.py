@@ -222,10 +222,12 @@ class RayWindows(Selection):
 
     Attributes:
         windows: outermost first. surface: what rays meet between their samples, where that keeps the bound.
+        at_breaks: of a picture, only pixels where depth or colour breaks off have more samples than one.
     """
 
     windows: ClipStack
     surface: RaySurface = "exact"
+    at_breaks: bool = False
 
     def tessellation(self) -> Tessellation:
         raise UsageError(

@@ -1,6 +1,7 @@
 """A scene whose ground has detail beyond the data: the same scene with another terrain, which only pictures see.
 
-Both backends cast rays at it: of what is invented no error is known that could decide about triangles.
+Both backends cast rays at it, or draw clipmaps (as Losasso and Hoppe did): of what is invented no error is known that
+could decide about triangles.
 """
 
 from __future__ import annotations
@@ -63,5 +64,8 @@ def detailed(
         lambda: Detailed(terrain, doublings, detail.seed, steering, maker), terrain, 4 if device is None else 1,
     )  # fmt: skip
     tolerance = scene.surface.tolerance
+    method = scene.surface.method
+    if device is not None and method == "auto":
+        method = AUTO["cpu"]  # by rays
     finest = None if tolerance is None else max(tolerance, FINEST)
-    return scene.but(terrain=made, tolerance=finest, method=AUTO["cpu"] if device else scene.surface.method), facts
+    return scene.but(terrain=made, tolerance=finest, method=method), facts

@@ -27,7 +27,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from orograph.errors import StoreError
+from orograph.errors import StoreBusyError, StoreError
 from orograph.output import beside, remove
 from orograph.processes import host, running
 from orograph.store.places import sweep
@@ -220,11 +220,11 @@ def _read(fd: int) -> dict[str, Any]:
     return said if isinstance(said, dict) else {}
 
 
-def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> StoreError:
+def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> StoreBusyError:
     doing = said.get("doing", "at work on this store")
     who = f" (process {said['pid']} on {said['host']})" if "pid" in said and "host" in said else ""
     what = f"Another process is {doing}{who}. {why}".strip()
-    return StoreError(what, path=url, remedy=f"Wait until it is done. {remedy}".strip())
+    return StoreBusyError(what, path=url, remedy=f"Wait until it is done. {remedy}".strip())
 
 
 def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:

@@ -104,7 +104,7 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
         similar: (rows, cols, 2) int16, for each place of the exemplar another one that looks like it.
         kappa: 0 or 1; see ``COHERENT``.
         guide: (h, w, g) int16, what the terrain is like at each place; guides: (rows, cols, g), the exemplar. g may be
-            0; with three, their mirror signs are those of slopes along x and y, and of a curvature.
+            0; the first and second change their signs with mirrored columns and rows, as slopes along x and y do.
         even_row, even_col: the index of the first row and column that are corrected: 0 or 1.
     """
     height, width = before.shape[:2]

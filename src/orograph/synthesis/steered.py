@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.synthesis.exemplar import Exemplar
+from orograph.synthesis.exemplar import Exemplar, smoothed
 from orograph.synthesis.kernels import MARGIN, ORDER, corrected, upsampled
 from orograph.synthesis.reference import folded, hashed
 from orograph.synthesis.refining import (
@@ -39,6 +39,9 @@ TRIES = 64
 GAIN = 12
 """Bits of a gain, at most: the quanta of the data in one of the exemplar, times ``Steering.shift`` halvings."""
 
+GROUND = 2.0**-10
+"""Metres that the ground under an exemplar is rounded to before it is smoothed."""
+
 Guide = NDArray[np.int16]
 
 
@@ -48,17 +51,27 @@ class Steering:
     Args:
         doublings: by which the data's spacing becomes the exemplar's, at least 1, at most ``exemplar.top``.
         stretch: heights of the data in heights of the exemplar: by how much its spacing is larger than the exemplar's.
+        ground: heights under the exemplar, metres, by which it is chosen; None: it is the ground itself.
     """
 
-    def __init__(self, exemplar: Exemplar, data: Lattice, doublings: int, stretch: float, seed: int) -> None:
+    def __init__(
+        self, exemplar: Exemplar, data: Lattice, doublings: int, stretch: float, seed: int,
+        ground: Floats | None = None,
+    ) -> None:  # fmt: skip
         self.exemplar, self.data, self.doublings, self.seed = exemplar, data, doublings, seed & 0x7FFFFFFF
         self.metres = exemplar.quantum * stretch
         ratio = self.metres / data.quantum
         self.shift = min(max(GAIN - 1 - math.floor(math.log2(ratio)), 1), 30)
         self._gain = min(ratio * 2.0**self.shift, 2.0**GAIN)
         step = 1 << doublings
-        self.smooth = np.asarray(exemplar.stack[exemplar.top - doublings] * self.metres, np.float64)
-        shape = _shape(self.smooth, step, "symmetric")
+        if ground is None:
+            smooth = exemplar.stack[exemplar.top - doublings] * self.metres
+        else:
+            level = np.rint(ground / GROUND).astype(np.int32)
+            for n in range(doublings):
+                level = smoothed(level, 1 << n)
+            smooth = level * (GROUND * stretch)
+        shape = _shape(np.asarray(smooth, np.float64), step, "symmetric")
         self._scale = np.array([341 / max(np.sqrt((one**2).mean()), 1e-12)
                                 for one in (np.stack(shape[:2]), np.stack(shape[:2]), shape[2])])  # fmt: skip
         self.guides = self._guide(shape)
@@ -128,7 +141,7 @@ class Steering:
         """For each place the best of some random places of the exemplar's plane."""
         rows, cols = self.exemplar.shape
         row, col = (a.ravel() for a in np.meshgrid(np.arange(*r[:2]), np.arange(*r[2:]), indexing="ij"))
-        wanted = guide.reshape(-1, 3).astype(np.int64)
+        wanted = guide.reshape(-1, guide.shape[-1]).astype(np.int64)
         best, least = np.zeros((len(row), 2), np.int32), np.full(len(row), 1 << 40)
         for n in range(TRIES):
             h = hashed(col, row, self.seed + 104729 * (n + 1))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph.dem.header import copyright_tags
 from orograph.dem.raster import Dem
 from orograph.dem.synth import Synth, parse_size, write_windows
 from orograph.dem.target import parse_crs
@@ -36,12 +37,14 @@ def synth(
     exemplar: Any = None,
     jitter: float | Sequence[float] | None = None,
     passes: float | Sequence[float] | None = None,
+    over: Any = None,
+    ground: Any = None,
     compress: str = "zstd",
     overwrite: bool = False,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | Path:
-    """Make a fractal terrain: plains, and ranges carved by rivers; or one that takes after an example.
+    """Make a fractal terrain: plains, and ranges carved by rivers; or one that takes after an example; or colours.
 
     The same seed and size give the same heights.
 
@@ -57,6 +60,9 @@ def synth(
         jitter: with an exemplar, how much its pieces vary, 0 to 1; one number, or one for each level from the coarsest
             on. None: 0.5, and 0 on the three finest.
         passes: with an exemplar, how often places are corrected, 0 to 2; likewise. None: 2, and 0 on the two finest.
+        over: a terrain to make colours for, which is what ``orograph.terrain`` takes: ``exemplar`` is a photo then, and
+            the file an image, a layer for pictures (``layers=``).
+        ground: with ``over``, the heights of what the photo shows.
         compress: of the file: "zstd", "deflate" or "none". overwrite: replace one that is there.
         jobs: threads; None: all processors. progress: hears of it; False: nothing is said.
 
@@ -71,6 +77,10 @@ def synth(
     if path is not None and path.exists() and not overwrite:
         raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
     heard = reporting(progress)
+    if over is not None or ground is not None:
+        said = {"spacing": spacing, "crs": crs, "relief": relief, "roughness": roughness, "jitter": jitter,
+                "passes": passes}  # fmt: skip
+        return colours(over, exemplar, ground, path, seed, said, compress=compress, jobs=jobs, progress=heard)
     made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, heard, passes=passes)
     if path is not None:
         write(made, path, compress=compress, overwrite=overwrite, jobs=jobs, progress=heard)
@@ -113,6 +123,33 @@ def maker(
     return ByExample(
         exemplar, (rows, cols), seed, crs=projected, jitter=jitter, passes=passes, jobs=jobs, progress=progress
     )
+
+
+def colours(
+    over: Any, photo: Any, ground: Any, path: Path | None, seed: int, said: Mapping[str, Any], *, compress: str,
+    jobs: int | None, progress: Progress,
+) -> Path:  # fmt: skip
+    """Write colours for a terrain by example.
+
+    Args:
+        said: the arguments of ``synth`` that make no sense for colours.
+
+    Raises: as ``synth``.
+    """
+    from orograph.dem.synth import write_windows
+    from orograph.synthesis.colours import ColoursByExample
+
+    if wrong := [name for name, value in said.items() if value is not None]:
+        raise UsageError(f"The {' and the '.join(wrong)} of colours cannot be said.", remedy="Leave it out.")
+    if over is None or photo is None or ground is None or path is None or path.suffix.lower() not in (".tif", ".tiff"):
+        raise UsageError(
+            "Colours by example take a photo (`exemplar`), the heights of what it shows (`ground`), the terrain that "
+            "they are for (`over`), and a GeoTIFF to be written."
+        )
+    made = ColoursByExample(photo, ground, over, seed, jobs=jobs, progress=progress)
+    tags = copyright_tags(made.attribution)
+    write_windows(made, path, compress=compress, jobs=jobs, progress=progress, tags=tags)
+    return path
 
 
 def write(

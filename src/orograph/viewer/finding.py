@@ -40,18 +40,20 @@ class Finder:
             places = places[np.linspace(0, len(places) - 1, MOST).round().astype(int)]
         self.busy = True
         session.messages.say("Looking for the best view of what is selected.")
-        view, terrain = session.view, session.terrain
+        view, terrain, stretch = session.view, session.terrain, session.settings.exaggeration
 
         def look() -> None:
             from orograph.touring.best_view import search
+            from orograph.touring.stretched import Stretched
 
             try:
-                found = search(terrain, places, 1, size=(view.width, view.height), fovs=(view.fov_y,))
+                seen = Stretched(terrain, stretch)
+                found = search(seen, places, 1, size=(view.width, view.height), fovs=(view.fov_y,))
                 if not len(found):
                     session.messages.say("No camera sees anything of what is selected.")
                 elif session.terrain is terrain:
                     best = found[0]
-                    self._found = best.view
+                    self._found = seen.back(best.view)
                     session.messages.say(f"The best view shows {100 * best.visible:.0f} % of what is selected.")
             except (OrographError, OSError) as error:
                 session.messages.say(str(error))

@@ -34,6 +34,8 @@ DAY = 86_400.0
 HAZE = 1.5
 PAINTED = (1920, 1080)
 """Pixels of a window that painted data suit."""
+PLAYED = (640, 360)
+"""The same while time passes, and data are painted again and again."""
 THEMED = ("layers", "data", "priority")
 """Options that a theme is made of."""
 PLAY = 3600.0
@@ -210,7 +212,8 @@ class Settings:
             for name, (old, new) in self._replaced.items():
                 if base[name] is new:
                     base[name] = old
-            theme = themed({**base, "data": shown.current(terrain), "priority": shown.priority}, terrain, PAINTED)
+            size = PLAYED if shown.playing else PAINTED
+            theme = themed({**base, "data": shown.current(terrain), "priority": shown.priority}, terrain, size)
         except Exception:
             shown.priority, shown.time = before
             raise

@@ -57,7 +57,7 @@ def ground() -> Terrain:
 def seen(terrain: Terrain, **how: Any) -> Scene:
     x, y = (float(v) for v in terrain.grid.xy(64, 70))
     view = View((x, y - 2500, 1800.0), (x, y, 400.0), width=SIZE[0], height=SIZE[1])
-    return Scene.of(terrain, view, sun=Sun(290, 20), tolerance=1.0, samples=1, **how)
+    return Scene.of(terrain, view, sun=Sun(290, 20), tolerance=1.0, **{"samples": 1, **how})
 
 
 LIGHTS: dict[str, Any] = {
@@ -73,6 +73,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "chunks": {"method": "chunked-lod,cells=16,compressed=yes", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
+    "cast at breaks": {"method": "raycast,antialias=breaks", "samples": 2},
     "both": {"method": "hybrid,shares=turns,block=32", "normals": "faces"},
 }
 

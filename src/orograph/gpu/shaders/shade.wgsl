@@ -320,6 +320,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let pixel = vec2<i32>(at.xy);
   let stored = textureLoad(depths, pixel, 0);
   let mark = textureLoad(marks, pixel, 0).r;
+  if ((mark & 8u) != 0u) {   // as it is: surface_rays.wgsl
+    discard;
+  }
   let ray = ray_of(at.xy);
   let d = normalize(ray.direction);
   let hit = hit_at(stored, ray);

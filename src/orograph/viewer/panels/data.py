@@ -105,7 +105,10 @@ def _times(window: Window) -> None:
         change(window, time=shown.at_part(float(window.texts.pop("time", part))))
     if imgui.button("Pause" if shown.playing else "Play##time"):
         shown.playing = not shown.playing
-        window.touch()
+        if shown.playing:
+            window.touch()
+        else:
+            change(window)  # as finely as before
     tip(f"All of it in {PLAYED:g} seconds, or as fast as the data are read.")
     for words, way in (("<##earlier", -1), (">##later", 1)):
         imgui.same_line()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BINS, CELLS = 48, (48, 36)
 """Of a histogram, and of a scatter plot along x and y."""
 
-TALL, LEAST = 150.0, 3.0
+TALL, LEAST = 104.0, 3.0
 """Height of a plot, and how far must be dragged, logical pixels."""
 
 NONE = "(histogram)"
@@ -48,11 +48,12 @@ def draw(window: Window) -> None:
     plot = _frame(wanted, at, known)
     _pixels(plot, at, known, held, brush.empty)
     _dragged(window, plot)
-    for name, (low, high) in zip(wanted, plot.ends):
-        imgui.text_disabled(f"{name}: {low:.4g} to {high:.4g}")
-    imgui.text_wrapped("Drag over the plot to select." if brush.empty else brush.told(terrain, shown))
+    for name, ends in zip(wanted, plot.ends):
+        _typed(window, name, ends)
+    imgui.text_wrapped("Drag over the plot, or type, to select." if brush.empty else brush.told(terrain, shown))
     for name, (low, high) in brush.ranges.items():
-        imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")
+        if name not in wanted:
+            imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")
     if imgui.button("Select measured area"):
         select(window, area=[point[:2] for point in window.tools.points])
     tip("The corners that were clicked while measuring an area (M).")
@@ -76,6 +77,23 @@ def select(window: Window, **changes: Any) -> None:
         session.messages.say(str(error))
     session.settings.veil = window.brush.veil
     window.touch()
+
+
+def _typed(window: Window, name: str, ends: tuple[float, float]) -> None:
+    """The range of a variable, to be typed; without one the ends of its values."""
+    key = f"range {name}"
+    given = [*window.brush.ranges.get(name, ends)]
+    typed = window.texts.get(key)
+    imgui.set_next_item_width(-1)
+    _, values = imgui.input_float2(f"##{key}", [float(v) for v in typed.split()] if typed else given, "%.4g")
+    tip(f"{name}, from and to; Enter selects.")
+    if imgui.is_item_active():
+        window.texts[key] = f"{values[0]!r} {values[1]!r}"
+    if imgui.is_item_deactivated_after_edit():
+        window.texts.pop(key, None)
+        select(window, ranges={**window.brush.ranges, name: (values[0], values[1])})
+    elif not imgui.is_item_active():
+        window.texts.pop(key, None)
 
 
 def _chosen(window: Window, key: str, names: list[str], usual: str) -> str:

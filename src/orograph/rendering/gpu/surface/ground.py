@@ -91,6 +91,11 @@ class Drawn:
         return self.selection if isinstance(self.selection, (TreeFrame, DecodedChunks)) else None
 
     @property
+    def at_breaks(self) -> bool:
+        """Whether only pixels where depth breaks off are to have more samples than one."""
+        return isinstance(self.selection, CastWindows) and self.selection.at_breaks
+
+    @property
     def drawn(self) -> int:
         """How many of the patches are drawn."""
         if isinstance(self.selection, Mixed):
@@ -127,7 +132,7 @@ class Ground:
             device, camera, heights.texture, stored_slopes, patch_vertices(legs), patch_indices(legs),
             INSTANCE.itemsize, absent,
         )  # fmt: skip
-        rays = RayPass(device, camera)
+        rays = self._rays = RayPass(device, camera)
         mixed = MixedPass(device, self._patches, rays)
         field = heights.texture.create_view(dimension="2d-array"), heights.page_buffer, levels
         self.surfaces: Mapping[type, Surface] = {
@@ -189,6 +194,10 @@ class Ground:
     def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
         """Clear the targets and draw the ground."""
         self.surfaces[type(drawn.selection)].draw(encoder, targets, drawn.selection, left)
+
+    def find_breaks(self, encoder: Any, targets: Targets, plan: bool) -> None:
+        """Find where what rays met breaks off; see ``RayPass``."""
+        self._rays.find_breaks(encoder, targets, plan)
 
     def draw_patches(self, encoder: Any, targets: Targets, patches: Patches) -> None:
         """Clear the targets and draw the terrain's own patches."""
