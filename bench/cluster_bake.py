@@ -39,7 +39,7 @@ def main() -> None:
         record = read_record(storage)
         made = [_record(product(name), options, None, record) for name in args.products.split(",") if name in BAKED]
         _kept(storage, record, made, True)
-        recipe = recipe_of(storage, options, made, record.shard, 1 << 30)
+        recipe = recipe_of(storage, storage.named(), options, made, record.shard, 1 << 30)
         shop = BakeShop(recipe)
         read, written = [0], [0]
         get, put = shop.storage.get, shop.storage.put
@@ -78,7 +78,7 @@ def main() -> None:
             if done >= args.tasks:
                 break
         table = np.array(rows[1:])  # the first one compiles, or reads what is compiled
-        print(f"{len(table)} tasks of {record.shard}² samples, {args.azimuths} azimuths, {args.products}")
+        print(f"{len(table)} tasks, {args.azimuths} azimuths, {args.products}")
         for name, column, unit in zip(
             ("processor", "heights read", "sums and hulls read", "written", "peak of arrays"), table.T,
             (1.0, 1e6, 1e6, 1e6, 1e6),

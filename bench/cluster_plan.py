@@ -1,9 +1,10 @@
 """What a build of a planet would take on a cluster: a simulation out of unit costs that are measured first.
 
-    python bench/cluster_plan.py [--data ../shared/data] [--quick]
+    python bench/cluster_plan.py [--data ../shared/data] [--tiles 40]
 
 A build of California is run by one process whose tasks are timed one by one: seconds of processor time, bytes written
-and the time in which the process that builds adds each up. The simulation has these tasks for as many samples as the
+and the time in which the process that builds adds each up; once shard by shard, and once for each size of groups, for
+the larger a group, the less it hands on. The simulation has these tasks for as many samples as the
 planet has, by an event queue: the scheduler gives out a task in 1 ms, a worker (one thread) works on one at a time
 and moves its bytes at 100 MB/s, the process that builds adds up what came, one after another, and stages follow one
 another. Nothing in it was run on such a cluster.
@@ -23,6 +24,7 @@ from typing import Any, NamedTuple
 
 from orograph import store
 from orograph.progress import Progress
+from orograph.store.clusters import EACH
 from orograph.store.executing import ShardStage
 from orograph.store.groups import MOST
 
@@ -39,6 +41,10 @@ PLANETS = {
 """Samples, and bytes that are read."""
 
 
+GROUPED = ("heights", "errors")
+"""Stages whose tasks are groups of shards, where there are enough for all workers."""
+
+
 class Cost(NamedTuple):
     """Of a stage, per sample of level 0.
 
@@ -53,15 +59,16 @@ class Cost(NamedTuple):
 
 
 class Timed:
-    """An executor that runs tasks one by one and notes what they take."""
+    """An executor that runs tasks one by one and notes what they take. Args: levels: of groups; 0: none."""
 
-    def __init__(self) -> None:
+    def __init__(self, levels: int) -> None:
         self.costs: dict[str, Cost] = {}
+        self.levels = levels
         self.samples = 0
 
     def groups(self, stage: str, shape: Any, shard: int) -> int:
         self.samples = shape[0] * shape[1]
-        return 0
+        return self.levels
 
     def run(self, stage: ShardStage[Any], progress: Progress) -> None:
         work = add = written = 0.0
@@ -90,9 +97,9 @@ class Timed:
         self.costs[stage.name] = Cost(*(a + b / self.samples for a, b in zip(before, found_now, strict=True)))
 
 
-def measured(files: list[str]) -> dict[str, Cost]:
-    """Unit costs by stage."""
-    timed = Timed()
+def measured(files: list[str], levels: int) -> dict[str, Cost]:
+    """Unit costs by stage, with groups of so many levels: of two builds the lesser."""
+    timed = Timed(levels)
 
     @contextlib.contextmanager
     def executor(*_: Any) -> Iterator[Timed]:
@@ -103,12 +110,14 @@ def measured(files: list[str]) -> dict[str, Cost]:
     building.executor_of = executor
     try:
         with tempfile.TemporaryDirectory() as folder:
-            for name in ("warm", "timed"):
-                timed.costs.clear()
+            runs = []
+            for name in ("one", "two"):
+                timed.costs = {}
                 store.build(files, Path(folder) / name, shard=SHARD, jobs=1, progress=False).close()
+                runs.append(timed.costs)
     finally:
         building.executor_of = own
-    return timed.costs
+    return {name: Cost(*map(min, cost, runs[1][name])) for name, cost in runs[0].items()}
 
 
 class Outcome(NamedTuple):
@@ -118,18 +127,18 @@ class Outcome(NamedTuple):
     busy: dict[str, float]
 
 
-def simulated(costs: dict[str, Cost], samples: int, read: float, workers: int) -> Outcome:
-    """A build with so many workers."""
+def simulated(costs: list[dict[str, Cost]], samples: int, read: float, workers: int) -> Outcome:
+    """A build with so many workers. Args: costs: by levels of groups."""
     now, busy = 0.0, dict.fromkeys(("workers compute", "workers move bytes", "scheduler", "adding up"), 0.0)
-    for name, cost in costs.items():
-        each = SHARD**2 * (4**MOST if name == "heights" else 1)
-        while each > SHARD**2 and samples / each < 8 * workers:
-            each //= 4  # smaller groups, as builds choose them
-        tasks = max(1, round(samples / each))
-        inner = each > SHARD**2  # most of what is added up is added within a group, by its worker
-        compute = (cost.work + cost.add * inner) * samples / tasks
+    for name in costs[0]:
+        levels = len(costs) - 1 if name in GROUPED else 0
+        while levels and samples / (SHARD**2 * 4**levels) < EACH * workers:
+            levels -= 1  # smaller groups, as builds choose them
+        cost = costs[levels][name]
+        tasks = max(1, round(samples / (SHARD**2 * 4**levels)))
+        compute = cost.work * samples / tasks
         move = ((read if name != "errors" else 5.0 * samples) + cost.written * samples) / tasks / BUCKET
-        add = cost.add * samples / tasks / (each / SHARD**2)
+        add = cost.add * samples / tasks
         free = [now] * workers
         given = added = now
         for _ in range(tasks):
@@ -148,20 +157,24 @@ def simulated(costs: dict[str, Cost], samples: int, read: float, workers: int) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--quick", action="store_true", help="nine tiles, 16 and 512 workers")
+    parser.add_argument("--tiles", type=int, default=40, help="of California that are built to measure")
     given = parser.parse_args()
     files = sorted(map(str, (given.data / "california-3s-tiles").glob("*.tif")))
     if not files:
         raise SystemExit(f"No tiles in {given.data / 'california-3s-tiles'}.")
-    costs = measured(files[:9] if given.quick else files)
-    for name, cost in costs.items():
-        print(
-            f"{name}: {1e9 * cost.work:.0f} ns a sample of a worker, {1e9 * cost.add:.2f} + {1e9 * cost.finish:.2f} of "
-            f"the process that builds, {cost.written:.2f} bytes written"
-        )
+    files = files[: given.tiles]
+    measured(files[:2], 1)  # compiles
+    costs = [measured(files, levels) for levels in range(MOST + 1)]
+    for levels, found in enumerate(costs):
+        for name, cost in found.items():
+            print(
+                f"{name}, {'shards' if not levels else f'groups of {4**levels} shards'}: {1e9 * cost.work:.0f} ns a "
+                f"sample of a worker, {1e9 * cost.add:.2f} + {1e9 * cost.finish:.2f} of the process that builds, "
+                f"{cost.written:.2f} bytes written"
+            )
     for planet, (samples, read) in PLANETS.items():
         print(f"\n{planet}\n\n| workers | hours | dollars | busiest | share |\n|---|---|---|---|---|")
-        for workers in (16, 512) if given.quick else (1, 4, 16, 64, 128, 256, 512):
+        for workers in (1, 4, 16, 64, 128, 256, 512):
             seconds, busy = simulated(costs, samples, read, workers)
             most = max(busy, key=busy.__getitem__)
             hours = seconds / 3600

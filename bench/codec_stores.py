@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 
 from orograph import store
+from orograph.dem.synth import Synth
 from orograph.store.coding import CODECS
-from synthetic import Formula
 
 TILE = 257
 PYRAMIDS = {
@@ -147,7 +147,7 @@ def stores(given: argparse.Namespace) -> None:
 def pyramid(given: argparse.Namespace) -> None:
     print("| heights | error, m | codec | bits a sample | ratio | rms, m | largest, m | PSNR, dB |")
     print("|---|---|---|---|---|---|---|---|")
-    formula = Formula((given.size, given.size), 7, spacing=30.0)
+    formula = Synth((given.size, given.size), 7, spacing=30.0)
     formula.prepare()
     sources: dict[str, Any] = {name: given.data / path for name, path in PYRAMIDS.items()}
     sources[f"synthetic, {given.size}², 30 m"] = formula

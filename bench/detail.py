@@ -21,16 +21,9 @@ from numpy.typing import NDArray
 import orograph
 from orograph.geo.grid import Grid
 from orograph.synthesis.detailed import Detailed, steering_of
-from orograph.synthesis.refining import Data, Doubled, Lattice, Range
+from orograph.synthesis.refining import Data, Doubled, Lattice, Range, Smooth, metres
 
 Floats = NDArray[np.float64]
-
-
-class Nothing:
-    """The residual of smooth interpolation."""
-
-    def read(self, r: Range) -> Floats:
-        return np.zeros(r.shape)
 
 
 def spectrum(heights: Floats, spacing: float, edges: list[float]) -> list[float]:
@@ -63,10 +56,10 @@ def main() -> None:
     steering, _ = steering_of(terrain, lidar, 1)
     smooth: Lattice = Data(terrain)
     for _ in range(doublings):
-        smooth = Doubled(smooth, Nothing())
+        smooth = Doubled(smooth, Smooth())
     made = {
         "truth": truth,
-        "interpolated": smooth.read(Range(0, high, 0, wide)),
+        "interpolated": metres(smooth.read(Range(0, high, 0, wide)), smooth.quantum),
         "fractal": Detailed(terrain, doublings).read(0, 0, high, 0, wide).astype(np.float64),
         "by example": Detailed(terrain, doublings, 1, steering).read(0, 0, high, 0, wide).astype(np.float64),
     }

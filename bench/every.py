@@ -51,7 +51,7 @@ BENCHES = {
     "bdam": Bench("--part table --count 2 --terrain bigtujunga", data=True, least="bigtujunga-srtm30m-utm"),
     "budgets": Bench("--size 1025 --frames 10 --ms 5 --no-best"),
     "cluster": Bench("--quick --kills 2", data=True, modules=("distributed",), least="california-3s-tiles"),
-    "cluster_plan": Bench("--quick", data=True, least="california-3s-tiles"),
+    "cluster_plan": Bench("--tiles 9", data=True, least="california-3s-tiles"),
     "codec": Bench("--quick", data=True, least="n44w072-hgt/N44W072.hgt"),
     "embree": Bench("--size 513 --repeat 1", data=True, modules=("embreex",)),
     "errors": Bench("--size 1025 --rounds 1"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import tempfile
 import time
 from itertools import product
 from pathlib import Path
@@ -18,10 +19,12 @@ from typing import Any
 
 import numpy as np
 
+import geovis_volumes
 import orograph
 from horizon import fractal
 from orograph import measuring
-from orograph.geovis.data.dataset import Sign, Standing, Style
+from orograph.geovis.data.dataset import Sign, Style
+from orograph.geovis.data.standing import KINDS
 from orograph.rendering.picture import Picture
 
 SHARED = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
@@ -186,7 +189,7 @@ def main() -> None:
     row("member value p90", data=plain.but(value="p90"))
     row("member exceeds 10", data=plain.but(exceeds=10.0))
     row("focus lens", data=data, priority="T+D-U-", focus=orograph.Focus("lens", "T+D+U+"))
-    row("ghost", ghosts=orograph.Ghost(terrain, opacity=0.4))
+    row("a ghost", ghosts=orograph.Ghost(terrain, opacity=0.4))
     for sign in Sign.__args__:  # type: ignore[attr-defined]
         if sign not in ("errorbars", "none"):
             doubt = orograph.Uncertainty("spread", style=sign)
@@ -195,7 +198,7 @@ def main() -> None:
     if found is not None:
         land, points = found
         around = orograph.camera.around(land, SIZE, azimuth=200, pitch=40, distance=None, exaggeration=5)
-        for style in Standing.__args__:  # type: ignore[attr-defined]
+        for style in KINDS:
             doubt = orograph.Uncertainty("rms") if style == "bars" else None
             row(
                 f"standing {style}", terrain=land, view=around, exaggeration=5, priority="T+D+U+",
@@ -205,6 +208,13 @@ def main() -> None:
         row(f"two {name}", **{**options, "priority": "T+D+U-"})
     for name, options in tracks().items():
         row(f"track {name}", **{**options, "priority": "T+D+U-"})
+    for name, options in geovis_volumes.pictures().items():
+        row(f"volume {name}", **{"priority": "T+D+U-", **options})
+    for name, options in geovis_volumes.ghosts().items():
+        row(f"ghost {name}", **options)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, options in geovis_volumes.walks(Path(folder)).items():
+            row(f"walk {name}", **{"priority": "T+D+U-", **options})
     for name, options in shapes().items():
         row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
@@ -216,12 +226,17 @@ def main() -> None:
         save(made, given.pictures)
 
 
+COLUMNS = {"T": 4, "style": 4, "sign": 4, "standing": 3, "shape": 2, "two": 2, "track": 3, "volume": 2, "walk": 2,
+           "ghost": 2}  # fmt: skip
+"""Pictures side by side in the sheets, by kind."""
+
+
 def save(made: dict[str, Picture], folder: Path) -> None:
     """The manual's pictures: figure 5 of the paper, and sheets of priorities, styles, signs and things."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
-    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3), ("shape", 2), ("two", 2), ("track", 3)):
+    for kind, columns in COLUMNS.items():
         names = [name for name in made if name.startswith(kind + ("" if kind == "T" else " "))]
         if names:
             sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")

@@ -1,6 +1,6 @@
 """All methods on the same views: what a store holds for them, what making that takes, triangles and milliseconds.
 
-    python bench/methods.py [DEM … | --size 1025] [--tolerance 1]
+    python bench/methods.py [DEM … | --size 1025] [--tolerance 1] [--method NAME]…
 
 Bytes are those of a store with what the method needs (``orograph build --for METHOD``) less those of one without any,
 by sample; seconds so likewise, kernels compiled, two threads. Triangles, milliseconds of a selection (the median) and
@@ -36,13 +36,13 @@ def built(dem: str, folder: Path, method: str | None) -> tuple[int, float]:
     return sum(path.stat().st_size for path in store.rglob("*") if path.is_file()), took
 
 
-def table(dem: str, tolerance: float, folder: Path) -> None:
+def table(dem: str, tolerance: float, folder: Path, methods: list[str]) -> None:
     terrain = orograph.terrain(dem)
     samples = terrain.grid.rows * terrain.grid.cols
     bare, bare_seconds = built(dem, folder, None)
     print(f"\n{Path(dem).name}: {terrain.grid.rows:,} × {terrain.grid.cols:,} samples, {tolerance:g} px\n")
     print("| method | bytes / sample | build, s | triangles | ms | largest px |\n|---|---:|---:|---:|---:|---:|")
-    for name in METHODS:
+    for name in methods:
         size, seconds = built(dem, folder, name)
         ((_, found),) = orograph.compare(terrain, methods=[name], tolerance=tolerance, progress=False).items()
         triangles = "-" if found.triangles is None else f"{found.triangles:,.0f}"
@@ -57,6 +57,7 @@ def main() -> None:
     parser.add_argument("dems", nargs="*")
     parser.add_argument("--size", type=int, default=1025)
     parser.add_argument("--tolerance", type=float, default=1.0)
+    parser.add_argument("--method", dest="methods", action="append", metavar="NAME", help="default: all")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -65,7 +66,7 @@ def main() -> None:
             dems = [str(folder / "synthetic.tif")]
             orograph.synth(dems[0], size=given.size, seed=7, progress=False)
         for dem in dems:
-            table(dem, given.tolerance, folder)
+            table(dem, given.tolerance, folder, given.methods or list(METHODS))
 
 
 if __name__ == "__main__":

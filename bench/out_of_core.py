@@ -1,6 +1,6 @@
 """What building a large store for a method takes of memory, and that any number of workers makes the same bytes.
 
-    python bench/out_of_core.py SIZE --for chunked-lod|bdam|seamless-patches [--jobs 1,2] [--allowed 512MiB]
+    python bench/out_of_core.py SIZE --for chunked-lod|bdam|seamless-patches|quadtin [--jobs 1,2] [--allowed 512MiB]
 
 A synthetic terrain of SIZE² samples goes into a store straight from its formula (``bench/synthetic.py``); each number
 of workers in a process of its own. Told are seconds, bytes, and peaks of memory: *anonymous*, which the process needs,
@@ -21,14 +21,16 @@ from pathlib import Path
 from typing import Any
 
 from orograph import store
+from orograph.dem.synth import Synth
 from orograph.folders import parse_bytes
-from synthetic import CELL, LEFT, SEED, Formula
+from synthetic import CELL, LEFT, SEED
 
 NEEDS: dict[str, dict[str, Any]] = {
     "nothing": {"errors": ()},
     "seamless-patches": {},
     "bdam": {"errors": (), "tins": 16},
     "chunked-lod": {"errors": (), "chunked": (32, 0)},
+    "quadtin": {"errors": (), "quadtin": (0, "nearest")},
 }
 
 
@@ -58,7 +60,7 @@ def build(size: int, method: str, jobs: int, allowed: int, folder: Path, out: Co
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
-    source = Formula((size, size), SEED, spacing=CELL)
+    source = Synth((size, size), SEED, spacing=CELL)
     source.prepare()
     began = time.perf_counter()
     store.build(source, place, jobs=jobs, max_memory=allowed, progress=False, **NEEDS[method]).close()

@@ -29,7 +29,7 @@ from orograph.rendering.cpu.raster import MeshSurface
 from orograph.rendering.gbuffer import Surface
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 WIDTH, HEIGHT, SAMPLES = 1920, 1080, 16
 AREA = (0, HEIGHT, 0, WIDTH)
@@ -131,7 +131,7 @@ def compare(name: str, heights: Heights, spacing: float, repeat: int, jobs: int)
           "| Embree / raster | positions | raster ms | caster ms | same depth |")  # fmt: skip
     print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for view_name, view in views(heights, spacing).items():
-        p = Projection.of(view, g)
+        p = Projection.of(Camera.over(g, view))
         mesh, rays = MeshSurface(vertices, tri, p, jobs), RaySurface(caster, p)
         setup = best(partial(MeshSurface, vertices, tri, p, jobs), repeat, jobs)
         picture, cast = best(partial(mesh.draw, AREA), repeat, jobs), best(partial(rays.draw, AREA), repeat, jobs)

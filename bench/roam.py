@@ -34,7 +34,7 @@ CHANGES = 60
 
 
 def load(path: str, cell: float) -> MemoryTerrain:
-    """A terrain in memory, of an array or of a projected raster."""
+    """A terrain in memory, of an array or of a raster; one in degrees as if its cells were squares at the equator."""
     if path.endswith(".npy"):
         z = np.load(path)
     else:
@@ -43,7 +43,7 @@ def load(path: str, cell: float) -> MemoryTerrain:
         with rasterio.open(path) as file:
             z = file.read(1).astype(np.float32)
             z[z == np.float32(file.nodata if file.nodata is not None else np.nan)] = np.nan
-            cell = abs(file.transform.a)
+            cell = abs(file.transform.a) * (111_320 if file.crs is not None and file.crs.is_geographic else 1)
     return MemoryTerrain(z, Grid(z.shape, Affine(cell, 0, 0, 0, -cell, 0)), Path(path).name)
 
 

@@ -34,14 +34,6 @@ PER_SAMPLE = 4.5
 """Bytes of a store per sample, at most: heights, means and errors, compressed."""
 
 
-class Formula(Synth):
-    """A synthetic terrain as the source of a store."""
-
-    def fingerprint(self) -> str:
-        """Its numbers: they make it what it is."""
-        return f"synthetic {self.grid.shape} {self.seed} {self.spacing} {self.relief} {self.roughness}"
-
-
 def synthetic(size: int, seed: int = SEED, cell: float = CELL) -> MemoryTerrain:
     """A square of so many samples a side, ``cell`` metres apart, in memory."""
     grid = Grid((size, size), Affine(cell, 0, 0, 0, -cell, 0), None)
@@ -68,7 +60,7 @@ def synthetic_store(
             f"A store of {size}² samples may take {PER_SAMPLE * size * size / 1e9:.0f} GB, and {free / 1e9:.0f} GB "
             "are free.", path=place, remedy="Give another folder.",
         )  # fmt: skip
-    source = Formula((size, size), SEED, spacing=CELL)
+    source = Synth((size, size), SEED, spacing=CELL)
     source.prepare()
     return store.build(source, place, resume=True, jobs=jobs, progress=progress)
 

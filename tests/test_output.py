@@ -7,12 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orograph.errors import OutputError
+from orograph.folders import temporary
 from orograph.output import Beside, _left
 from orograph.processes import host
 
@@ -66,6 +68,48 @@ end = lambda: os.kill(os.getpid(), signal.SIGKILL)
     with Beside(tmp_path / "sky.tif") as part:
         np.zeros(3).tofile(part)
     assert [p.name for p in tmp_path.iterdir()] == ["sky.tif"]
+
+
+def test_leftovers_go_wherever_the_process_is(tmp_path, monkeypatch, ended):
+    """A name without a folder means another place after a change of folder."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f".sky.tif.{host()}.{ended}.part").write_text("x")
+        monkeypatch.chdir(tmp_path / name)
+        with Beside(Path("sky.tif")) as part:
+            part.write_text("whole")
+        assert [p.name for p in (tmp_path / name).iterdir()] == ["sky.tif"]
+
+
+def test_temporary_folders_of_killed_processes_go(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    code = "import os, signal; from orograph.folders import temporary; kept = temporary(); os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, check=False)
+    assert len(list(tmp_path.iterdir())) == 1
+    stays = tmp_path / f"orograph-elsewhere-{os.getpid()}-x"
+    stays.mkdir()
+    with temporary() as folder:
+        assert sorted(tmp_path.iterdir()) == sorted([stays, Path(folder)])
+    assert list(tmp_path.iterdir()) == [stays]
+
+
+def test_what_is_alike_stays_if_asked_for(tmp_path):
+    """Another process may have it open, and would find that it was changed."""
+    out = tmp_path / "a.txt"
+    for text, stays in (("one", False), ("one", True), ("two", False)):
+        before = out.stat().st_ino if out.exists() else 0
+        with Beside(out, keep=True) as part:
+            part.write_text(text)
+        assert (out.stat().st_ino == before) == stays
+        assert out.read_text() == text
+        assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_folder_in_a_results_place_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in (".", "..", str(tmp_path)):
+        with pytest.raises(OutputError, match="It is a folder"), Beside(Path(name)):
+            pass
 
 
 def test_many_results_look_through_their_folder_once(tmp_path, monkeypatch):

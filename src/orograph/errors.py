@@ -76,6 +76,10 @@ class StoreError(OrographError):
     exit_code = 4
 
 
+class StoreBusyError(StoreError):
+    """Another process is writing to a store."""
+
+
 class DamagedChunkError(StoreError):
     """A chunk of a store fails its checksum or cannot be decoded; ``chunk`` is its key within the store."""
 

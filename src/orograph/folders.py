@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import glob
 import mmap
 import os
 import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -13,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, overload
 
 from orograph.errors import OutputError, UsageError
+from orograph.processes import host, running
 
 if TYPE_CHECKING:
     import numpy as np
@@ -100,6 +104,35 @@ def held(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
     import numpy as np
 
     return scratch(length) if length > HELD else (np.zeros(length, np.uint8), lambda: None)
+
+
+def temporary() -> tempfile.TemporaryDirectory[str]:
+    """A folder for what lies on the disk for a moment; those of processes that were killed are removed.
+
+    Raises:
+        OutputError: nothing can be written to the temporary folder.
+    """
+    try:
+        _sweep(tempfile.gettempdir())
+        return tempfile.TemporaryDirectory(prefix=f"{_ours()}{os.getpid()}-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise OutputError(
+            f"Nothing can be written to the temporary folder: {error.strerror}.", path=tempfile.gettempdir(),
+            remedy="Set TMPDIR to a folder with room.",
+        ) from error  # fmt: skip
+
+
+def _ours() -> str:
+    return f"orograph-{host()}-"
+
+
+@functools.cache
+def _sweep(folder: str) -> None:
+    """Remove what processes of this machine that have ended left in a temporary folder."""
+    for path in Path(folder).glob(f"{glob.escape(_ours())}*-*"):
+        pid = path.name.removeprefix(_ours()).partition("-")[0]
+        if pid.isdecimal() and not running(int(pid)):
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:

@@ -7,6 +7,7 @@ leaves it there; the next one that writes the same result removes it.
 from __future__ import annotations
 
 import contextlib
+import filecmp
 import functools
 import glob
 import math
@@ -33,7 +34,7 @@ def beside(out: Path, ending: str) -> Path:
     """
     # A name without a host is of this machine.
     ours = re.compile(rf"\.{re.escape(out.name)}\.(?:{re.escape(host())}\.)?(\d+)\.(?:part|raw)(?:\..+)?")
-    for path in _left(out.parent):
+    for path in _left(out.parent.absolute()):
         found = ours.fullmatch(path.name)
         if found is not None and not running(int(found[1])):
             remove(path)
@@ -42,7 +43,7 @@ def beside(out: Path, ending: str) -> Path:
 
 @functools.cache
 def _left(folder: Path) -> list[Path]:
-    """What may have been left in a folder when it was first written to."""
+    """What may have been left in a folder (an absolute path) when it was first written to."""
     with contextlib.suppress(OSError):
         return [path for path in folder.iterdir() if re.fullmatch(r"\..+\.\d+\.(part|raw)(\..+)?", path.name)]
     return []
@@ -92,13 +93,19 @@ def remove_unfinished() -> None:
 
 
 class Beside:
-    """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure."""
+    """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure.
 
-    def __init__(self, out: Path) -> None:
-        self.out = out
+    Args:
+        keep: a file of the same bytes that is there already stays: another process may be reading it.
+    """
+
+    def __init__(self, out: Path, keep: bool = False) -> None:
+        self.out, self.keep = out, keep
 
     def __enter__(self) -> Path:
         check_folder(self.out)
+        if self.out.is_dir():
+            raise OutputError("It is a folder, not a file.", path=self.out, remedy="Name a file in it.")
         self.part = beside(self.out, "part")
         _unfinished.add(self.part)
         return self.part
@@ -107,7 +114,8 @@ class Beside:
         _unfinished.discard(self.part)
         if kind is None:
             try:
-                self.part.replace(self.out)
+                if not (self.keep and self._kept()):
+                    self.part.replace(self.out)
             except OSError as cause:
                 remove(self.part)
                 raise OutputError(f"The file cannot be written: {cause.strerror}.", path=self.out) from cause
@@ -118,3 +126,15 @@ class Beside:
                 f"The file cannot be written: {error.strerror or error}.", path=self.out,
                 remedy="See that the disk has room and the folder is yours to write in.",
             ) from error  # fmt: skip
+
+    def _kept(self) -> bool:
+        """Give the part its name if it is free, or leave what is there if it is alike; False: it must be replaced."""
+        try:
+            os.link(self.part, self.out)
+        except FileExistsError:
+            if not filecmp.cmp(self.part, self.out, shallow=False):
+                return False
+        except OSError:  # a file system without links
+            return False
+        remove(self.part)
+        return True

@@ -30,7 +30,7 @@ def write_jacksboro(folder: Path) -> Path:
     dem = jacksboro()
     path = folder / "jacksboro.tif"
     rows, cols = dem.grid.shape
-    with raster_file(path) as part, rasterio.open(
+    with raster_file(path, keep=True) as part, rasterio.open(
         part, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="int16", crs="EPSG:4326",
         transform=dem.grid.transform, compress="deflate",
     ) as file:  # fmt: skip

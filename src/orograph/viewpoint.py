@@ -405,3 +405,14 @@ class Camera:
     def over(cls, grid: Grid, view: View, exaggeration: float = 1.0) -> Self:
         """The camera of a view over flat terrain."""
         return cls(view, AffineChart(grid), exaggeration)
+
+    @property
+    def affine(self) -> AffineChart:
+        """The chart, for what draws flat terrain only.
+
+        Raises:
+            UsageError: it is curved.
+        """
+        if not isinstance(self.chart, AffineChart):
+            raise UsageError("This method draws flat terrain only.")
+        return self.chart

@@ -134,6 +134,29 @@ def test_ctrl_c_tells_how_to_resume(tmp_path):
         np.testing.assert_array_equal(store.open(tmp_path / "a.oro").read(0, 0, 6200, 0, 6200), file.read(1))
 
 
+@pytest.mark.parametrize("how", ["plain", "overwrite", "resume", "update"])
+def test_what_an_interrupted_build_says_can_be_done(tmp_path, monkeypatch, how):
+    """The same command with what it says is accepted, and finishes."""
+    dem, out = write(tmp_path / "dem.tif", HEIGHTS), tmp_path / "a.oro"
+    line = ["build", str(dem), "-o", str(out)]
+    if how == "overwrite":
+        orograph(*line)
+    flags = [] if how == "plain" else [f"--{how}"]
+
+    def stopped(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["orograph.store.build"], "_fill", stopped)
+        said = CliRunner().invoke(cli, ["-q", *line, *flags]).stderr
+    assert "The new store" in said if how in ("overwrite", "update") else str(out) in said
+    if "with --resume" in said:
+        flags = ["--resume", *(flags if "in place of --overwrite" not in said and flags != ["--resume"] else [])]
+    ran = orograph(*line, *flags)
+    assert ran.returncode == 0, ran.stderr
+    assert store.open(out).grid.shape == (300, 200)
+
+
 def test_a_real_mosaic_within_its_memory(shared_data, tmp_path):
     tiles = sorted((shared_data / "california-3s-tiles").glob("N3[67]W11*.tif"))
     if not tiles:

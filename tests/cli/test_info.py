@@ -42,6 +42,8 @@ KEYS = {
     "nodata",
     "vertical_datum",
     "attribution",
+    "version",
+    "versions",
     "errors",
     "colors",
     "layers",

@@ -19,7 +19,9 @@ from orograph.dem.mosaic import Mosaic
 from orograph.geo.grid import Grid
 from orograph.lighting.context import Context, Options
 from orograph.lighting.products import compute, names, product
+from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain
+from orograph.store.storage import FolderStorage
 
 
 def heights_of(path):
@@ -279,6 +281,18 @@ def test_a_file_that_may_not_grow(hilly, tmp_path, name):
     assert ran.returncode == 4 and len(ran.stderr.splitlines()) == 1, ran.stderr
     assert "out.tif" in ran.stderr and "more than 0.02 MB" in ran.stderr and "ulimit -f" in ran.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == []
+
+
+def test_one_process_at_a_time_makes_a_map_that_is_kept(run, hilly, tmp_path):
+    """Two would write the same files beside it, and the first one done would remove them."""
+    out = tmp_path / "out.tif"
+    given = ("light", hilly, "--product", "sky-view-factor", "--azimuths", 4, "--quiet", "-o", out)
+    with alone(FolderStorage(out), "making this map"):
+        code, _, err = run(*given, "--resume")
+        assert code == 4 and "Another process is making this map" in err
+        assert run(*given)[0] == 0  # which keeps nothing on the way
+    assert run(*given, "--resume")[0] == 0
+    assert [p.name for p in tmp_path.iterdir() if "out.tif" in p.name] == ["out.tif"]
 
 
 @pytest.mark.parametrize(

@@ -61,8 +61,8 @@ def test_synth_replaces_nothing(tmp_path):
     assert ran.returncode == 2 and "--overwrite" in ran.stderr and out.read_bytes() == first
     assert orograph("synth", "-o", out, "--size", "40x50", "--seed", 2, "--overwrite").returncode == 0
     assert out.read_bytes() != first
-    ran = orograph("synth", "-o", tmp_path / "a.oro", "--size", "40x50")
-    assert ran.returncode == 2 and ".tif" in ran.stderr and not (tmp_path / "a.oro").exists()
+    ran = orograph("synth", "-o", tmp_path / "a.xyz", "--size", "40x50")
+    assert ran.returncode == 2 and ".tif" in ran.stderr and not (tmp_path / "a.xyz").exists()
 
 
 def test_the_demo(tmp_path):

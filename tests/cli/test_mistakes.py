@@ -109,6 +109,28 @@ def test_heights_beyond_any_body_are_missing(run, tmp_path):
     assert code == 0 and err == "" and "100 to 100 m" in out and "1e+20, which it does not declare" in out
 
 
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [(("best-view", "DEM", "--target", "a" * 5000, "-o", "v.json"), "File name too long"),
+     (("info", "DEM", "--assume-crs", "\udcff"), "no text in UTF-8"),
+     (("build", "DEM", "-o", "a.oro", "--resolution", "1e-308"), "The terrain would have inf × inf samples"),
+     (("render", "DEM", "-o", "a.png", "--water", "1e308"), "A water level is a height"),
+     (("movie", "DEM", "--orbit", "--fps", "360", "-o", "a.gif"), "at most 100 frames a second"),
+     (("info", "INTEGERS", "--nodata", "9" * 20), ""), (("info", "INTEGERS", "--nodata", "9" * 400), ""),
+     (("info", "DEM", "--nodata", "9" * 400), "")],
+)  # fmt: skip
+def test_values_that_nobody_expects_are_no_fault_of_orograph(run, hilly, tmp_path, monkeypatch, line, said):
+    monkeypatch.chdir(tmp_path)
+    with rasterio.open(tmp_path / "whole.tif", "w", driver="GTiff", height=20, width=30, count=1, dtype="int16",
+                       crs="EPSG:32611", transform=Affine(30, 0, 5e5, 0, -30, 4e6)) as file:  # fmt: skip
+        file.write(np.arange(600, dtype=np.int16).reshape(20, 30), 1)
+    files = {"DEM": str(hilly), "INTEGERS": "whole.tif"}
+    code, _, err = run(*(files.get(part, part) for part in line))
+    assert code in (2, 3) if said else code == 0
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith("a.")]
+    assert said in err and "fault" not in err and len(err) < 2300
+
+
 def test_no_room_for_a_map(run, hilly, tmp_path, monkeypatch):
     import shutil
 

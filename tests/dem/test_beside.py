@@ -66,3 +66,48 @@ def test_what_is_said_only_beside_counts(tmp_path: Path) -> None:
     with Source.open(path) as source:
         assert source.grid.transform == UTM
         assert source.nodata == 7
+
+
+WORLD = "{a}\n0\n0\n{e}\n{x}\n{y}\n"
+RIGHT = {"a": "30.0", "e": "-30.0", "x": "500015.0", "y": "3999985.0"}  # the middle of the first sample
+
+
+@pytest.mark.parametrize("name", ["a.tfw", "a.wld", "a.tifw"])
+@pytest.mark.parametrize(
+    "wrong", [{"x": "500000.0"}, {"y": "4999985.0"}, {"a": "31"}, {"e": "-28,5"}, {"a": "-30", "e": "30"}]
+)
+def test_a_world_file_that_contradicts_the_file_is_told(tmp_path: Path, name: str, wrong: dict[str, str]) -> None:
+    path = made(tmp_path / "a.tif")
+    (tmp_path / name).write_text(WORLD.format(**{**RIGHT, **wrong}))
+    with Source.open(path) as source:
+        assert f"{name} beside it says that it lies at" in " ".join(source.warnings)
+        assert source.grid.transform == UTM  # what the warning says is used
+
+
+@pytest.mark.parametrize("text", [WORLD.format(**RIGHT), WORLD.format(**{**RIGHT, "x": "500015.4"}), "", "no numbers"])
+def test_a_world_file_that_agrees_or_says_nothing_is_not(tmp_path: Path, text: str) -> None:
+    path = made(tmp_path / "a.tif")
+    (tmp_path / "a.tfw").write_text(text)
+    with Source.open(path) as source:
+        assert not [one for one in source.warnings if "tfw" in one]
+
+
+def test_a_world_file_places_what_says_nothing_of_its_place(tmp_path: Path) -> None:
+    path = made(tmp_path / "a.tif", plain=True)
+    (tmp_path / "a.tfw").write_text(WORLD.format(**RIGHT))
+    with Source.open(path, assume_crs="EPSG:32611") as source:
+        assert not [one for one in source.warnings if "tfw" in one]
+        assert source.grid.transform == UTM
+
+
+def test_a_world_file_of_points(tmp_path: Path) -> None:
+    """PixelIsPoint: GDAL's place has half a sample more; the world file names middles anyway."""
+    path = tmp_path / "a.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", height=5, width=6, count=1, dtype="float32", crs="EPSG:32611", transform=UTM
+    ) as file:
+        file.update_tags(AREA_OR_POINT="Point")
+        file.write(np.arange(30, dtype=np.float32).reshape(5, 6), 1)
+    (tmp_path / "a.tfw").write_text(WORLD.format(**RIGHT))
+    with Source.open(path) as source:
+        assert not [one for one in source.warnings if "tfw" in one]

@@ -207,3 +207,23 @@ def test_overviews_and_masks_are_no_further_images(tmp_path: Path) -> None:
         file.write_mask(np.eye(64) == 0)
         file.build_overviews([2, 4])
     assert warnings_of(path) == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "nodata", "said"),
+    [("uint16", -9999, "stored as 55537"), ("uint8", 300, "stored as 44"), ("int16", 0.5, "(0.5) cannot occur"),
+     ("int16", "-32769", "stored as 32767"), ("uint16", "9e99", "(9e99) cannot occur in uint16")],
+)  # fmt: skip
+def test_a_nodata_value_given_that_cannot_occur_is_told(tmp_path: Path, kind: str, nodata: object, said: str) -> None:
+    path = tiff(tmp_path / "a.tif", kind=kind)
+    with Source.open(path, nodata=nodata) as source:  # type: ignore[arg-type]
+        assert "The nodata value that was given" in " ".join(source.warnings)
+        assert said in " ".join(source.warnings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "nodata"), [("uint16", 9999), ("float32", -9999.5), ("uint16", "none"), ("int16", -1)]
+)
+def test_a_nodata_value_given_that_can_occur_is_not(tmp_path: Path, kind: str, nodata: object) -> None:
+    with Source.open(tiff(tmp_path / "a.tif", kind=kind), nodata=nodata) as source:  # type: ignore[arg-type]
+        assert source.warnings == []

@@ -14,6 +14,8 @@ from rasterio.vrt import WarpedVRT
 from orograph.dem import Source
 from orograph.errors import ReadError
 
+from .test_geotiff_odd import tiff
+
 UTM = Affine(30, 0, 5e5, 0, -30, 4e6)
 COLS, ROWS = 9, 7
 HEIGHTS = np.arange(COLS * ROWS, dtype=np.float32).reshape(ROWS, COLS) + 100
@@ -150,3 +152,33 @@ def test_a_nodata_value_that_its_type_cannot_hold(tmp_path: Path) -> None:
     path = virtual(tmp_path, NODATA.format(-9999) + source("a.tif"), "UInt16")
     assert "stored as 55537" in warnings_of(path)
     assert "stored as" not in warnings_of(virtual(tmp_path, NODATA.format(7) + source("a.tif"), "UInt16"))
+
+
+def test_each_of_many_parts_is_asked(tmp_path: Path) -> None:
+    """One of 120 is in feet, one has another nodata value, and one is written with a scale."""
+    body = ""
+    for number in range(120):
+        what = {"unit": "ft"} if number == 41 else {"nodata": 110.0} if number == 77 else {}
+        part(tmp_path / f"p{number}.tif", **what, scale=0.5 if number == 101 else 1)  # type: ignore[arg-type]
+        body += source(f"p{number}.tif", left=number % COLS, take=number % COLS, width=1)
+    said = warnings_of(virtual(tmp_path, body))
+    for text, number in (("a unit of 0.3048 m", 41), ("are 110,", 77), ("a scale of 0.5", 101)):
+        assert text in said
+        assert f"p{number}.tif" in said
+    assert said.count(".tif") == 3
+
+
+def test_parts_are_judged_as_they_would_be_alone(tmp_path: Path) -> None:
+    """What a GeoTIFF says that cannot be, and what contradicts it beside it, is told of a VRT's parts, too."""
+    part(tmp_path / "a.tif", kind="uint16")
+    tiff(tmp_path / "b.tif", b"-9999\0", kind="uint16")
+    tiff(tmp_path / "c.tif", b"none at all\0")
+    part(tmp_path / "d.tif")
+    (tmp_path / "d.tfw").write_text("30\n0\n0\n-30\n500315\n3999985\n")
+    alone = warnings_of(tmp_path / "b.tif")
+    assert "cannot occur in uint16" in alone
+    assert alone in warnings_of(virtual(tmp_path, source("b.tif"), "UInt16"))
+    assert "'none at all') is no number" in warnings_of(virtual(tmp_path, source("c.tif")))
+    said = warnings_of(virtual(tmp_path, source("a.tif", width=4) + source("d.tif", take=4, left=4, width=5)))
+    assert f"Of its part {tmp_path / 'd.tif'}: d.tfw beside it says" in said
+    assert warnings_of(virtual(tmp_path, source("a.tif"))) == ""

@@ -20,7 +20,7 @@ from orograph.error.screen import (
 )
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 to_camera, sphere_bound, sphere_exceeds, triangle_bound = (
     f.py_func for f in (screen.to_camera, screen.sphere_bound, screen.sphere_exceeds, screen.triangle_bound)
@@ -65,7 +65,7 @@ def test_bounds_over_spheres_hold_for_every_point_in_view(metric):
     tested, tightest = 0, 0.0
     for _ in range(1500):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
-        camera = camera_parameters(view, GRID, exaggeration=exaggeration)
+        camera = camera_parameters(Camera.over(GRID, view, exaggeration))
         col, row, z = *rng.uniform(0, 100, 2), rng.uniform(-200, 600)
         if rng.random() < 0.2:  # the eye within the sphere or beside it
             col, row = (float(v) for v in ~GRID.samples @ view.eye[:2])
@@ -89,7 +89,7 @@ def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
     tested, tightest = 0, 0.0
     for _ in range(1500):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
-        camera = camera_parameters(view, GRID, exaggeration=exaggeration)
+        camera = camera_parameters(Camera.over(GRID, view, exaggeration))
         a = np.array([*rng.uniform(0, 100, 2), rng.uniform(-200, 600)])
         corners = a + rng.normal(size=(3, 3)) * 10 ** rng.uniform(0, 1.5) * [1, 1, 10]
         e = 10 ** rng.uniform(-1, 2)
@@ -123,7 +123,7 @@ def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
 def test_a_prism_that_reaches_the_eyes_plane_has_no_bound():
     x, y = GRID.samples.c, GRID.samples.f
     view = View((x, y, 100.0), (x + 500.0, y, -400.0), fov_y=60)  # the first sample is right below the eye
-    camera = camera_parameters(view, GRID)
+    camera = camera_parameters(Camera.over(GRID, view))
     at = [to_camera(camera, *c) for c in ((0, 0, 0.0), (1, 0, 0.0), (0, 1, 0.0))]
     assert math.isfinite(triangle_bound(camera, *at[0], *at[1], *at[2], 10.0))
     assert triangle_bound(camera, *at[0], *at[1], *at[2], 200.0) == math.inf
@@ -135,7 +135,7 @@ def test_bounds_of_nested_spheres_are_monotonic(metric):
     finite = 0
     for _ in range(4000):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
-        camera = camera_parameters(view, GRID, exaggeration=exaggeration)
+        camera = camera_parameters(Camera.over(GRID, view, exaggeration))
         parent, big = np.array([*rng.uniform(0, 100, 2), rng.uniform(-200, 600)]), 10 ** rng.uniform(0, 2.7)
         small = big * rng.random()
         apart = rng.normal(size=3)
@@ -166,7 +166,7 @@ def test_tests_without_division_agree_with_the_bounds():
     for _ in range(3000):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
         tolerance = 10 ** rng.uniform(-1, 1.5)
-        camera = camera_parameters(view, GRID, exaggeration=exaggeration, tolerance=tolerance)
+        camera = camera_parameters(Camera.over(GRID, view, exaggeration), tolerance=tolerance)
         at = (*rng.uniform(0, 100, 2), rng.uniform(-200, 600))
         e = float(rng.choice([0.0, 10 ** rng.uniform(-3, 2), np.inf]))
         r = 10 ** rng.uniform(0, 2.7)
@@ -181,7 +181,8 @@ def test_tests_without_division_agree_with_the_bounds():
 
 
 def test_a_plan_displaces_nothing_but_splits_holes():
-    camera = camera_parameters(View((0.0, 0.0, 900.0), (0.0, 0.0, 0.0), projection="plan"), GRID, tolerance=0.0)
+    plan = View((0.0, 0.0, 900.0), (0.0, 0.0, 0.0), projection="plan")
+    camera = camera_parameters(Camera.over(GRID, plan), tolerance=0.0)
     assert compiled(camera, ANISOTROPIC, 5.0, 5.0, 0.0, 50.0, 10.0)[:2] == (False, False)
     assert compiled(camera, ANISOTROPIC, 5.0, 5.0, 0.0, np.inf, 10.0)[:2] == (True, True)
 
@@ -200,7 +201,7 @@ def ground_below(view: View, px: float, py: float) -> tuple[float, float, float]
 
 def test_the_published_isotropic_metric_fails_off_the_axis():
     view = View((0.0, 0.0, 1000.0), (1000.0, 0.0, 0.0), fov_y=90, width=1600, height=900)
-    camera, e = camera_parameters(view, GRID), 2.0
+    camera, e = camera_parameters(Camera.over(GRID, view)), 2.0
     at = ground_below(view, 0.0, 700.0)
     true = float(moved_pixels(view, positions(*at)[None], np.array([e]), 1.0)[0])
     published = sphere_bound(camera, ISOTROPIC_PUBLISHED, *to_camera(camera, *at), e, 0.0)
@@ -219,7 +220,7 @@ def test_the_lectures_factor_is_smaller_than_the_foreshortening(tilt, ratio):
     eye = (0.0, 0.0, 1000.0)
     reach = 1000.0 * math.tan(math.radians(tilt))
     view = View(eye, (reach, 0.0, 0.0), fov_y=40, width=800, height=800)
-    camera, e = camera_parameters(view, GRID), 1e-3
+    camera, e = camera_parameters(Camera.over(GRID, view)), 1e-3
     at = ground_below(view, 400.0, 400.0)
     true = float(moved_pixels(view, positions(*at)[None], np.array([e]), 1.0)[0])
     published = sphere_bound(camera, ANISOTROPIC_PUBLISHED, *to_camera(camera, *at), e, 0.0)

@@ -15,7 +15,8 @@ import pytest
 from sources import copernicus
 
 import orograph
-from orograph.errors import ReadError
+from orograph.dem import read
+from orograph.errors import OutputError, ReadError
 from orograph.fetching import asking, cached, register
 from orograph.store.kept import entries, make_room
 
@@ -204,6 +205,92 @@ def test_a_server_may_say_how_long_to_wait():
     assert asking._wait({"Retry-After": "7"}) == 7
     assert asking._wait({"Retry-After": "Wed, 21 Oct 2015 07:28:00 GMT"}) == 0
     assert asking._wait({}) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+def test_what_is_kept_is_whole_wherever_the_disk_ends(tmp_path):
+    """GDAL does not say that a file's last blocks found no room."""
+    import resource
+
+    kept = object.__new__(cached.KeptTile)
+    kept.path = tmp_path / "tile"
+    header = cached.Header((300, 400), 0, 0, (256, 256), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0), "", "float32", None)
+    heights = np.random.default_rng(3).random((300, 400), np.float32)
+    kept.put_part(header, 0, 0, heights)
+    file = kept.part(0, 0)
+    size = file.stat().st_size
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for room in (400, size // 2, size - 9000, size - 300, size - 1, size):
+        file.unlink(missing_ok=True)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+        try:
+            kept.put_part(header, 0, 0, heights)
+        except OutputError as error:
+            assert "What was read cannot be kept" in str(error)
+            assert "OROGRAPH_CACHE" in str(error)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert [p.name for p in kept.path.iterdir()] == [file.name] * (room >= size)
+    np.testing.assert_array_equal(read(file).heights, heights)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+def test_what_is_fetched_is_whole_wherever_the_disk_ends(california, tmp_path):
+    import resource
+
+    out = tmp_path / "a.tif"
+    small = (-118.9, 37.1, -118.7, 37.2)
+    orograph.fetch(small, "copernicus-90", output=out)
+    size, expected = out.stat().st_size, read(out).heights
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for room in (size // 3, size - 5000, size - 200, size - 1):
+        out.unlink(missing_ok=True)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+        try:
+            with pytest.raises(OutputError, match="cannot be written"):
+                orograph.fetch(small, "copernicus-90", output=out)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert [p.name for p in tmp_path.iterdir() if "a.tif" in p.name] == []
+    orograph.fetch(small, "copernicus-90", output=out)
+    np.testing.assert_array_equal(read(out).heights, expected)
+
+
+def test_fetches_at_the_same_time_do_not_disturb_each_other(california, truth, tmp_path):
+    """All read what the server has, and keep the same parts in the same place."""
+    script = (
+        "import sys, orograph\nfrom orograph.fetching import register\n"
+        f"register('copernicus-90', base={california.url + '/copernicus-90'!r})\n"
+        f"orograph.fetch({BOX}, 'copernicus-90', output=sys.argv[1])"
+    )
+    outs = [tmp_path / f"{number}.tif" for number in range(4)]
+    all_of_them = [
+        subprocess.Popen([sys.executable, "-c", script, out], env=dict(os.environ), stderr=subprocess.PIPE, text=True)
+        for out in outs
+    ]
+    for process, out in zip(all_of_them, outs):
+        _, err = process.communicate(timeout=120)
+        assert process.returncode == 0, err
+        np.testing.assert_array_equal(read(out).heights, truth)
+
+
+def test_a_part_that_another_process_puts_there_anew_is_read(california, truth, monkeypatch):
+    """Its file is another while it is being read."""
+    from orograph.fetching import raster
+
+    real, times = raster.Source.read, []
+
+    def disturbed(source, *window, **how):
+        if not times and "tiles" in source.path:
+            times.append(1)
+            data = Path(source.path).read_bytes()
+            Path(source.path).unlink()
+            Path(source.path).write_bytes(data)
+        return real(source, *window, **how)
+
+    monkeypatch.setattr(raster.Source, "read", disturbed)
+    np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
+    assert times
 
 
 def test_a_kept_part_that_is_damaged_is_told_and_read_again(california, truth):

@@ -15,13 +15,14 @@ from orograph.lod import look_ahead as ahead
 from orograph.lod.field import Field
 from orograph.lod.soar import Soar
 from orograph.store.build import build
+from orograph.viewpoint import Camera
 
 METHODS = ("soar", "stateless", "threshold-spheres")
 
 
 def pruned_of(t, view, tolerance: float, *, cull=True, exaggeration=1.0, field=None) -> dict[tuple[int, int], bool]:
     """(row, col) of what is pruned, and whether it is out of view."""
-    camera = camera_parameters(view, t.grid, exaggeration=exaggeration, tolerance=tolerance)
+    camera = camera_parameters(Camera.over(t.grid, view, exaggeration), tolerance=tolerance)
     table = ahead.Ahead().table(field or Field(t), camera, cull)
     return {(int(v) >> 33, int(v) >> 1 & 0xFFFFFFFF): bool(v & 1) for v in table if v >= 0}
 

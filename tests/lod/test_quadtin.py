@@ -13,11 +13,11 @@ from orograph import verify
 from orograph.dem.delaunay import Gridded, lattice_bits, on_lattice, triangulate
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lod import quadtin_tree as trees
 from orograph.lod.method import Goal, Resources
 from orograph.lod.quadtin import QuadTin
 from orograph.lod.reference import quadtin as reference
 from orograph.store.memory import MemoryTerrain
+from orograph.store.quadtin_grow import Making
 from orograph.verify.points import _distance, _lens
 
 
@@ -57,7 +57,8 @@ def faces(tree, leaves):
 
 def referred(terrain, finest):
     """The reference's hierarchy of a terrain."""
-    truth, bits = trees.truth_of(terrain)
+    making = Making(terrain, finest, False)
+    truth, bits = making._truth(0)[0], making.layout.bits
     points = [
         (Fraction(int(x), 1 << bits), Fraction(int(y), 1 << bits), Fraction(float(z)))
         for x, y, z in zip(truth.x, truth.y, truth.z)
@@ -111,7 +112,7 @@ def test_errors_are_the_reference_s():
     assert len(found) == len(tree.child)
     for corners, off in zip(tree.corners, tree.off):
         places = frozenset((float(x), float(y)) for x, y, _ in tree.vertices[corners])
-        assert off == pytest.approx(found[places], rel=1e-7, abs=1e-7)
+        assert off == pytest.approx(found[places], rel=2e-7, abs=1e-7)  # float32, rounded up
 
 
 @pytest.mark.parametrize("split", ["nearest", "deviation"])
@@ -126,7 +127,7 @@ def test_nothing_folds_and_errors_are_saturated(points, split):
     assert area.min() > 0
     leaves = tree.child < 0
     assert area[leaves].sum() == area[:2].sum()  # they cover the rectangle, once
-    assert tree.off[leaves].max() <= tree.finest and tree.whole and not tree.stuck
+    assert tree.off[leaves].max() <= tree.finest * (1 + 2e-7) and tree.whole and not tree.stuck
     for v in range(5, len(tree.vertices)):
         for p in tree.parents[v]:
             assert p < v

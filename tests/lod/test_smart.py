@@ -13,7 +13,7 @@ from orograph.error.screen import camera_parameters
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
 from orograph.lod.method import Resources
-from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.camera import Camera as ReferenceCamera
 from orograph.lod.reference.children import corners
 from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.smart import Smart as Reference
@@ -22,6 +22,7 @@ from orograph.lod.smart import Smart
 from orograph.lod.smart_blocks import box_bound, thresholds
 from orograph.lod.smart_strip import ZONES, mask, masked_strip, shape_of
 from orograph.raycast.select import Boxes, distances, off_axis
+from orograph.viewpoint import Camera
 
 
 def make(t, **options):
@@ -64,7 +65,7 @@ def test_mesh_is_the_reference_s(shape):
         mesh = make(t, cull=cull, exaggeration=exaggeration, jobs=1, ranges=2, boxes=False).refine(
             view, tolerance=tolerance
         )
-        spheres = Spheres(ground, Camera.of(view, exaggeration), cull=cull)
+        spheres = Spheres(ground, ReferenceCamera.of(view, exaggeration), cull=cull)
         m = min(4, t.n)
         tree = Reference(spheres, m, (thresholds(2) * exaggeration).tolist(), tolerance)
         tree.divide((t.n, 0, 0))
@@ -222,7 +223,7 @@ def test_bounds_of_boxes_hold_for_what_is_in_view():
         low = float(rng.uniform(*t.height_range))
         box = (west, west + rng.uniform(0, 20), north, north + rng.uniform(0, 20), low, low + rng.uniform(0, 200))
         e = float(10 ** rng.uniform(-1, 2))
-        lens = camera_parameters(view, t.grid, exaggeration=exaggeration)
+        lens = camera_parameters(Camera.over(t.grid, view, exaggeration))
         away = distances(t, view, exaggeration, Boxes(*(np.array([v]) for v in box)))[0]
         bound = box_bound(lens, box, float(away), float(np.sqrt(off_axis(view))), e)
         share = rng.choice([0, 0.5, 1], (200, 3))

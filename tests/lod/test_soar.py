@@ -19,7 +19,7 @@ from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds
 from orograph.lod.reference import soar as reference
 from orograph.lod.reference import stateless
-from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.camera import Camera as ReferenceCamera
 from orograph.lod.reference.children import Vertex
 from orograph.lod.reference.children import corners as corners_of
 from orograph.lod.reference.criterion import Spheres
@@ -29,12 +29,12 @@ from orograph.lod.soar import Soar
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 
 def expected(ground: Ground, view, tolerance, *, cull=True, bound=anisotropic, exaggeration=1.0, more=None) -> set:
     """What is drawn of the reference's strip; ``more``: diamonds split if in view (bool, by row and column)."""
-    spheres = Spheres(ground, Camera.of(view, exaggeration), bound, cull)
+    spheres = Spheres(ground, ReferenceCamera.of(view, exaggeration), bound, cull)
 
     def active(i: Vertex) -> bool:
         return spheres.priority(i) > tolerance or bool(more is not None and more[i[::-1]] and spheres.priority(i) >= 0)
@@ -180,7 +180,7 @@ def test_the_bound_without_a_root_decides_as_the_bound():
     found, close = np.zeros(2, bool), [0, 0]
     for _ in range(8000):
         camera = screen.camera_parameters(
-            plain.random_view(rng, t), t.grid, exaggeration=rng.choice([0.4, 1, 3]), tolerance=3.0
+            Camera.over(t.grid, plain.random_view(rng, t), rng.choice([0.4, 1.0, 3.0])), tolerance=3.0
         )
         col, row, z = *rng.uniform(0, 100, 2), rng.uniform(-200, 600)
         e, r = rng.choice([0.0, 10 ** rng.uniform(-3, 2), np.inf]), 10 ** rng.uniform(0, 2.7)

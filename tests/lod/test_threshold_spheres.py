@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from orograph import verify
 from orograph.error.screen import camera_parameters
 from orograph.errors import UsageError
-from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.camera import Camera as ReferenceCamera
 from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.terrain import Ground
 from orograph.lod.reference.threshold_spheres import ThresholdSpheres as Reference
@@ -24,6 +24,7 @@ from orograph.lod.registry import method_of
 from orograph.lod.soar import Soar
 from orograph.lod.threshold_spheres import ThresholdSpheres
 from orograph.lod.threshold_spheres_pass import decide
+from orograph.viewpoint import Camera
 
 
 @pytest.mark.parametrize("shape", plain.SHAPES)
@@ -44,7 +45,7 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
             )
             for _ in range(4):  # jumps: everything may change
                 view = plain.random_view(rng, t, fov_y=40.0)
-                camera = Camera.of(view, exaggeration)
+                camera = ReferenceCamera.of(view, exaggeration)
                 spheres = spheres or Reference(ground, threshold(camera, tolerance))
                 found = method.refine(view, tolerance=tolerance)
                 expected = plain.drawn(ground, spheres.update(camera.eye), Spheres(ground, camera, cull=cull))
@@ -84,7 +85,7 @@ def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
 
 def decided(grid, exaggeration, gamma, cull, diamond, view, share=0.5):
     """(whether a diamond is split, for how large a motion)"""
-    camera = camera_parameters(view, grid, exaggeration=exaggeration, tolerance=1.0, color_tolerance=gamma)
+    camera = camera_parameters(Camera.over(grid, view, exaggeration), tolerance=1.0, color_tolerance=gamma)
     secant = np.hypot(1, view.pixel_slope * np.hypot(view.width, view.height) / 2)
     col, row, z, e, r, color = diamond
     return decide(camera, cull, col, row, z, e, r * camera.stretch, color, secant, share)

@@ -80,7 +80,7 @@ def test_poles_have_a_band_for_each_step(high, step):
     terrain = ground(5, 7)
     if high / step > 1e4:
         return
-    at = made.Floating(np.array([WEST]), np.array([NORTH]), np.array([100.0 + high]))
+    at = made.Floating(np.array([WEST]), np.array([NORTH]), np.array([100.0 + high]), np.zeros(1))
     rods = made.poles(at, np.array([100.0]), step, terrain.grid)
     bands = rods.kind == Kind.TUBE
     low, top = rods.ends[bands, 0], rods.ends[bands, 3]

@@ -8,6 +8,7 @@ from affine import Affine
 
 import orograph
 from orograph.errors import UsageError
+from orograph.rendering.furniture.furnish import EDGE
 from orograph.rendering.panels import _boxes, deviations, panels_of, read_data
 
 PLACE = Affine(50, 0, 500_000, 0, -50, 5_600_000)
@@ -113,7 +114,7 @@ def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
 @pytest.mark.parametrize(
     ("each", "says"),
     [
-        ("station", "view, member, band, time"),
+        ("station", "view, data, member, band, time"),
         ("member=9", "no 9"),
         ("member=2", "there is 1"),
         ("time", "there are 0"),
@@ -144,3 +145,25 @@ def test_each_time_has_the_spread_of_its_own_members(ground):
     spreads = [deviations(one, field, ground.grid)[1] for one, field in zip(found, fields)]
     for spread, members in zip(spreads, values):
         np.testing.assert_allclose(np.sort(spread, None), np.sort(members.std(0, ddof=1), None), rtol=1e-4)
+
+
+def test_a_long_legend_leaves_panels_alone(ground, data):
+    """The legend keeps off the panels whatever it says, and a scale keeps its unit."""
+    named = data.but(name="A variable with quite a long name")
+    view = orograph.camera.whole(ground, (900, 560))
+    picture = orograph.render(ground, view, data=named, each="view", furniture=True)
+    bare = orograph.render(ground, view, data=named, each="view")
+    assert picture.pixels.shape == bare.pixels.shape
+    # Right of the panels there is the legend alone, on paper without a frame of its own.
+    assert not (picture.pixels == np.array(EDGE, np.uint8)).all(-1).any()
+
+
+def test_each_of_several_data_has_a_panel_and_its_own_scale(ground, data):
+    other = orograph.Dataset(np.linspace(0, 300, 48, dtype=np.float32).reshape(6, 8), variable="rain_sum")
+    view = orograph.camera.whole(ground, (400, 300))
+    found = panels_of((data, other), "data", ground)
+    assert [panel.title for panel in found] == ["Field", "rain sum"]
+    sheet = orograph.render(ground, view, data=[data, other], each="data", furniture=True, progress=False)
+    assert sheet.facts["panels"] == 2
+    with pytest.raises(UsageError, match="there are 1"):
+        panels_of((data,), "data", ground)

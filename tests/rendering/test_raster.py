@@ -16,7 +16,7 @@ from orograph.rendering.cpu.raster import MeshSurface
 from orograph.rendering.gbuffer import GBuffer
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 OBLIQUE = (41.0, 90.0, 2500.0, (41.0, 30.0, 800.0))
 """From the south, over the whole raster: eye's column, row and height, and target."""
@@ -29,7 +29,7 @@ WITHIN = (40.3, 31.2, 850.0, (60.0, 20.0, 700.0))
 def surface(
     mesh: tuple[Array, Triangles], view: View, g: Grid, exaggeration: float = 1.0, jobs: int = 1
 ) -> MeshSurface:
-    return MeshSurface(*mesh, Projection.of(view, g, exaggeration), jobs)
+    return MeshSurface(*mesh, Projection.of(Camera.over(g, view, exaggeration)), jobs)
 
 
 def drawn(mesh: tuple[Array, Triangles], view: View, g: Grid, exaggeration: float = 1.0) -> GBuffer:
@@ -133,7 +133,7 @@ def test_agrees_with_the_ray_caster(camera: tuple[float, ...], projection: str) 
     g, heights = meshes.grid("rectangular"), meshes.hills(seed=3)
     heights[20:24, 30:37] = np.nan
     view = meshes.seen_from(g, *camera, width=200, height=120, projection=projection)
-    p = Projection.of(view, g, 1.5)
+    p = Projection.of(Camera.over(g, view, 1.5))
     area = (0, 120, 0, 200)
     mine, rays = MeshSurface(*meshes.full(heights), p).draw(area), RaySurface(Caster.of(heights, 1), p).draw(area)
     assert (np.isfinite(mine.depth) != np.isfinite(rays.depth)).sum() <= 2
@@ -192,10 +192,10 @@ def test_a_plane_below_the_eye_is_whole_up_to_the_horizon() -> None:
 def test_areas_tiles_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, projection: str) -> None:
     g, mesh = meshes.grid("rotated"), meshes.full(meshes.hills(seed=2))
     view = meshes.seen_from(g, *WITHIN, width=230, height=170, projection=projection)
-    p = Projection.of(view, g)
+    p = Projection.of(Camera.over(g, view))
     whole = MeshSurface(*mesh, p, 1).draw((0, 170, 0, 230))
     assert np.isfinite(whole.depth).mean() > 0.3
-    assert Projection.of(view.tile(10, 20, 30, 40), g).matrix().tolist() == p.matrix().tolist()
+    assert Projection.of(Camera.over(g, view.tile(10, 20, 30, 40))).matrix().tolist() == p.matrix().tolist()
     monkeypatch.setattr(raster, "BLOCK", 97)
     for level, most, jobs in ((3, 4096, 3), (6, 4, 2), (6, 1, 1)):
         monkeypatch.setattr(raster, "LEVEL", level)
@@ -335,7 +335,7 @@ def test_slivers_seen_edge_on_stay_within_the_depths_of_their_corners() -> None:
     slivers' own planes know nothing."""
     g, rng = meshes.grid("north up"), np.random.default_rng(3)
     view = meshes.seen_from(g, *OBLIQUE)
-    p = Projection.of(view, g)
+    p = Projection.of(Camera.over(g, view))
     px = np.repeat(np.arange(96) + 0.5, 3) + rng.uniform(-0.6, 0.6, 288) / 4096
     py, t = rng.random(288) * 64, rng.uniform(1000, 3000, 288)
     found = drawn((p.place(px, py, t), np.arange(288, dtype=np.int32).reshape(-1, 3)), view, g)
@@ -348,7 +348,7 @@ def test_slivers_seen_edge_on_stay_within_the_depths_of_their_corners() -> None:
 
 def test_a_triangle_that_ends_at_the_eye_is_seen_edge_on() -> None:
     g = meshes.grid("north up")
-    p = Projection.of(meshes.seen_from(g, *OBLIQUE), g)
+    p = Projection.of(Camera.over(g, meshes.seen_from(g, *OBLIQUE)))
     ends = p.place(np.array([60.2, 81.7, 20.3]), np.array([50.1, 33.9, 41.3]), np.array([900.0, 2000.0, 1500.0]))
     found = MeshSurface(np.vstack([p.o, ends]), np.array([[0, 1, 2], [2, 3, 0]], np.int32), p).draw((0, 64, 0, 96))
     assert np.isnan(found.depth).all()

@@ -199,7 +199,10 @@ def test_a_sphere_far_away_is_where_it_is():
     assert nx == pytest.approx(-1)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind not in (Kind.TUBE, Kind.WALL, Kind.SHADOW, Kind.PANEL)])
+UPRIGHT = (Kind.BAR, Kind.SPHERE, Kind.CONE, Kind.CYLINDER, Kind.FLAG)
+
+
+@pytest.mark.parametrize("kind", UPRIGHT)
 @pytest.mark.parametrize("exaggeration", [1.0, 3.0])
 def test_a_thing_stands_on_its_place(kind, exaggeration):
     terrain = ground()
@@ -346,3 +349,22 @@ def test_rasters_stand_on_a_lattice(tmp_path):
     assert len(things) == pytest.approx((600 / 50) * (800 / 50), rel=0.2)
     order = np.argsort(things.x, kind="stable")
     assert (np.diff(things.height[order]) > -2.0).all()
+
+
+@pytest.mark.parametrize("azimuth", [180.0, 0.0])
+@pytest.mark.parametrize("exaggeration", [1.0, 3.0])
+def test_columns_and_sections_reach_from_height_to_height_and_are_seen_from_both_sides(azimuth, exaggeration):
+    terrain = ground()
+    view = orograph.camera.around(terrain, (300, 200), azimuth=azimuth, pitch=12, distance=1500)
+    scene = Scene.of(terrain, view, exaggeration=exaggeration, samples=4)
+    bare = orograph.render(terrain, view, exaggeration=exaggeration)
+    x, y = terrain.grid.xy(40.0, 30.0)
+    one = np.ones(1)
+    for kind, wide in ((Kind.COLUMN, 0.0), (Kind.SECTION, 40.0)):
+        ends = np.array([[50.0, x + wide, y, 90.0]])
+        made = Things(np.array([kind], np.int8), x * one, y * one, 0 * one, 20 * one, 40 * one,
+                      np.array([[1.0, 0.0, 0.0]], np.float32), one, Legend(), ends)  # fmt: skip
+        found = stand(made, bare.pixels, bare.depth, scene)
+        for height, there in ((55.0, True), (85.0, True), (40.0, False), (100.0, False)):
+            (u, v), _ = view.project(np.array([x + wide / 2, y, height]), exaggeration)
+            assert (found.which[int(v), int(u)] == 0) == there, (kind, height)

@@ -13,13 +13,15 @@ from orograph.rendering.gbuffer import GBuffer, Mark, Surface
 from orograph.rendering.layered import Layered
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
+from orograph.viewpoint import Camera
 
 CAMERA = (41.0, 90.0, 2500.0, (41.0, 30.0, 800.0))
 
 
 def projection(name: str = "rotated", exaggeration: float = 1.5, **given: object) -> Projection:
     g = meshes.grid(name)
-    return Projection.of(meshes.seen_from(g, *CAMERA, **{"width": 170, "height": 110, **given}), g, exaggeration)
+    seen = meshes.seen_from(g, *CAMERA, **{"width": 170, "height": 110, **given})
+    return Projection.of(Camera.over(g, seen, exaggeration))
 
 
 def surfaces(p: Projection) -> list[Surface]:
@@ -84,7 +86,7 @@ def test_a_place_is_where_its_pixel_and_depth_are(name: str, kind: str) -> None:
     x, y = g.xy(place[:, 0], place[:, 1])
     pixels, depth = view.project(np.stack([x, y, place[:, 2]], -1), 2.0)
     for seen in (view, view.tile(5, 6, 20, 30)):
-        p = Projection.of(seen, g, 2.0)
+        p = Projection.of(Camera.over(g, seen, 2.0))
         np.testing.assert_allclose(p.place(pixels[:, 0], pixels[:, 1], depth), place, rtol=0, atol=1e-7)
         moved = (place - p.o) @ p.matrix().T
         if kind == "perspective":

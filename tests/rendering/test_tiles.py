@@ -15,7 +15,7 @@ from orograph.errors import StoreError, UsageError
 from orograph.progress import SILENT
 from orograph.rendering import large, tiles
 from orograph.rendering.large import draw_large
-from orograph.rendering.tiles import coarse_costs, cut, draw_by_workers
+from orograph.rendering.tiles import Tiles, coarse_costs, cut, draw_by_workers
 from orograph.scene import camera
 from orograph.scene.scene import Scene
 
@@ -113,6 +113,17 @@ def test_what_is_drawn_is_not_drawn_again(tmp_path, by_workers):
     draw_by_workers(other, tmp_path / "b.png", workers=2, progress=SILENT)
     draw_large(other, tmp_path / "two.png")
     assert (tmp_path / "b.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_workers_share_the_memory_that_a_picture_may_take(tmp_path, by_workers, monkeypatch):
+    land, seen = ground(), []
+    scene = Scene.of(land, camera.whole(land, SIZE), max_memory=2 << 30)
+    plain = Tiles.make
+    monkeypatch.setattr(Tiles, "make", lambda self, spot: seen.append(self.recipe.scene) or plain(self, spot))
+    draw_by_workers(scene, tmp_path / "a.png", workers=4, progress=SILENT)
+    assert seen and {one.budget.max_memory for one in seen} == {512 << 20}
+    draw_large(scene.but(max_memory=512 << 20), tmp_path / "one.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "one.png").read_bytes()
 
 
 def test_a_real_cluster(tmp_path):

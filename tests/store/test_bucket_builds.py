@@ -17,7 +17,8 @@ from surfaces import rough, source
 from test_buckets import contents, files
 
 from orograph import store
-from orograph.errors import StoreError
+from orograph.errors import StoreError, UsageError
+from orograph.lighting.bake import bake
 
 pytest.importorskip("obstore")
 pytest.importorskip("moto.server")
@@ -76,6 +77,28 @@ def test_workers_build_into_a_bucket(s3, raster, tmp_path):
     with store.build(raster, "s3://terrain/workers.oro", workers=2, **SIZES | {"jobs": 1}):
         pass
     assert contents("s3://terrain/workers.oro") == files(tmp_path / "whole.oro")
+
+
+@pytest.mark.stress
+def test_workers_bake_into_a_bucket(s3, raster, tmp_path, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
+    how = {"azimuths": 4, "progress": False}
+    for folder in ("whole.oro", "s3://terrain/baked.oro"):
+        store.build(raster, folder if "://" in folder else tmp_path / folder, **SIZES).close()
+    bake(tmp_path / "whole.oro", "sky-view-factor,aperture", **how).close()
+    bake("s3://terrain/baked.oro", "visible-sky", workers=2, jobs=1, **how).close()
+    s3.refuse = 0.02
+    bake("s3://terrain/baked.oro", "sky-view-factor,aperture", workers=2, jobs=1, **how).close()
+    s3.well()
+    with store.open("s3://terrain/baked.oro") as terrain:
+        assert terrain.layers == ("aperture", "sky-view-factor", "visible-sky") and terrain.check() == []
+    made, expected = contents("s3://terrain/baked.oro"), files(tmp_path / "whole.oro")
+    layers = {key: data for key, data in expected.items() if key.startswith("layers/") and "zarr.json" not in key}
+    assert layers and layers.items() <= made.items()
+    assert not list((tmp_path / "cache/bakes").rglob("*.sums"))
+    with pytest.raises(UsageError, match="Use `workers`"):
+        bake("s3://terrain/baked.oro", "openness", dask="tcp://nowhere:1", **how)
 
 
 BUILD = """

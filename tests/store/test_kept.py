@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+import threading
+import time
 
+import numpy as np
 import pytest
+import rasterio
+from affine import Affine
+from surfaces import rough
 
 from orograph.errors import UsageError
 from orograph.folders import cache_limit
+from orograph.store import prepare
 from orograph.store.kept import Use, entries, make_room
 from orograph.store.lock import alone
 from orograph.store.storage import FolderStorage
@@ -50,6 +58,36 @@ def test_the_longest_unused_goes_first(cache):
     assert names() == ["c", "a.oro"]
     make_room()
     assert names() == ["c", "a.oro"]
+
+
+def test_a_store_that_another_process_is_building_is_waited_for(tmp_path, monkeypatch):
+    """Two pictures of one large raster at the same time: neither is refused, and one store is built."""
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(prepare, "EXACT_SAMPLES", 100)
+    dem = tmp_path / "dem.tif"
+    with rasterio.open(dem, "w", driver="GTiff", height=90, width=80, count=1, dtype="float32", crs="EPSG:32611",
+                       transform=Affine(30, 0, 5e5, 0, -30, 4e6)) as file:  # fmt: skip
+        file.write(rough((90, 80), 3), 1)
+    first = prepare.prepare([str(dem)])
+    path = entries()[0].path
+    first.close()
+    shutil.rmtree(path)
+    held, done = threading.Event(), threading.Event()
+
+    def other():
+        with alone(FolderStorage(path), "building this store"):
+            held.set()
+            done.wait(60)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    held.wait(60)
+    threading.Timer(0.5, done.set).start()
+    began = time.monotonic()
+    with prepare.prepare([str(dem)]) as terrain:
+        assert time.monotonic() - began > 0.3
+        np.testing.assert_array_equal(terrain.read(0, 0, 90, 0, 80), rough((90, 80), 3))
+    thread.join()
 
 
 def test_what_is_used_again_is_not_the_oldest(cache):

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from surfaces import rough, source
 
+import orograph
 from orograph import store
 from orograph.cli import cli
 from orograph.errors import StoreError
@@ -159,3 +160,17 @@ def test_an_unfinished_build_is_said_to_be_one(tmp_path, monkeypatch):
             store.build(source(NEW), tmp_path / "s")
     with pytest.raises(StoreError, match=r"incomplete.*interrupted. It is made in s\.partial.*resume=True"):
         store.open(tmp_path / "s")
+
+
+@pytest.mark.parametrize("how", ["update", "resume", "bake"])
+def test_an_old_store_that_was_to_be_removed_goes_with_the_next_writer(tmp_path, how):
+    """Killed after its last rename: the new store is there, and the old one still lies beside it."""
+    given = source(NEW)
+    store.build(given, tmp_path / "s", update=how == "update").close()
+    store.build(source(OLD), tmp_path / "s.replaced").close()
+    if how == "bake":
+        orograph.bake(tmp_path / "s", "visible-sky", azimuths=4, progress=False).close()
+    else:
+        store.build(given, tmp_path / "s", **{how: True}).close()
+    assert folders(tmp_path) == ["s"]
+    np.testing.assert_array_equal(heights_of(tmp_path / "s"), NEW)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +15,9 @@ from surfaces import rough, source
 
 from orograph import store
 from orograph.errors import DamagedChunkError
+from orograph.store import smallest
+from orograph.store.progressive import Scheme, coarse_of, residuals
+from orograph.store.progressive import rebuilt as rebuilt_chunk
 
 MISSING = -(2**31)
 
@@ -134,6 +140,46 @@ def test_every_level_is_within_the_error_and_nests(tmp_path, shape, shard):
             (a, b), (c, d) = np.sort(rng.integers(0, h + 1, 2)), np.sort(rng.integers(0, w + 1, 2))
             np.testing.assert_array_equal(terrain.read(level, a, b, c, d), whole[a:b, c:d])
     assert np.nanmax(np.abs(kept.astype(np.float64) - heights)) <= 0.1
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node")
+def test_the_decoder_for_browsers(tmp_path):
+    """Chunks of any shape, within an array and at its end, with and without missing samples, as Python has them."""
+    rng, wholes, told = np.random.default_rng(4), [], []
+    for k, (rows, cols, last, exact) in enumerate([
+        (33, 40, (0, 0), False), (34, 40, (1, 1), True), (16, 16, (0, 0), True), (16, 21, (1, 0), False),
+        (9, 2, (0, 1), False), (1, 1, (0, 0), True), (1, 30, (0, 1), False), (2, 1, (1, 0), True),
+        (40, 38, (1, 1), False),
+    ]):  # fmt: skip
+        numbers = np.cumsum(rng.integers(-60, 61, (rows, cols)), 1).astype(np.int32) * (3000 if k == 2 else 1)
+        if k in (1, 3, 8):
+            numbers[rng.random(numbers.shape) < 0.4] = MISSING
+            numbers[4:6] = MISSING
+        scheme, coarse = Scheme(17, exact), coarse_of(numbers, last)
+        stored = residuals(numbers, last, scheme)
+        wholes.append(rebuilt_chunk(stored, coarse, last, scheme))
+        (tmp_path / f"{k}.chunk").write_bytes(smallest.compressed(stored, nested=True))
+        (tmp_path / f"{k}.coarse").write_bytes(coarse.astype("<i4").tobytes())
+        told.append([rows, cols, {"factor": 17, "exact": exact, "lastRow": bool(last[0]), "lastCol": bool(last[1])}])
+    for script in Path(store.__file__).parent.joinpath("browser").glob("*.js"):
+        shutil.copy(script, tmp_path)
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    (tmp_path / "all.js").write_text(
+        "import { decode } from './progressive.js'; import { readFileSync, writeFileSync } from 'fs';\n"
+        f"for (const [k, [rows, cols, how]] of {json.dumps(told)}.entries()) {{\n"
+        "  const data = new Uint8Array(readFileSync(`${k}.chunk`)), raw = readFileSync(`${k}.coarse`);\n"
+        "  const coarse = new Int32Array(raw.buffer.slice(raw.byteOffset, raw.byteOffset + raw.length));\n"
+        "  writeFileSync(`${k}.out`, decode(data, rows, cols, coarse, how));\n"
+        "  let told = 0;\n"
+        "  for (const wrong of [[data, new Int32Array(coarse.length + 1)], [data.subarray(1), coarse]])\n"
+        "    try { decode(wrong[0], rows, cols, wrong[1], how) } catch (e) { if (e instanceof RangeError) told++ }\n"
+        "  if (told != 2) throw new Error(`${k}: ${told}`);\n"
+        "}\n"
+    )
+    subprocess.run(["node", "all.js"], cwd=tmp_path, check=True, timeout=120)
+    for k, whole in enumerate(wholes):
+        found = np.frombuffer((tmp_path / f"{k}.out").read_bytes(), "<i4").reshape(whole.shape)
+        np.testing.assert_array_equal(found, whole)
 
 
 def test_smooth_ground_takes_far_less_than_its_lattice(tmp_path):

@@ -244,12 +244,12 @@ def test_shards_that_were_damaged_meanwhile_are_made_again(tmp_path):
     assert objects(store) == fresh(files, tmp_path / "other.oro")
 
 
-def test_readers_keep_the_old_store(tmp_path):
+def test_readers_are_told_where_no_older_version_is_kept(tmp_path):
     files = grid_of_tiles(tmp_path / "tiles", 3)
     store = tmp_path / "area.oro"
     with build(files, store, update=True, **OPTIONS) as reader:
         tile(tmp_path / "tiles", 1, 1, 9)
-        build(files, store, update=True, **OPTIONS).close()
+        build(files, store, update=True, keep=1, **OPTIONS).close()
         with pytest.raises(StoreError, match="replaced"):
             reader.read(0, 0, 200, 0, 200)
         with reader.reopen() as now:

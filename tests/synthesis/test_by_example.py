@@ -62,6 +62,28 @@ def test_windows_fit_and_an_example_may_be_in_memory(lidar: Path) -> None:
     assert not np.array_equal(again.heights, made.read(0, 40, 0, 40))
 
 
+def test_a_store_is_what_the_file_is(lidar: Path, tmp_path: Path) -> None:
+    path = tmp_path / "like.oro"
+    said = ["-o", str(path), "--size", "700x530", "--seed", "4", "--exemplar", str(lidar), "--passes", "1,2,0"]
+    for more in ([], ["--overwrite"]):
+        ran = CliRunner().invoke(command, [*said, *more], obj=None)
+        assert ran.exit_code == 0, ran.output
+    assert CliRunner().invoke(command, said, obj=None).exit_code
+    made = orograph.synth(size=(700, 530), seed=4, exemplar=lidar, passes=(1, 2, 0), progress=False)
+    twice = orograph.synth(size=(700, 530), seed=4, exemplar=lidar, passes=2, progress=False)
+    with orograph.terrain(path) as terrain:
+        np.testing.assert_array_equal(terrain.read(0, 0, 700, 0, 530), made.heights)
+        assert terrain.attribution == ("© The survey",)
+    assert not np.array_equal(made.heights, twice.heights)
+
+
+def test_a_fractal_store(tmp_path: Path) -> None:
+    made = orograph.synth(size=(90, 70), seed=3, progress=False)
+    orograph.synth(tmp_path / "hills.oro", size=(90, 70), seed=3, progress=False)
+    with orograph.terrain(tmp_path / "hills.oro") as terrain:
+        np.testing.assert_array_equal(terrain.read(0, 0, 90, 0, 70), made.heights)
+
+
 @pytest.mark.parametrize("name", ["spacing", "relief", "roughness"])
 def test_what_the_example_says_itself_is_refused(lidar: Path, name: str) -> None:
     with pytest.raises(UsageError, match=name):
@@ -71,8 +93,11 @@ def test_what_the_example_says_itself_is_refused(lidar: Path, name: str) -> None
 def test_what_makes_no_sense_is_refused(lidar: Path) -> None:
     with pytest.raises(UsageError, match="jitter"):
         orograph.synth(size=40, jitter=0.5)
-    with pytest.raises(UsageError, match="jitter"):
-        orograph.synth(size=40, exemplar=lidar, jitter=2.0, progress=False)
+    with pytest.raises(UsageError, match="passes"):
+        orograph.synth(size=40, passes=1)
+    for said in ({"jitter": 2.0}, {"passes": 3}, {"passes": 0.5}, {"passes": [1] * 9}):
+        with pytest.raises(UsageError, match=next(iter(said))):
+            orograph.synth(size=40, exemplar=lidar, progress=False, **said)
     holed = orograph.read(lidar).heights.copy()
     holed[3, 4] = np.nan
     grid = Grid(holed.shape, Affine(1, 0, 0, 0, -1, 0), orograph.read(lidar).grid.crs)

@@ -16,7 +16,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.scene.detail import Detail
 from orograph.synthesis.detailed import Detailed, doublings_for, steering_of
-from orograph.synthesis.refining import Data, Range, doubled, roughness
+from orograph.synthesis.refining import Data, Range, doubled, metres, parents_of, roughness
 from orograph.viewpoint import View
 
 UTM = CRS.from_epsg(32632)
@@ -58,6 +58,21 @@ def detailed(request: pytest.FixtureRequest, coarse: orograph.Terrain, lidar: or
     steering, name = steering_of(coarse, lidar, 5)
     assert (steering.doublings, name) == (2, "lidar")
     return Detailed(coarse, 3, 5, steering)  # one doubling finer than the example
+
+
+@pytest.mark.parametrize("example", [False, True])
+def test_a_gpu_makes_the_same(coarse: orograph.Terrain, lidar: orograph.Dem, device, example: bool) -> None:
+    """To the bit: at borders, beside voids, at every level, wherever a window begins."""
+    both = []
+    for one in (None, device):
+        steering = steering_of(coarse, lidar, -3, device=one)[0] if example else None
+        both.append(Detailed(coarse, 4, -3, steering, one))
+    cpu, gpu = both
+    rows, cols = cpu.grid.shape
+    for window in ((0, 70, cols - 90, cols), (rows - 40, rows, 0, 30), (5 * 16, 9 * 16, 400, 540)):
+        np.testing.assert_array_equal(gpu.read(0, *window), cpu.read(0, *window))
+    assert np.isnan(cpu.read(0, 5 * 16, 9 * 16, 400, 540)).any()
+    np.testing.assert_array_equal(gpu.read(2, 20, 60, 30, 90), cpu.read(2, 20, 60, 30, 90))
 
 
 def test_the_datas_own_samples_stay_and_levels_nest(coarse: orograph.Terrain, detailed: Detailed) -> None:
@@ -108,13 +123,13 @@ def test_seeds_differ(coarse: orograph.Terrain) -> None:
 def test_the_4_point_rule_reproduces_cubics() -> None:
     y, x = np.mgrid[:20, :23].astype(float)
 
-    class Cubic:
-        def read(self, r: Range) -> np.ndarray:
-            row, col = np.mgrid[r.row0 : r.row1, r.col0 : r.col1].astype(float)
-            return 1 + col - row * col**2 + 0.5 * row**3 - col**3
-
-    found = doubled(Cubic(), Range(-3, 17, 4, 27))
+    r = Range(-3, 17, 4, 27)
+    above = parents_of(r)
+    row, col = np.mgrid[above.row0 : above.row1, above.col0 : above.col1]
+    quanta = 1024 * (2 + 2 * col - 2 * row * col**2 + row**3 - 2 * col**3)  # of 1/2048
+    found = metres(doubled(quanta.astype(np.int32), above, r), 1 / 2048)
     row, col = (y - 3) / 2, (x + 4) / 2
+    # (No rounding: denominators are below 2048.)
     np.testing.assert_allclose(found, 1 + col - row * col**2 + 0.5 * row**3 - col**3, atol=1e-9)
 
 
@@ -123,7 +138,8 @@ def test_the_4_point_rule_reproduces_cubics() -> None:
 def test_doubling_and_roughness_do_not_depend_on_the_window(row: int, col: int, rows: int, cols: int) -> None:
     data = Data(terrain_of(30 * ground(37, 90, 2.0)))
     part, whole = Range(row, row + rows, col, col + cols), Range(-32, 90, -33, 140)
-    np.testing.assert_array_equal(doubled(data, part), doubled(data, whole)[part.within(whole)])
+    one, other = (doubled(data.read(parents_of(r)), parents_of(r), r) for r in (part, whole))
+    np.testing.assert_array_equal(one, other[part.within(whole)])
     for one, other in zip(roughness(data, part), roughness(data, whole)):
         np.testing.assert_array_equal(one, other[part.within(whole)])
 
@@ -179,6 +195,20 @@ def test_pictures_have_it_and_say_so(coarse: orograph.Terrain, lidar: orograph.D
     np.testing.assert_array_equal(again.pixels, picture.pixels)
 
 
+@pytest.mark.slow
+def test_clipmaps_have_it(coarse: orograph.Terrain) -> None:
+    """As Losasso and Hoppe draw it: rings finer than the data, on the ground that rays meet."""
+    view = near(coarse)
+    rings, rays, plain = (
+        orograph.render(coarse, view, tolerance=0.5, method=method, detail=detail, progress=False)
+        for method, detail in (("clipmap,n=127", True), ("auto", True), ("clipmap,n=127", None))
+    )
+    assert rings.facts["mesh"]["method"] == "clipmap" and rings.facts["detail"] == rays.facts["detail"]
+    both = np.isfinite(rings.depth) & np.isfinite(rays.depth) & np.isfinite(plain.depth)
+    off, was = (np.median(np.abs(one.depth - rays.depth)[both]) for one in (rings, plain))
+    assert both.mean() > 0.5 and off < 0.25 * was
+
+
 def test_far_away_there_is_none(coarse: orograph.Terrain) -> None:
     view = orograph.camera.whole(coarse, (64, 48))
     picture = orograph.render(coarse, view, detail=True, progress=False)
@@ -190,16 +220,29 @@ def test_what_makes_no_sense_is_refused(coarse: orograph.Terrain, lidar: orograp
     view = near(coarse)
     for options, words in (
         ({"detail": "exemplar"}, "fractal, or exemplar=FILE"), ({"detail": 3}, "fractal, or exemplar"),
-        ({"detail": True, "method": "soar"}, "mesh"), ({"detail": True, "contours": 10}, "Contour lines"),
+        ({"detail": True, "method": "soar"}, "clipmaps as printed"),
+        ({"detail": True, "method": "clipmap,rings=promise"}, "as printed"),
+        ({"detail": True, "contours": 10}, "Contour lines"),
         ({"detail": Detail(terrain_of(40 * ground(40, 40, 2)))}, "finer than the terrain"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):
             orograph.render(coarse, view, progress=False, **options)
 
 
-def test_the_gpu_refuses_it(coarse: orograph.Terrain) -> None:
-    with pytest.raises(UsageError, match="The GPU draws no"):
-        orograph.render(coarse, near(coarse), detail=True, backend="gpu", progress=False)
+@pytest.mark.slow
+def test_the_gpu_draws_it(coarse: orograph.Terrain, lidar: orograph.Dem, device) -> None:
+    """As the CPU does: the same ground in nearly all pixels, within a pixel, and alike in colour."""
+    view = near(coarse)
+    for detail in (True, Detail(lidar, 2)):
+        cpu, gpu = (orograph.render(coarse, view, detail=detail, backend=b, progress=False) for b in ("cpu", "gpu"))
+        assert gpu.facts["detail"] == cpu.facts["detail"]
+        assert gpu.describe() == cpu.describe()
+        plain = orograph.render(coarse, view, backend="gpu", progress=False)
+        both = np.isfinite(cpu.depth) & np.isfinite(gpu.depth)
+        assert both.mean() > 0.98 * np.isfinite(cpu.depth).mean()
+        off, was = (np.abs(one.depth - cpu.depth)[both] / cpu.depth[both] for one in (gpu, plain))
+        assert np.median(off) < 1e-3 < np.nanmedian(was)
+        assert np.abs(gpu.pixels.astype(int) - cpu.pixels)[both].mean() < 4
 
 
 @pytest.mark.parametrize(

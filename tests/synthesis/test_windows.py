@@ -35,14 +35,18 @@ def endless(exemplar: Exemplar) -> Endless:
 
 
 @pytest.mark.parametrize(
-    ("window", "jitter", "kappa"),
-    [(Range(-9, 20, -21, 10), None, 1), (Range(1000, 1001, 5, 40), None, 1), (Range(3, 9, -70000, -69990), 1.0, 0)],
+    ("window", "jitter", "kappa", "passes"),
+    [
+        (Range(-9, 20, -21, 10), None, 1, None),
+        (Range(1000, 1001, 5, 40), None, 1, 2),
+        (Range(3, 9, -70000, -69990), 1.0, 0, [2, 1, 2]),
+    ],
 )
 def test_windows_are_those_of_the_reference(
-    exemplar: Exemplar, window: Range, jitter: float | None, kappa: int
+    exemplar: Exemplar, window: Range, jitter: float | None, kappa: int, passes: int | list[int] | None
 ) -> None:
-    endless = Endless(exemplar, 7, jitter=jitter, kappa=kappa)
-    told = exemplar, endless.seed, endless.reach, kappa, window
+    endless = Endless(exemplar, 7, jitter=jitter, kappa=kappa, passes=passes)
+    told = exemplar, endless.seed, endless.reach, kappa, endless.passes, window
     for level in (0, 1, exemplar.top):
         assert np.array_equal(endless.coordinates(window, level), reference.coordinates(*told, level))
     level = exemplar.top - 1

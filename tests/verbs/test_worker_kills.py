@@ -113,6 +113,6 @@ def test_a_film(terrain, tmp_path):
 def test_tasks_of_processes_that_are_killed(tmp_path):
     """Whatever a process was at when it was killed, another one goes on to the same bytes."""
     script = Path(__file__).with_name("killing_tasks.py")
-    ran = subprocess.run([sys.executable, str(script), str(tmp_path), "60"], capture_output=True, text=True)
+    ran = subprocess.run([sys.executable, str(script), str(tmp_path), "120"], capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
-    assert {line.split()[0]: int(line.split()[1]) for line in ran.stdout.splitlines()} == {"bake": 60, "film": 60}
+    assert {line.split()[0]: int(line.split()[1]) for line in ran.stdout.splitlines()} == {"bake": 120, "film": 120}

@@ -15,6 +15,7 @@ from orograph.geovis.data.priority import Priority
 from orograph.rendering.standing import stand
 from orograph.viewer.data import ShownData
 from orograph.viewer.panels import data as panel
+from orograph.viewer.panels import plot
 
 EAST, NORTH = 412_000.0, 4_987_000.0
 
@@ -79,6 +80,46 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     assert any("no time" in message.text for message in window.session.messages.shown)
 
 
+def series(window):
+    """A series of three times whose values are 0, 10 and 20 everywhere."""
+    xr = pytest.importorskip("xarray")
+    grid = window.session.terrain.grid
+    x, _ = grid.xy(np.arange(grid.cols), np.zeros(grid.cols))
+    _, y = grid.xy(np.zeros(grid.rows), np.arange(grid.rows))
+    when = np.array(["2020-01-01T00", "2020-01-01T12", "2020-01-02T00"], "M8[ns]")
+    cube = np.array([0.0, 10.0, 20.0])[:, None, None] + np.zeros((1, grid.rows, grid.cols))
+    about = {"crs": grid.crs.to_wkt()} if grid.crs is not None else {}
+    return Dataset(xr.DataArray(cube, coords={"time": when, "y": y, "x": x}, dims=("time", "y", "x"), attrs=about))
+
+
+def test_time_goes_step_by_step_between_and_by_itself(window, hand):
+    settings = window.session.settings
+    settings.shown = ShownData((series(window),), Priority.parse("T+D+U-"), window.session.terrain.grid)
+    settings.show(window.session.terrain)
+    shown = settings.shown
+    x, y = (float(v) for v in window.session.nav.centre()[:2])
+
+    def value():
+        return shown.at(x, y)[0].value
+
+    panel.step(window, 1)
+    assert shown.time == "2020-01-01T00:00" and value() == pytest.approx(0)
+    panel.step(window, 1)
+    assert shown.time == "2020-01-01T12:00" and value() == pytest.approx(10)
+    panel.step(window, -1)
+    panel.step(window, -1)  # there is none before
+    assert shown.time == "2020-01-01T00:00"
+    panel.change(window, time=shown.at_part(0.25))
+    assert value() == pytest.approx(5) and "linear between" in shown.told
+    shown.playing = True
+    assert panel.advance(window, panel.PLAYED / 2)
+    assert shown.part == pytest.approx(0.75, abs=1e-3) and value() == pytest.approx(15, abs=0.05)
+    hand.until(lambda: shown.part != pytest.approx(0.75, abs=1e-3))  # frames go on by themselves
+    shown.playing = False
+    assert not panel.advance(window, 1.0)
+    hand.rest()
+
+
 def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
     import sys
     import types
@@ -97,6 +138,16 @@ def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
     for name, wrong in (("priority", "X"), ("time", "1999"), ("found", ())):
         with pytest.raises(traitlets.TraitError):
             setattr(widget, name, wrong)
+    assert widget.selection == {} and widget.times == ()
+    widget.selection = {"ranges": {"part": (0.5, 1)}}
+    assert widget.selection == {"ranges": {"part": (0.5, 1.0)}, "area": ()}
+    assert widget.window.session.settings.veil is not None
+    for wrong in ({"ranges": {"part": (1, 0)}}, {"rows": 3}, {"area": [(1, 2)]}):
+        with pytest.raises(traitlets.TraitError):
+            widget.selection = wrong
+    plot.select(widget.window, ranges={}, area=())  # as the panel does
+    widget.canvas.draw()
+    assert widget.selection == {} and widget.window.session.settings.veil is None
     widget.window.session.settings.show(widget.window.session.terrain, priority=Priority.parse("T+D-U+"))
     widget.canvas.draw()
     assert widget.priority == "T+D-U+"
@@ -109,3 +160,26 @@ def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
         bare.priority = "T+D+U-"
     bare.close()
     bare.window.gui.close()
+
+
+def test_how_probably_values_are_above_one(window):
+    rows, cols = window.session.terrain.grid.shape
+    members = np.arange(4.0)[:, None, None] + np.linspace(0, 9, cols) + np.zeros((1, rows, 1))
+    data = Dataset(members.astype(np.float32), band="all", uncertainty="spread", name="warmth", unit="K")
+    settings = window.session.settings
+    settings.shown = ShownData((data,), Priority.parse("T+D+U-"), window.session.terrain.grid)
+    settings.show(window.session.terrain)
+    shown, terrain = settings.shown, window.session.terrain
+    assert list(window.brush.names(terrain, shown)) == ["Height", "warmth", "± warmth"]
+    panel.exceed(window, 6.0)
+    x, y = (float(v[0]) for v in terrain.grid.xy(np.array([(cols - 1) / 2]), np.array([(rows - 1) / 2])))
+    (found,) = shown.at(x, y)
+    assert found.name == "P(warmth > 6 K)" and found.value == pytest.approx(0.5, abs=0.01)  # 4.5, 5.5, 6.5, 7.5
+    plot.select(window, ranges={found.name: (0.9, 1.0)})
+    ground = window.brush.ground(terrain, shown)
+    truth = np.abs(ground.x - ground.x.min()) / np.ptp(ground.x) * 9 > 6
+    assert (window.brush.holds(ground) == truth).mean() > 0.95
+    panel.exceed(window, None)
+    assert shown.at(x, y)[0].name == "warmth"
+    panel.exceed(window, float("nan"))
+    assert shown.exceeds is None and any("to exceed is a number" in m.text for m in window.session.messages.shown)

@@ -150,7 +150,7 @@ def test_every_panel_draws_in_every_state(window, hand):
         settings.contours = Contours(50.0)
         settings.relief = 2.0
         hand.frames(2)
-    assert len(panels.PANELS) == 7
+    assert len(panels.PANELS) == 8
     for name, content, _ in panels.PANELS:
         assert name and callable(content)
 

@@ -8,6 +8,7 @@ stopping.guard_imports()  # before anything else is loaded
 
 # ruff: noqa: E402
 import difflib
+import errno
 import importlib
 import importlib.abc
 import os
@@ -82,6 +83,12 @@ class Verbs(click.Group):
 
 _LONGEST = 2000
 """Characters of a message that are shown: what is wrong may be as long as any argument."""
+
+_SYSTEM = {
+    **dict.fromkeys((errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EIO), 3),
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS), 4),
+}
+"""Exit codes of what a system says of a file."""
 
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -161,15 +168,28 @@ def _fail(failure: Exception, debug: bool) -> NoReturn:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Exception as error:
+        code, said = _users(error)
         if debug:
             traceback.print_exc()
+        elif said:
+            click.echo(f"orograph: {_shortened(said)}", err=True)
         else:
             click.echo(
                 f"orograph: {type(error).__name__}: {error} This is a fault of Orograph itself; "
                 "run it again with --debug to see where, and please report it.",
                 err=True,
             )
-        _leave(1)
+        _leave(code)
+
+
+def _users(error: Exception) -> tuple[int, str]:
+    """Exit code and words for what a user or the system is the cause of, and nothing nearer to it has put into words;
+    1 and "" for any other error."""
+    if isinstance(error, OSError) and error.filename is not None and error.errno in _SYSTEM:
+        return _SYSTEM[error.errno], f"{error.filename}: {error.strerror}."
+    if isinstance(error, UnicodeEncodeError) and error.reason == "surrogates not allowed":
+        return 2, f"{error.object!a} holds bytes that are no text in UTF-8."
+    return 1, ""
 
 
 def _shortened(text: str) -> str:

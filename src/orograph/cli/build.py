@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.memory import megabytes, peak_memory
+from orograph.cli.needed import needed_by
 from orograph.cli.options import (
     FILE,
     Float,
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
     from orograph.error import ErrorKind
-    from orograph.progress import Progress
     from orograph.store.stored import StoredTerrain
 
 
@@ -155,6 +155,12 @@ class MaxError(click.ParamType[str | float]):
     is_flag=True,
     help="Make again only what follows of files that were added, changed or removed; begins a build if there is none.",
 )
+@click.option(
+    "--keep",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --update: versions that are left, with the new one; STORE@2 opens the second.  [default: 2]",
+)
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
 @cluster_options("Build", ", which share --max-memory")
@@ -173,6 +179,7 @@ def command(
     overwrite: bool,
     resume: bool,
     update: bool,
+    keep: int | None,
     repair: bool,
     max_memory: int,
     jobs: int | None,
@@ -211,7 +218,7 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
-      orograph build tiles/*.tif -o area.oro --update
+      orograph build tiles/*.tif -o area.oro --update --keep 5
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
@@ -239,8 +246,8 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    kinds, legs, chunked = _needed(methods, progress, tins)
-    errors = (*errors, *(kind for kind in kinds if kind not in errors))
+    needed = needed_by(methods, progress, tins)
+    errors = (*errors, *(kind for kind in needed.errors if kind not in errors))
     if part is not None and (products or color_errors):
         raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
     started = time.perf_counter()
@@ -254,11 +261,13 @@ def command(
             overwrite=overwrite,
             resume=resume,
             update=update,
+            keep=keep,
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
-            tins=legs,
-            chunked=chunked,
+            tins=needed.tins,
+            chunked=needed.chunked,
+            quadtin=needed.quadtin,
             keep_source=keep_source,
             codec=codec,
             max_error=max_error,
@@ -269,7 +278,9 @@ def command(
             dask=dask,
         )
     except KeyboardInterrupt:
-        click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
+        again = " again" if update or finish or part else " with --resume" + " in place of --overwrite" * overwrite
+        what = f"Part {part}" if part else "The new store" if overwrite or update else store
+        click.echo(f"\n{what} is not complete; run the same command{again} to finish it.", err=True)
         raise
     if terrain is None:
         click.echo(json.dumps({"path": store, "part": part}) if as_json else f"{store}: part {part} is made")
@@ -303,6 +314,7 @@ def _tell(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequen
     known = low == low
     result = {
         "path": terrain.url,
+        "version": terrain.version,
         "size_bytes": size,
         "shape": list(grid.shape),
         "levels": terrain.levels,
@@ -351,6 +363,7 @@ def _repair(
         "overwrite",
         "resume",
         "update",
+        "keep",
         "products",
         "errors",
         "tins",
@@ -381,50 +394,6 @@ def _repair(
     for key in mended:
         click.echo(f"{key}: mended")
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
-
-
-def _needed(
-    methods: Sequence[str], progress: Progress, legs: str | None
-) -> tuple[tuple[ErrorKind, ...], int | None, tuple[int, float] | None]:
-    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, and the cells and
-    metres of the finest chunks.
-
-    Args:
-        legs: of TINs that are asked for outright.
-
-    Raises:
-        UsageError: one of them is no method, or two need other TINs or other chunks.
-    """
-    tins = {} if legs is None else {int(legs): None}
-    chunked: dict[tuple[int, float], None] = {}
-    if not methods:
-        return (), next(iter(tins), None), None
-    from orograph.lod.needs import kinds_of
-    from orograph.lod.registry import chosen
-    from orograph.store.patches import LEGS
-
-    found: dict[ErrorKind, None] = {}
-    for text in methods:
-        choice = chosen(text)
-        needs = choice.method.needs(choice.options)
-        found.update(dict.fromkeys(kinds_of(needs)))
-        tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
-        chunked.update(
-            dict.fromkeys((need.options["cells"], need.options["finest"]) for need in needs if need.name == "chunked")
-        )
-        if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
-            progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
-        if getattr(choice.options, "color_tolerance", None) is not None:
-            progress.note(f"{choice}: errors of colours are stored with --color-errors.")
-    if len(tins) > 1:
-        raise UsageError(
-            f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
-            remedy="Ask for those of one kind.",
-        )  # fmt: skip
-    if len(chunked) > 1:
-        sizes = " and ".join(f"{cells} cells from {finest:g} m on" for cells, finest in chunked)
-        raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
-    return tuple(found), next(iter(tins), None), next(iter(chunked), None)
 
 
 def crs_name(crs: CRS | None) -> str | None:

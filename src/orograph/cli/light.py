@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from orograph.lighting.context import Context, Options, Values
     from orograph.lighting.products import Product
     from orograph.lighting.raster import Band
+    from orograph.lighting.raster_resume import Checkpoint
 
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
@@ -136,7 +138,7 @@ def command(
         from orograph.lighting.context import Context, Options
         from orograph.lighting.products import product
         from orograph.lighting.raster import write
-        from orograph.lighting.raster_resume import Checkpoint, identity
+        from orograph.lighting.raster_resume import identity
         from orograph.lighting.sun import Sun
         from orograph.output import check_folder
         from orograph.store.prepare import prepare
@@ -159,25 +161,16 @@ def command(
             f"the sun is {round(-place.altitude, 1):g}° below the horizon: no light of it falls on the ground."
         )
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
-    kept = None
     if resume and set(wanted) <= set(AT_ONCE):
         progress.warn(f"--resume keeps nothing of {', '.join(wanted)}: such maps are made in one go, in seconds.")
-    if resume:
-        plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
-        kept = Checkpoint(Path(f"{output}.partial"), plan)
-    context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
     bands = _bands(products, chosen)
-    try:
+    plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
+    with _kept(output, plan) if resume else nullcontext() as kept:
+        context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
         write(
             output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
             overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average", tags=_tags(context, wanted),
         )  # fmt: skip
-    except KeyboardInterrupt:
-        if kept is not None:
-            click.echo(f"\n{output} is not complete; run the same command to go on.", err=True)
-        raise
-    if kept is not None:
-        kept.remove()
     seconds = time.perf_counter() - began
     rows, cols = terrain.grid.shape
     if as_json:
@@ -192,6 +185,23 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
     else:
         click.echo(f"{output}  {', '.join(wanted)}  {cols} × {rows} samples  {seconds:.1f} s")
+
+
+@contextmanager
+def _kept(output: str, plan: dict[str, Any]) -> Iterator[Checkpoint]:
+    """What has been done of a map, kept until it is complete; one process at a time makes it."""
+    from orograph.lighting.raster_resume import Checkpoint
+    from orograph.store.lock import alone
+    from orograph.store.storage import FolderStorage
+
+    with alone(FolderStorage(output), "making this map"):
+        kept = Checkpoint(Path(f"{output}.partial"), plan)
+        try:
+            yield kept
+        except KeyboardInterrupt:
+            click.echo(f"\n{output} is not complete; run the same command to go on.", err=True)
+            raise
+        kept.remove()
 
 
 def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, int, int, Values]]:

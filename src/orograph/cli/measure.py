@@ -239,7 +239,8 @@ def los(
 def viewshed(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], eye: float, target: float, flat: bool,
     refraction: float, radius: float | None, heights: bool, sigma: str | None, reach: float, horizontal: float,
-    draws: int, seed: int, output: str | None, picture: str | None, degrees: bool, as_json: bool, **camera: Any,
+    checks: str | None, check_sigma: float, draws: int, seed: int, output: str | None, picture: str | None,
+    degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
     """What is seen of the terrain from a point, sample by sample; as a raster, or painted on a picture.
 
@@ -249,7 +250,7 @@ def viewshed(
     """
     check_points(points, 1, "A viewshed", 1)
     camera = check_files(output, picture, camera)
-    error = height_error(sigma, reach, horizontal)
+    error = height_error(sigma, reach, horizontal, checks, check_sigma)
     uncertain = sigma is not None or horizontal > 0
     if uncertain and heights:
         raise UsageError("--heights and --sigma contradict each other: uncertain heights give a probability.")

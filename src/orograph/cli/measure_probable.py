@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from orograph.cli.files import check_ending
 from orograph.cli.measuring import POINTS, Measure, Point, of_terrain, on_terrain, opened, points_option, tell, without
 from orograph.cli.options import FILE, F, Float, progress_of, with_options
 from orograph.errors import UsageError
+from orograph.folders import temporary
 
 if TYPE_CHECKING:
     from orograph.measuring import HeightError, Probable
@@ -32,6 +32,11 @@ def error_options(function: F) -> F:
                      help="Distance at which 5 % of the errors' correlation is left.  [default: 0, independent]"),
         click.option("--horizontal", type=Float(), default=0.0, metavar="M",
                      help="Standard deviation of places; adds (M · tan slope)² to the variance."),
+        click.option("--check-points", "checks", metavar="FILE[,KEY=VALUE…]",
+                     help="Points with measured heights, with which draws agree (CSV, GeoJSON, what OGR reads). Keys: "
+                          "variable (of the heights), layer."),
+        click.option("--check-sigma", type=Float(), default=0.0, metavar="M",
+                     help="Standard deviation of the check points' heights, metres."),
         click.option("--draws", type=int, default=200, show_default=True, metavar="N",
                      help="Terrains that are drawn; a probability is uncertain by at most 1 / (2 √N)."),
         click.option("--seed", type=int, default=1, show_default=True, metavar="N", help="Of the draws."),
@@ -48,7 +53,9 @@ def outputs_options(function: F) -> F:
     )
 
 
-def height_error(sigma: str | None, reach: float, horizontal: float) -> HeightError:
+def height_error(
+    sigma: str | None, reach: float, horizontal: float, checks: str | None = None, check_sigma: float = 0.0
+) -> HeightError:  # fmt: skip
     """The error of heights that the options describe."""
     from orograph.measuring import HeightError
 
@@ -60,12 +67,23 @@ def height_error(sigma: str | None, reach: float, horizontal: float) -> HeightEr
     if sigma is None:
         if reach:
             raise UsageError("--range is that of errors, whose size --sigma says.")
-        return HeightError(0.0, 0.0, horizontal)
+        if checks is not None and not horizontal:
+            raise UsageError("--check-points are heard by uncertain heights only.", remedy="Give --sigma.")
+        return HeightError(0.0, 0.0, horizontal, _checks(checks), check_sigma)
     try:
         value: Any = float(sigma)
     except ValueError:
         value = sigma
-    return HeightError(value, reach, horizontal)
+    return HeightError(value, reach, horizontal, _checks(checks), check_sigma)
+
+
+def _checks(text: str | None) -> Any:
+    """Check points as they are told."""
+    if text is None:
+        return None
+    from orograph.geovis.data.dataset import Dataset
+
+    return Dataset.parse(text)
 
 
 def check_files(output: str | None, picture: str | None, camera: dict[str, Any]) -> dict[str, Any]:
@@ -93,7 +111,7 @@ def written(
         marks: places that the picture shows too, a name and columns x and y.
     """
     progress = progress_of(ctx)
-    with tempfile.TemporaryDirectory(prefix="orograph-") as folder:
+    with temporary() as folder:
         path = output or str(Path(folder) / "probable.tif")
         told = found.save(path, progress)
         if picture is not None:
@@ -135,7 +153,8 @@ def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def slope(
-    ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, draws: int, seed: int,
+    ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, checks: str | None,
+    check_sigma: float, draws: int, seed: int,
     exceeds: tuple[float, ...], output: str | None, picture: str | None, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
     """Mean and standard deviation of the slope, degrees, of heights that are uncertain.
@@ -143,7 +162,7 @@ def slope(
     A raster with a band for each, and one for each --exceeds. Errors are drawn --draws times, correlated over --range.
     """
     camera = check_files(output, picture, camera)
-    error = _needed(sigma, reach, horizontal)
+    error = _needed(sigma, reach, horizontal, checks, check_sigma)
     terrain = opened(ctx, () if output is None else (output,), (picture,))
     from orograph import measuring
 
@@ -163,7 +182,8 @@ def slope(
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def contours(
-    ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, draws: int, seed: int,
+    ctx: click.Context, /, sigma: str | None, reach: float, horizontal: float, checks: str | None,
+    check_sigma: float, draws: int, seed: int,
     levels: tuple[float, ...], interval: float | None, output: str | None, picture: str | None, as_json: bool,
     **camera: Any,
 ) -> None:  # fmt: skip
@@ -172,7 +192,7 @@ def contours(
     The result has a value for each cell, between the samples.
     """
     camera = check_files(output, picture, camera)
-    error = _needed(sigma, reach, horizontal)
+    error = _needed(sigma, reach, horizontal, checks, check_sigma)
     terrain = opened(ctx, () if output is None else (output,), (picture,))
     from orograph import measuring
 
@@ -194,15 +214,15 @@ def contours(
 @click.pass_context
 def flood(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], level: float, sigma: str | None, reach: float,
-    horizontal: float, draws: int, seed: int, output: str | None, picture: str | None, degrees: bool, as_json: bool,
-    **camera: Any,
+    horizontal: float, checks: str | None, check_sigma: float, draws: int, seed: int, output: str | None,
+    picture: str | None, degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
     """Which ground is below a water level, and joined to a source along ground that is.
 
     Without a source all ground below the level counts. With --sigma the result is a probability; without it 1 or 0.
     """
     camera = check_files(output, picture, camera)
-    error = height_error(sigma, reach, horizontal)
+    error = height_error(sigma, reach, horizontal, checks, check_sigma)
     terrain = opened(ctx, () if output is None else (output,), (picture,))
     from orograph import measuring
 
@@ -224,10 +244,12 @@ def viewshed(
     _told(ctx, terrain, found, output, picture, camera, as_json, marks)
 
 
-def _needed(sigma: str | None, reach: float, horizontal: float) -> HeightError:
+def _needed(
+    sigma: str | None, reach: float, horizontal: float, checks: str | None, check_sigma: float
+) -> HeightError:  # fmt: skip
     if sigma is None and not horizontal:
         raise UsageError("Say how uncertain heights are: --sigma 2 (metres), or a raster of standard deviations.")
-    return height_error(sigma, reach, horizontal)
+    return height_error(sigma, reach, horizontal, checks, check_sigma)
 
 
 def _means(ctx: click.Context) -> dict[str, Any]:

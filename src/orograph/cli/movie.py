@@ -14,10 +14,12 @@ from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
     Float,
+    check_sort_last,
     cluster_options,
     jobs_option,
     memory_option,
     progress_of,
+    sort_last_option,
     source_of,
     source_options,
     vertical_options,
@@ -63,13 +65,14 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 @memory_option
 @jobs_option
 @cluster_options("Draw", ", which share --max-memory")
+@sort_last_option("whole frames")
 @click.option("--part", metavar="I/N", help="Draw only this part of the frames (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the film of its parts, when all are drawn.")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, tour_path: str | None, crf: int | None,
     overwrite: bool, as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None,
-    part: str | None, finish: bool, **options: Any,
+    sort_last: bool, part: str | None, finish: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Film a tour of a DEM (one file or many) or of a store, every frame with all of its detail.
 
@@ -84,6 +87,7 @@ def command(
       orograph movie dem.tif --line hike.gpx --height 200 -o hike.webm
       orograph movie dem.tif --tour tour.json -o frames/%05d.png --from 10 --to 20
       orograph movie area.oro --tour tour.json -o tour.mp4 --workers 4
+      orograph movie area.oro --tour tour.json -o tour.mp4 --workers 4 --sort-last
       orograph movie area.oro --tour tour.json -o tour.mp4 --part 3/64
       orograph movie area.oro --tour tour.json -o tour.mp4 --finish
     """
@@ -109,11 +113,12 @@ def command(
         from orograph.touring.encode import check_movie, is_numbered
         from orograph.touring.film import Film
         from orograph.verbs.filming import By, Shot, shoot_by
-        from orograph.verbs.movie import shoot, without
+        from orograph.verbs.movie import shoot, shoot_by_parts, without
 
     # What is wrong with the command line is said before any work is done.
     check_movie(output, options["size"], crf)
     by = By.of(workers, dask, part, finish)
+    check_sort_last(sort_last, workers is not None or dask is not None, options["backend"])
     if overwrite and not is_numbered(output):
         progress.warn("--overwrite is about pictures: a film takes the place of what was there, when it is whole.")
     if tour_path is not None:
@@ -138,6 +143,8 @@ def command(
     how["dpi"] = dpi_of(options["size"])
     if by is None:
         shot = Shot(shoot(film, output, size, **how))
+    elif sort_last:
+        shot = shoot_by_parts(by, film, output, size, max_memory=max_memory, **how)
     else:
         shot = shoot_by(by, film, output, size, backend=options["backend"], max_memory=max_memory, **how)
     seconds = time.perf_counter() - began

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from orograph.errors import UsageError
 from orograph.folders import parse_bytes
 from orograph.scene.given import numbers
 
@@ -286,6 +287,23 @@ def cluster_options(doing: str, shared: str = "") -> Callable[[F], F]:
         "--dask", metavar="ADDRESS", help=f"{doing} on the workers of this Dask scheduler (tcp://HOST:8786)."
     )
     return lambda function: workers(dask(function))
+
+
+def sort_last_option(first: str) -> Callable[[F], F]:
+    """``--sort-last``. Args: first: what workers draw without it."""
+    return click.option(
+        "--sort-last",
+        is_flag=True,
+        help=f"With --workers or --dask: each has a part of the terrain, not {first}; they are put together by depth.",
+    )
+
+
+def check_sort_last(wanted: bool, together: bool, backend: str) -> None:
+    """Raise UsageError where parts of the terrain are wanted, and there are no workers or another backend."""
+    if wanted and not together:
+        raise UsageError("--sort-last is for workers.", remedy="Give --workers or --dask.")
+    if wanted and backend != "cpu":
+        raise UsageError("--sort-last is drawn by the CPU.", remedy="Leave out --backend.")
 
 
 def progress_of(ctx: click.Context) -> LineProgress:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from orograph.folders import temporary
 
 if TYPE_CHECKING:
     from orograph.measuring import Viewshed
@@ -33,7 +34,7 @@ def painted(
 
     told = Summary(shed)
     view = camera_view(terrain, camera)
-    with tempfile.TemporaryDirectory(prefix="orograph-") as folder:
+    with temporary() as folder:
         drape = Path(folder) / "seen.tif"
         save_paint(shed, told.over(shed.blocks(progress)), drape)
         picture = render(

@@ -14,10 +14,12 @@ from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, che
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
+    check_sort_last,
     cluster_options,
     jobs_option,
     memory_option,
     progress_of,
+    sort_last_option,
     source_of,
     source_options,
     vertical_options,
@@ -44,9 +46,10 @@ OWN = {*DRAWING, *CAMERA}
 )
 @click.option(
     "--each",
-    metavar="view|member|band|time[=SOME]",
-    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), or one for each "
-    "member, band or time of the first --data, all or some: member=1-6, time=T12.",
+    metavar="view|data|member|band|time[=SOME]",
+    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), one for each "
+    "--data (data, each with its own scale), or for each member, band or time of the first, all or some: member=1-6, "
+    "time=T12.",
 )
 @click.option("--save-view", type=FILE, metavar="VIEW.json", help="Also write the camera that was used.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
@@ -55,10 +58,12 @@ OWN = {*DRAWING, *CAMERA}
 @memory_option
 @jobs_option
 @cluster_options("Draw tiles of it", ", which share --max-memory")
+@sort_last_option("tiles of the picture")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    each: str | None, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
+    each: str | None, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, sort_last: bool,
+    **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -73,6 +78,7 @@ def command(
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
       orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
       orograph render area.oro -o wall.tif --size 100000x60000 --workers 8 --max-memory 16GiB
+      orograph render area.oro -o area.png --workers 4 --sort-last
     """
     # (One function, though long: most of it is its options and its help.)
     began = time.perf_counter()
@@ -97,6 +103,7 @@ def command(
         from orograph.rendering.memory import band_pixels, check_memory
         from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
+        from orograph.rendering.sort_last import draw_by_parts
         from orograph.rendering.tiles import draw_by_workers
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
@@ -110,6 +117,7 @@ def command(
     together = workers is not None or dask is not None
     if together and each:
         raise UsageError("Panels are drawn by this process: --each has no --workers and no --dask.")
+    check_sort_last(sort_last, together, options["backend"])
     gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
 
     def by_bands(size: tuple[int, int]) -> bool:
@@ -129,7 +137,12 @@ def command(
     large = by_bands((view.width, view.height)) and each is None
     scene = scene_of(terrain, view, options, max_memory, jobs)
     try:
-        if together:
+        if sort_last:
+            facts = draw_by_parts(
+                scene, output, workers=workers, dask=dask, depth=depth, jobs=jobs, max_memory=max_memory, dpi=dpi,
+                progress=progress,
+            )  # fmt: skip
+        elif together:
             facts = draw_by_workers(
                 scene, output, workers=workers, dask=dask, depth=depth, backend=options["backend"], jobs=jobs,
                 max_memory=max_memory, dpi=dpi, progress=progress,

@@ -18,7 +18,11 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 
 @click.command("synth")
 @click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), required=True, help="The GeoTIFF to write."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="The GeoTIFF to write, or the store to build (.oro).",
 )
 @click.option(
     "--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples: of a side, or rows × columns."
@@ -50,6 +54,17 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "[default: 0.5, and 0 on the three finest]",
 )
 @click.option(
+    "--passes",
+    callback=_numbers,
+    metavar="N[,N…]",
+    help="With an example, how often its pieces are corrected, 0 to 2, likewise; twice on all levels is ten times the "
+    "work.  [default: 2, and 0 on the two finest]",
+)
+@click.option(
+    "--over", metavar="FILE", help="Make colours for this terrain: --exemplar is a photo, --ground what it shows."
+)
+@click.option("--ground", metavar="FILE", help="With --over, the heights of the ground that the photo shows.")
+@click.option(
     "--compress",
     type=click.Choice(["zstd", "deflate", "none"]),
     default="zstd",
@@ -70,14 +85,19 @@ def command(
     roughness: float | None,
     exemplar: str | None,
     jitter: tuple[float, ...] | None,
+    passes: tuple[float, ...] | None,
+    over: str | None,
+    ground: str | None,
     compress: str,
     overwrite: bool,
     jobs: int | None,
 ) -> None:
-    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example.
+    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example; or
+    colours for a terrain that take after a photo (a layer for pictures: --layer).
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
-    blocks, so any size works in some hundred MiB of memory; the file appears under its name only when it is whole.
+    blocks, so any size works in some hundred MiB of memory (a store's build takes up to 1 GiB); the file appears under
+    its name only when it is whole.
 
     \b
     Examples:
@@ -85,15 +105,25 @@ def command(
       orograph synth -o large.tif --size 16385 --seed 7        1 GiB: 35 s on two processors
       orograph synth -o strip.tif --size 2049x8193 --relief 800 --spacing 10
       orograph synth -o like.tif --exemplar lidar.tif --size 8193
+      orograph synth -o like.oro --exemplar lidar.tif --size 65537
+      orograph synth -o colours.tif --over dem.tif --exemplar photo.tif --ground lidar.tif
     """
-    check_ending("--output", str(output))
     if output.exists() and not overwrite:
         raise UsageError("Something is there already.", path=output, remedy="Replace it with --overwrite.")
-    check_outputs({"--output": str(output)}, {"--exemplar": [exemplar]})
-    from orograph.verbs.synth import maker, write
+    from orograph.verbs.synth import STORE, colours, maker, write
 
-    made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, progress_of(ctx))
-    write(made, output, compress=compress, jobs=jobs, progress=progress_of(ctx))
+    if output.suffix.lower() != STORE:
+        check_ending("--output", str(output))
+    check_outputs({"--output": str(output)}, {"--exemplar": [exemplar], "--over": [over], "--ground": [ground]})
+    if over is not None or ground is not None:
+        said = {"--spacing": spacing, "--crs": crs, "--relief": relief, "--roughness": roughness, "--jitter": jitter,
+                "--passes": passes}  # fmt: skip
+        progress = progress_of(ctx)
+        colours(over, exemplar, ground, output, seed, said, compress=compress, jobs=jobs, progress=progress)
+        click.echo(f"{output}: colours for {over}, after {exemplar}")
+        return
+    made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, progress_of(ctx), passes=passes)
+    write(made, output, compress=compress, overwrite=overwrite, jobs=jobs, progress=progress_of(ctx))
     rows, cols = made.grid.shape
     apart = " × ".join(f"{metres:g}" for metres in dict.fromkeys(made.grid.spacing))
     click.echo(f"{output}: {rows} × {cols} samples, {apart} m apart, {made.name if exemplar else f'seed {seed}'}")

@@ -1,4 +1,5 @@
-"""A note beside a GeoTIFF (.aux.xml) that contradicts it: GDAL follows the note without a word.
+"""A note (.aux.xml) or a world file (.tfw) beside a GeoTIFF that contradicts it: GDAL follows the note, and the file
+rather than the world file, without a word.
 
 Such notes are written where a program may not, or will not, change the file itself, and stay when the file is made
 anew under its name (https://gdal.org/drivers/raster/gtiff.html, "Georeferencing", and the PAM's XML).
@@ -6,10 +7,13 @@ anew under its name (https://gdal.org/drivers/raster/gtiff.html, "Georeferencing
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from pathlib import Path
 from typing import Any
+
+from affine import Affine
 
 from orograph.dem.bands import unit_tag
 from orograph.dem.units import metres_per
@@ -17,6 +21,8 @@ from orograph.dem.whole.files import OPENING
 
 _DECIDING = re.compile(rb"<(?:SRS|GeoTransform|NoDataValue|UnitType|Offset|Scale|GCPList)\b")
 _APART = 0.01  # samples
+_WORLD = {"GTiff": (".tfw", ".tifw", ".wld"), "JP2OpenJPEG": (".j2w", ".wld")}
+_WORLD_APART = 0.1  # samples; digits of world files are few
 
 
 def diagnose(dataset: Any, band: int) -> list[str]:
@@ -27,11 +33,10 @@ def diagnose(dataset: Any, band: int) -> list[str]:
         band: of the heights, from 1.
     """
     name = str(dataset.name)
+    found = _world_files(dataset, name)
     note = Path(f"{name}.aux.xml")
-    if dataset.driver != "GTiff" or not note.is_file():
-        return []
-    if not _DECIDING.search(note.read_bytes()):
-        return []
+    if dataset.driver != "GTiff" or not note.is_file() or not _DECIDING.search(note.read_bytes()):
+        return found
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
@@ -39,11 +44,38 @@ def diagnose(dataset: Any, band: int) -> list[str]:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(name) as alone:
             differ = _differences(dataset, alone, band)
-    return [
+    return found + [
         f"{note.name} beside it says {theirs} where the file itself says {own}: the former is used (remove it if it is "
         "out of date)."
         for theirs, own in differ
     ]
+
+
+def _world_files(dataset: Any, name: str) -> list[str]:
+    """Warnings of world files that say another place than is used."""
+    place = dataset.transform
+    if dataset.driver not in _WORLD or place.is_identity:
+        return []
+    found = []
+    for file in (Path(name).with_suffix(suffix) for suffix in _WORLD[dataset.driver]):
+        try:
+            a, d, b, e, x, y = map(float, file.read_text().replace(",", ".").split()[:6])
+        except (OSError, ValueError):  # there is none, or it says nothing
+            continue
+        said = Affine(a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)  # a world file names the first sample's middle
+        off = max(_apart(said, place, corner) for corner in ((0, 0), (dataset.width, dataset.height)))
+        if not off <= _WORLD_APART * _step(place):
+            found.append(
+                f"{file.name} beside it says that it lies at {said.c:.10g}, {said.f:.10g} with samples of {a:.10g} × "
+                f"{e:.10g}; it says itself {place.c:.10g}, {place.f:.10g} with {place.a:.10g} × {place.e:.10g}, which "
+                "is used (remove the former if it is out of date)."
+            )
+    return found
+
+
+def _step(place: Affine) -> float:
+    """The smaller distance between samples."""
+    return min(math.hypot(place.a, place.d), math.hypot(place.b, place.e))
 
 
 def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
@@ -53,7 +85,7 @@ def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
         found.append((f"the CRS {_called(dataset.crs)}", _called(alone.crs)))
     mine, own = dataset.transform, alone.transform
     if not own.is_identity:
-        step = min(max(abs(own.a), abs(own.d)), max(abs(own.b), abs(own.e)))
+        step = _step(own)
         size = alone.width, alone.height
         off = max(_apart(mine, own, (0, 0)), _apart(mine, own, size))
         if off > _APART * step:

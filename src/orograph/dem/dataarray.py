@@ -23,7 +23,7 @@ from orograph.dem.conventions import ACROSS, DOWN, ROTATED, even_axis, is_depth,
 from orograph.dem.raster import Dem
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 
 HEIGHTS = {
     "elevation", "height", "altitude", "dem", "dtm", "dsm", "z", "topo", "topography", "orog", "orography", "hgt",
@@ -213,7 +213,7 @@ def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | No
     if crs is None and _in_degrees(plane):
         crs = CRS.from_epsg(4326)
     unit = 1.0 if crs is not None else _axes_metres(plane, called)
-    return values, Affine.scale(unit) @ Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2), crs
+    return values, compose(Affine.scale(unit), Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)), crs
 
 
 def _says_axis(array: xr.DataArray, dim: Any) -> bool:

@@ -9,6 +9,7 @@ import contextlib
 import os
 from collections.abc import Iterable, Sequence
 
+from orograph.dem.asking import known, url_of
 from orograph.dem.folders import beside
 from orograph.dem.handles import HANDLES, Key, stamped
 from orograph.dem.pool import is_virtual
@@ -19,9 +20,10 @@ _known: dict[str, tuple[Key, list[str], list[str]]] = {}
 
 def know(location: str, names: Sequence[str]) -> None:
     """Keep what files decide a raster's samples, for ``files_of``, if all on this disk lie beside it under its name."""
-    folder, name = os.path.split(location)
+    folder, name = os.path.split(url_of(location) or location)
     stem = f"{folder}/{name.rpartition('.')[0] or name}.".lower()
-    if is_virtual(location) or not all(one == location or f"{one}".lower().startswith(stem) for one in names):
+    inside = (one == location or (url_of(one) or one).lower().startswith(stem) for one in names)
+    if is_virtual(location) or not all(inside):
         _known.pop(location, None)
         return
     _known[location] = stamped(location), beside(location), list(dict.fromkeys([location, *sorted(names)]))
@@ -60,7 +62,8 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
 
 def states(names: Iterable[str]) -> list[str]:
     """What files are now, a text for each: absolute name, size and time of change. Of what is not on this disk its name
-    alone: to ask servers for all parts of a mosaic takes longer than to read some of them."""
+    alone, and what a manifest said of it: to ask servers for all parts of a mosaic takes longer than to read some of
+    them."""
     from orograph.dem.whole.files import absolute, on_disk
 
     said = []
@@ -68,7 +71,8 @@ def states(names: Iterable[str]) -> list[str]:
         try:
             found = on_disk(name).stat()
         except (OSError, ValueError):
-            said.append(public(name))  # (an address that is signed anew means the same file)
+            told = known(name)  # (an address that is signed anew means the same file)
+            said.append(public(name) if told is None else f"{public(name)} {told.size} {told.time_ns} {told.etag}")
         else:
             said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
     return said

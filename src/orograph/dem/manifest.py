@@ -6,7 +6,8 @@ what people ask of a file (path, size, time of change, shape, type, resolution, 
 another order, which is the order of precedence; a line of a path alone, ``{"path": "a.tif"}``, is enough.
 
 What a line says counts only as long as it is true: a file is opened anew where its size or time of change, or what lies
-beside it under its name, is not what it was, where the line was edited, or made with other options.
+beside it under its name, is not what it was, where the line was edited, or made with other options. Of files on
+servers, and their entity tags, only ``orograph manifest`` asks (``asking``); who reads a manifest takes its word.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from affine import Affine
 from pyproj import CRS
 
 from orograph.dem.area import degrees_of
+from orograph.dem.asking import State, asked, fetched, known, url_of
+from orograph.dem.asking import know as know_state
 from orograph.dem.deciding import files_of, know
 from orograph.dem.folders import beside
 from orograph.dem.handles import MANIFEST, Seen, is_manifest
@@ -53,18 +56,20 @@ class Line(NamedTuple):
     """One file of a manifest.
 
     Attributes:
-        path: of the file. said: its other properties. folder: of the manifest, which paths are relative to.
+        path: of the file. said: its other properties.
+        folder: of the manifest, or its address, which paths are relative to.
     """
 
     path: str
     said: Mapping[str, Any]
-    folder: Path
+    folder: Path | str
 
-    def source(self, options: Mapping[str, Any]) -> Source | None:
+    def source(self, options: Mapping[str, Any], ask: bool = False) -> Source | None:
         """The file, as the line describes it; None if it does not, or no longer.
 
         Args:
             options: those of ``Source.open`` that are not the usual.
+            ask: servers, whether their files are what they were.
         """
         header = self.said.get("header")
         if not isinstance(header, dict) or self.said.get("check") != _check(self.said):
@@ -74,8 +79,20 @@ class Line(NamedTuple):
         names = [_meant(name, self.folder) for name, *_ in header["files"]]
         seen = Seen(names)
         location = _meant(header["location"], self.folder)
-        if seen.states() != [tuple(state) for _, *state in header["files"]] or beside(location) != header["beside"]:
+        listed = [_state(state) for _, *state in header["files"]]
+        far = list(map(is_remote, names))
+        if [state for state, away in zip(seen.states(), far) if not away] != [
+            state for state, away in zip(listed, far) if not away
+        ] or beside(location) != header["beside"]:
             return None
+        there = {url_of(name): state for name, state, away in zip(names, listed, far) if away}
+        for url, state in there.items():
+            told = isinstance(state, State)
+            if (ask and (not told or asked(url or "") != state)) or (not told and state != (None, None)):
+                return None
+        for url, state in there.items():
+            if url and isinstance(state, State):
+                know_state(url, state)
         know(location, names)
         return _source(self.path, location, header, seen)
 
@@ -110,7 +127,7 @@ def opened(names: Sequence[str | os.PathLike[str]], options: Mapping[str, Any], 
 
     def one(line: Line) -> Source | ReadError:
         try:
-            return line.source(unusual) or Source.open(line.path, **options)
+            return line.source(unusual) or _opened(line.path, options)
         except ReadError as error:
             return error
 
@@ -128,9 +145,9 @@ def read(path: str | os.PathLike[str]) -> list[Line]:
     Raises:
         ReadError: it is not there, lists nothing, or a line is no JSON object with a path.
     """
-    file = Path(path)
+    file = os.fspath(path)
     try:
-        text = file.read_text(encoding="utf-8")
+        text = fetched(file).decode() if is_remote(file) else Path(file).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         cause = getattr(error, "strerror", None) or error
         raise ReadError(
@@ -145,9 +162,9 @@ def read(path: str | os.PathLike[str]) -> list[Line]:
     return lines
 
 
-def _line(row: str, number: int, file: Path) -> Line:
+def _line(row: str, number: int, file: str) -> Line:
     try:
-        return line_of(row, file.parent)
+        return line_of(row, file.rpartition("/")[0] if is_remote(file) else Path(file).parent)
     except (ValueError, LookupError, TypeError, AttributeError):
         raise ReadError(
             f"Line {number} of the manifest is no JSON object with a path.", path=file,
@@ -155,8 +172,8 @@ def _line(row: str, number: int, file: Path) -> Line:
         ) from None  # fmt: skip
 
 
-def line_of(row: str, folder: Path) -> Line:
-    """A line of a manifest in a folder.
+def line_of(row: str, folder: Path | str) -> Line:
+    """A line of a manifest in a folder, or at an address.
 
     Raises:
         ValueError, LookupError, TypeError, AttributeError: it is no JSON object with a path.
@@ -176,17 +193,19 @@ def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str
         line: what is known of it. options: of ``Source.open``. folder: of the manifest.
     """
     unusual = _unusual(options)
-    source = None if is_remote(line.path) else line.source(unusual)
+    source = line.source(unusual, ask=True)
+    before = asked(line.path) if source is None and is_remote(line.path) else None
     try:
-        source = source or Source.open(line.path, **options)
+        source = source or _opened(line.path, options)
     except ReadError as error:
         return _row(None, {"path": _said(line.path, folder), "error": error.what}), error
-    header = _header(source, unusual, folder)
+    header = _header(source, unusual, folder, before)
     grid = source.grid
     said: dict[str, Any] = {
         "path": _said(line.path, folder),
         "size": header["files"][0][1] if header["files"] else None,
         "mtime_ns": header["files"][0][2] if header["files"] else None,
+        **({"etag": header["files"][0][3]} if header["files"] and len(header["files"][0]) > 3 else {}),
         "driver": source.driver,
         "shape": list(grid.shape),
         "dtype": source.dtype,
@@ -205,13 +224,33 @@ def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str
     return _row(_footprint(grid), said), None
 
 
-def _header(source: Source, unusual: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _opened(path: str, options: Mapping[str, Any]) -> Source:
+    """A file by its own name, whatever a manifest said of it."""
+    know_state(path, None)
+    return Source.open(path, **options)
+
+
+def _state(said: Sequence[Any]) -> State | tuple[Any, ...]:
+    """What a manifest says of a file: of one on a server it has an entity tag, too, or its absence."""
+    return State(*said) if len(said) == len(State._fields) else tuple(said)
+
+
+def _header(source: Source, unusual: Mapping[str, Any], folder: Path, before: State | None = None) -> dict[str, Any]:
+    """What is needed to read a file without a look at its header.
+
+    Args:
+        before: what its server said of it before it was opened.
+    """
     names = files_of(source.location)
-    seen = Seen(names)
+    states: list[Sequence[Any]] = list(Seen(names).states())
+    for number, name in enumerate(names):
+        if is_remote(name):
+            found = (before if url_of(name) == url_of(source.location) else None) or known(name) or asked(name)
+            states[number] = found or (None, None)
     grid = source.grid
     return {
         "location": _said(source.location, folder),
-        "files": [[_said(name, folder), *state] for name, state in zip(names, seen.states(), strict=True)],
+        "files": [[_said(name, folder), *state] for name, state in zip(names, states, strict=True)],
         "beside": beside(source.location),
         "options": _plain(unusual),
         "transform": list(grid.transform[:6]),
@@ -332,10 +371,12 @@ def _said(name: str, folder: Path) -> str:
     return file.relative_to(here).as_posix() if file.is_relative_to(here) else str(file)
 
 
-def _meant(name: str, folder: Path) -> str:
+def _meant(name: str, folder: Path | str) -> str:
     """The file that a name in a manifest means."""
     if name.startswith("/") or "://" in name or ":" in name:
         return name
+    if isinstance(folder, str):
+        return f"{folder}/{name}"
     return os.path.join(folder, name)  # noqa: PTH118 (of mosaics thousands at a time)
 
 

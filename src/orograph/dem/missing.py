@@ -59,6 +59,8 @@ def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) ->
     value = _declared(dataset, band, dtype) if asked is None else asked
     if value is None:
         return None
+    if isinstance(value, int) and abs(value) >= 1 << 64:
+        value = float(str(value))  # no integer is stored that large; a text of any length is a float, or infinite
     if np.dtype(dtype).kind == "f":
         return float(value)
     info = np.iinfo(dtype)
@@ -116,8 +118,12 @@ def nodata_text(dataset: Any, band: int) -> str | None:
         return _tag(file, _GDAL_NODATA) if dataset.driver == "GTiff" and dataset.name == name else None
 
 
-def impossible_nodata(dataset: Any, band: int, said: str | None) -> Iterator[str]:
-    """A warning of a nodata value of a GeoTIFF or a VRT that the type of the band cannot hold, if it has one."""
+def impossible_nodata(dataset: Any, band: int, said: str | None, whose: str = "Its nodata value") -> Iterator[str]:
+    """A warning of a nodata value of a GeoTIFF or a VRT, or of a user, that the type of the band cannot hold.
+
+    Args:
+        said: its text. whose: how the warning begins.
+    """
     kind = np.dtype(dataset.dtypes[band - 1])
     text = (said or "").partition("\0")[0].strip()
     try:
@@ -133,7 +139,7 @@ def impossible_nodata(dataset: Any, band: int, said: str | None) -> Iterator[str
     if value == np.trunc(value) and abs(value) < 2**63:
         wrapped = int(np.array(int(value), np.int64).astype(kind))
         stored = f"; what is missing may be stored as {wrapped} (give `nodata={wrapped}` if it is)"
-    yield f"Its nodata value ({text}) cannot occur in {kind.name}, so that nothing is missing by it{stored}."
+    yield f"{whose} ({text}) cannot occur in {kind.name}, so that nothing is missing by it{stored}."
 
 
 def _tag(file: IO[bytes], wanted: int) -> str | None:

@@ -17,7 +17,7 @@ import os
 import re
 import threading
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from affine import Affine
@@ -81,6 +81,10 @@ class Synth:
         self._salt = (seed * 0x9E3779B97F4A7C15 + 0x1234567) & 0x7FFFFFFF
         self._carved: Floats | None = None
         self._lock = threading.Lock()
+
+    def fingerprint(self) -> str:
+        """Its numbers: they make it what it is."""
+        return f"synthetic {self.grid.shape} {self.seed} {self.spacing} {self.relief} {self.roughness}"
 
     def prepare(self, progress: Progress = SILENT) -> None:
         """Carve the coarse grid, if that is not done yet; ``read`` does so too, silently."""
@@ -226,12 +230,15 @@ class Synth:
 
 
 class Windows(Protocol):
-    """Heights that are made by windows."""
+    """Heights, or colours, that are made by windows.
+
+    Colours have an attribute ``bands``, 4, and windows (rows, cols, 4) of bytes: red, green, blue, opacity.
+    """
 
     @property
     def grid(self) -> Grid: ...
 
-    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[Any]:
         """Heights of a half-open window inside the grid, float32 metres. Safe from any thread."""
 
 
@@ -244,7 +251,7 @@ def write_windows(
     progress: Progress = SILENT,
     tags: dict[str, str] | None = None,
 ) -> None:
-    """Write heights as a tiled GeoTIFF, as ``Synth.write`` does.
+    """Write heights, or colours, as a tiled GeoTIFF, as ``Synth.write`` does.
 
     Args:
         tags: of the file.
@@ -259,24 +266,32 @@ def write_windows(
 
     goal = Path(path)
     rows, cols = made.grid.shape
-    profile = {"driver": "GTiff", "height": rows, "width": cols, "count": 1, "dtype": "float32"}
+    bands = getattr(made, "bands", 1)
+    profile = {"driver": "GTiff", "height": rows, "width": cols, "count": bands}
+    profile |= {"dtype": "float32"} if bands == 1 else {"dtype": "uint8", "photometric": "RGB", "alpha": "YES"}
     profile |= {"bigtiff": "if_safer", "transform": made.grid.transform}
     if made.grid.crs is not None:
         profile["crs"] = made.grid.crs.to_wkt()
     if min(rows, cols) >= 16:
         profile |= {"tiled": True, "blockxsize": TILE, "blockysize": TILE}
     if compress != "none":
-        profile |= {"compress": compress, "predictor": 3, "zstd_level" if compress == "zstd" else "zlevel": 1}
+        profile |= {
+            "compress": compress,
+            "predictor": 3 if bands == 1 else 2,
+            "zstd_level" if compress == "zstd" else "zlevel": 1,
+        }
     # Rows of tiles, one after the other: the order in which GDAL lays them down must not depend on its cache.
     tops, lefts = range(0, rows, TILE), range(0, cols, 4 * TILE)
     windows = [(r, min(r + TILE, rows), c, min(c + 4 * TILE, cols)) for r in tops for c in lefts]
     with raster_file(goal) as part, rasterio.open(part, "w", **profile) as file:
-        file.update_tags(1, UNITTYPE="m")
+        if bands == 1:
+            file.update_tags(1, UNITTYPE="m")
         file.update_tags(**(tags or {}))
         with progress.task(f"Writing {goal.name}", total=len(windows)) as task:
             blocks = map_ordered(lambda w: made.read(*w), windows, jobs)
             for (r0, r1, c0, c1), block in zip(windows, blocks):
-                file.write(block, 1, window=Window(c0, r0, c1 - c0, r1 - r0))
+                window = Window(c0, r0, c1 - c0, r1 - r0)
+                file.write(block[None] if bands == 1 else np.moveaxis(block, -1, 0), window=window)
                 task.advance()
 
 

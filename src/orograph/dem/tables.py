@@ -26,7 +26,12 @@ DEGREES = ("longitude", "lon", "long", "lng")
 
 
 def read_table(path: str) -> dict[str, Array]:
-    """The columns of a table with a line of names, each (n,), NaN where there is no number.
+    """The columns of a table, each (n,), NaN where there is no number; as ``read_texts``."""
+    return {name: np.array([number(value) for value in values]) for name, values in read_texts(path).items()}
+
+
+def read_texts(path: str) -> dict[str, list[str]]:
+    """The columns of a table with a line of names, as they are written.
 
     Where semicolons or tabs part the columns, numbers may have a decimal comma.
 
@@ -60,7 +65,7 @@ def read_table(path: str) -> dict[str, Array]:
     columns = {name: [row[i] for row in rows] for i, name in enumerate(names) if name}
     if mark != ",":
         columns = {name: _with_points(values, name, path) for name, values in columns.items()}
-    return {name: np.array([number(value) for value in values]) for name, values in columns.items()}
+    return columns
 
 
 def _rows(reader: Any, width: int, path: str, mark: str) -> Iterator[list[str]]:

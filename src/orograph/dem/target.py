@@ -25,6 +25,8 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
 MAX_SIDE = 1 << 24  # samples; beyond it sample indices no longer fit float32, which renderers use
+_COUNTED = 2.0**53  # steps from the CRS's origin that float64 tells apart
+_FEWER = "Give a coarser `resolution`, another `crs`, or files that lie nearer to each other."
 
 Floats = NDArray[np.float64]
 
@@ -96,6 +98,9 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
             crs, reason = _flat(finest.crs, lattices)
     spacing = float(resolution) if resolution is not None else _projected_spacing(finest, crs)
     west, south, east, north = _extent(lattices, crs)
+    if not max(map(abs, (west, south, east, north))) / spacing < _COUNTED:
+        high, wide = (north - south) / spacing, (east - west) / spacing
+        raise UsageError(_too_many(f"{high:.3g} × {wide:.3g}", spacing), remedy=_FEWER)
     # A hair of tolerance, so that an edge which is a multiple but for rounding does not add a column.
     left, right = math.floor(west / spacing + 1e-6), math.ceil(east / spacing - 1e-6)
     bottom, top = math.floor(south / spacing + 1e-6), math.ceil(north / spacing - 1e-6)
@@ -111,10 +116,11 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
 
 def _check_size(shape: tuple[int, int], spacing: float) -> None:
     if max(shape) > MAX_SIDE:
-        raise UsageError(
-            f"The terrain would have {shape[0]} × {shape[1]} samples, {spacing:g} m apart.",
-            remedy="Give a coarser `resolution`, another `crs`, or files that lie nearer to each other.",
-        )
+        raise UsageError(_too_many(f"{shape[0]} × {shape[1]}", spacing), remedy=_FEWER)
+
+
+def _too_many(samples: str, spacing: float) -> str:
+    return f"The terrain would have {samples} samples, {spacing:g} m apart."
 
 
 def _extended(finest: Grid, lattices: Sequence[Lattice]) -> Grid:

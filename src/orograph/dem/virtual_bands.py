@@ -1,4 +1,5 @@
-"""What a VRT's band does not repeat of its parts, so that their numbers are taken for something else.
+"""What a VRT's band does not repeat of its parts, so that their numbers are taken for something else; and what the
+parts say that contradicts itself.
 
 GDAL hands the numbers of a part through as they are stored: its unit, its scale and offset and its nodata value count
 only if the VRT's band says them, too. Where no part lies and no nodata value is declared, it gives 0; what a narrower
@@ -7,23 +8,20 @@ type cannot hold is clipped (https://gdal.org/drivers/raster/vrt.html).
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
+from orograph.dem import beside, geotiff
 from orograph.dem.bands import unit_tag
-from orograph.dem.handles import IDLE, lent, stamped
+from orograph.dem.handles import lent, stamped
 from orograph.dem.header import full_crs, unit_of, vertical_axis
 from orograph.dem.missing import impossible_nodata, nodata_text
 from orograph.dem.whole.files import on_disk
 from orograph.dem.whole.virtual import Part, parts_of
 from orograph.errors import ReadError
-
-_OPENED = IDLE
-"""Files of a VRT that are opened to be asked, evenly spread among them: as many as stay open to be read."""
 
 _MOST_RECTANGLES = 4096
 
@@ -50,20 +48,40 @@ def diagnose(
     factor = unit_of(dataset, band, crs, None, []) if unit is None else None
     said: dict[str, list[str]] = {}
     every = list({part.location: part for part in parts if not part.needs}.values())
-    for part in every[:: -(-len(every) // _OPENED) or 1]:
+    own: dict[str, list[str]] = {}
+    known = nodata if nodata is not None else dataset.nodatavals[band - 1]
+    for part in every:
         if not on_disk(part.location).is_file():
             continue
-        with (
-            contextlib.suppress(ReadError),
-            lent(part.location) as (file, _),
-        ):  # what is damaged is told when it is read
-            if part.band <= file.count:
-                for text in _unlike(dataset, band, part, file, factor, nodata is not None or masked):
-                    said.setdefault(text, []).append(part.location)
-    for text, names in said.items():
-        more = f" and {len(names) - 1} others" if len(names) > 1 else ""
-        found.append(f"{text} ({names[0]}{more}).")
+        try:
+            with lent(part.location) as (file, _):
+                if part.band <= file.count:
+                    for text in _unlike(dataset, band, part, file, factor, nodata is not None or masked):
+                        said.setdefault(text, []).append(part.location)
+                    for text in _of_itself(file, part.band, known, masked or part.by_mask):
+                        own.setdefault(text, []).append(part.location)
+        except ReadError:  # what is damaged is told when it is read
+            continue
+    found += [f"{text} ({_named(names)})." for text, names in said.items()]
+    found += [f"Of its part {_named(names)}: {text}" for text, names in own.items()]
     return found
+
+
+def _named(names: list[str]) -> str:
+    return names[0] + (f" and {len(names) - 1} others" if len(names) > 1 else "")
+
+
+def _of_itself(file: Any, band: int, nodata: float | str | None, masked: bool) -> list[str]:
+    """What the file of a part says that contradicts itself or a note beside it, as it would be told of it alone.
+
+    Args:
+        nodata: that counts instead of its own; None: its own does.
+    """
+    try:
+        told = geotiff.diagnose(file, band, nodata, masked, None)
+    except ReadError as error:  # for which it would be refused; of a VRT only the place and the CRS count
+        told = [error.what]
+    return told + beside.diagnose(file, band)
 
 
 def _unlike(dataset: Any, band: int, part: Part, file: Any, factor: float | None, excused: bool) -> Iterator[str]:

@@ -27,16 +27,17 @@ _ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
 
 
 @contextmanager
-def raster_file(out: Path, cache: int | None = None) -> Iterator[Path]:
+def raster_file(out: Path, cache: int | None = None, keep: bool = False) -> Iterator[Path]:
     """A path for GDAL to write to, which becomes ``out`` if the file is whole; around writing and closing it.
 
     Args:
         cache: bytes of GDAL's cache of blocks; None: as much as for those who read.
+        keep: as of ``Beside``.
 
     Raises:
         OutputError: it cannot be written. What was there before is there still.
     """
-    with Beside(out) as part, gdal_writes(out, cache):
+    with Beside(out, keep) as part, gdal_writes(out, cache):
         yield part
         check_written(part, out)
 

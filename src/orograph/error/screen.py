@@ -36,8 +36,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined
 from orograph.errors import UsageError
-from orograph.geo.grid import Grid
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera
 
 ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED, LOCALISED = 0, 1, 2, 3, 4, 5
 
@@ -137,26 +136,23 @@ def metric_of(name: str) -> Metric:
 
 
 def camera_parameters(
-    view: View,
-    grid: Grid,
+    camera: Camera,
     *,
-    exaggeration: float = 1.0,
     tolerance: float = 1.0,
     color_tolerance: float = math.inf,
     texel: float = 1.0,
 ) -> CameraParameters:
-    """A view as kernels see it.
+    """A camera over flat terrain as kernels see it.
 
     Args:
-        view: perspective or plan.
-        grid: of the terrain.
-        exaggeration: factor on heights.
+        camera: perspective or plan.
         tolerance: pixels.
         color_tolerance: γ, ΔE.
         texel: the least radius, in pixels, of a diamond whose colors count.
     """
-    # In plain numbers: so few take NumPy five times as long, and cameras move at every frame.
-    a, b, c, d, e, f = grid.samples[:6]
+    view, chart, exaggeration = camera.view, camera.affine, camera.exaggeration
+    # In plain numbers, as the chart's planes are.
+    a, b, c, d, e, f = chart.grid.samples[:6]
     plan = view.projection == "plan"
     x, y = view.target[:2] if plan else view.eye[:2]
     z = view.eye[2] * exaggeration
@@ -165,10 +161,7 @@ def camera_parameters(
         (p * a + q * d, p * b + q * e, r * exaggeration, p * (c - x) + q * (f - y) - r * z)
         for p, q, r in view.plain_axes(exaggeration)
     )
-    planes = [
-        (p * a + q * d, p * b + q * e, r * exaggeration, p * c + q * f + s)
-        for p, q, r, s in view.frustum(exaggeration).tolist()
-    ]
+    planes = chart.planes(view.frustum(exaggeration).tolist(), exaggeration)
     planes += [(0.0, 0.0, 0.0, math.inf)] * (6 - len(planes))  # one that is not there has everything inside
     focal = 0.0 if plan else 1.0 / view.pixel_slope
     (a, b, h, c), (d, e, i, f), (u, v, w, o) = right, up, depth  # (a, b, c of the page above are h, i, w here)

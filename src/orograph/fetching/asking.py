@@ -23,10 +23,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from orograph.fetching.products import Product
+from orograph.folders import temporary
 
 PAUSES = [0.5, 2.0, 6.0]
 """Seconds before a request is made again."""
@@ -191,7 +191,7 @@ def _opener() -> urllib.request.OpenerDirector:
 @contextmanager
 def gdal_settings(product: Product) -> Iterator[dict[str, Any]]:
     """What GDAL is told while it reads from a server; what the environment says of the same goes before."""
-    with TemporaryDirectory(prefix="orograph-") as folder:
+    with temporary() as folder:
         settings: dict[str, Any] = {
             "GDAL_HTTP_USERAGENT": user_agent(),
             "GDAL_HTTP_CONNECTTIMEOUT": SILENCE,

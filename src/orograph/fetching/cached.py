@@ -15,6 +15,7 @@ import hashlib
 import json
 import os
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +24,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
+from orograph.dem.writing import raster_file
 from orograph.errors import OutputError
 from orograph.fetching.products import Product
 from orograph.fetching.tiling import Tile
@@ -110,7 +112,8 @@ class KeptTile:
             return None
 
     def put_record(self, record: Record) -> None:
-        self._write("tile.json", lambda part: part.write_text(json.dumps(asdict(record)), encoding="utf-8"))
+        with self._writing(), Beside(self.path / "tile.json") as part:
+            part.write_text(json.dumps(asdict(record)), encoding="utf-8")
 
     def touch(self, record: Record) -> Record:
         """Note that it was asked for just now and is what it was."""
@@ -150,27 +153,25 @@ class KeptTile:
             "transform": Affine(a, b, c + a * col, d, e, f + e * row), "crs": header.crs or None,
         }  # fmt: skip
 
-        def write(part: Path) -> None:
-            with rasterio.open(part, "w", **profile) as file:
-                file.write(values, 1)
+        with (
+            self._writing(),
+            raster_file(self.part(row, col), keep=True) as part,
+            rasterio.open(part, "w", **profile) as file,
+        ):
+            file.write(values, 1)
 
-        self._write(self.part(row, col).name, write)
-
-    def _write(self, name: str, write: Any) -> None:
-        from rasterio.errors import RasterioError
-
-        remedy = "Set OROGRAPH_CACHE to a folder with room that is yours to write in."
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Around what writes a file of it."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            with Beside(self.path / name) as part:
-                write(part)
-        except OSError as error:
+            yield
+        except (OSError, OutputError) as error:
+            cause = error.what if isinstance(error, OutputError) else f"{error.strerror or error}."
             raise OutputError(
-                f"What was read cannot be kept: {error.strerror or error}.", path=self.path, remedy=remedy
-            ) from error
-        except (OutputError, RasterioError) as error:
-            cause = error.what if isinstance(error, OutputError) else str(error)
-            raise OutputError(f"What was read cannot be kept: {cause}", path=self.path, remedy=remedy) from error
+                f"What was read cannot be kept: {cause}", path=self.path,
+                remedy="Set OROGRAPH_CACHE to a folder with room that is yours to write in.",
+            ) from error  # fmt: skip
 
 
 def tiles_folder() -> Path:

@@ -16,13 +16,12 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
-from orograph.dem.handles import bounded_cache
 from orograph.dem.header import copyright_tags
-from orograph.errors import OutputError
+from orograph.dem.writing import check_written, raster_file
 from orograph.fetching.asking import public
 from orograph.fetching.raster import Fetched
 from orograph.geo.vertical import ELLIPSOIDAL, known_datum
-from orograph.output import Beside, beside, check_folder, remove
+from orograph.output import beside, check_folder, remove
 from orograph.parallel import aside
 from orograph.progress import Progress
 
@@ -51,7 +50,6 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
     """
     import rasterio
     import rasterio.shutil
-    from rasterio.errors import RasterioError
     from rasterio.windows import Window
 
     dtype, nodata = rows.code
@@ -64,36 +62,32 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
     predictor = 3 if dtype == "float32" else 2
     check_folder(out)
     scratch = beside(out, "raw")
-    with Beside(out) as part:
-        try:
-            with rasterio.Env(**bounded_cache()):
-                strips = range(0, height, BLOCK)
-                with (
-                    progress.task(f"Writing {out.name}", total=len(strips) + 1) as task,
-                    rasterio.open(scratch, "w", **profile) as file,
-                ):
-                    for row in strips:
-                        end = min(row + BLOCK, height)
-                        heights = rows.read(row, end, 0, width)
-                        if dtype != "float32":
-                            heights = np.where(np.isnan(heights), np.float32(nodata), heights)
-                        file.write(heights.astype(dtype), 1, window=Window(0, row, width, end - row))
-                        task.advance()
-                    file.update_tags(**tags(raster, vertical))
-                    file.set_band_description(1, "height")
-                    file.units = ("m",)
-                aside(
-                    lambda: rasterio.shutil.copy(
-                        scratch, part, driver="COG", COMPRESS="DEFLATE", PREDICTOR=str(predictor), BLOCKSIZE=str(BLOCK),
-                        BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="2",
-                    )
-                )  # fmt: skip
-        except RasterioError as error:
-            raise OutputError(
-                f"The file cannot be written: {error}.", path=out, remedy="See that the disk has room."
-            ) from error
-        finally:
-            remove(scratch)
+    strips = range(0, height, BLOCK)
+    try:
+        with raster_file(out) as part:
+            with (
+                progress.task(f"Writing {out.name}", total=len(strips) + 1) as task,
+                rasterio.open(scratch, "w", **profile) as file,
+            ):
+                for row in strips:
+                    end = min(row + BLOCK, height)
+                    heights = rows.read(row, end, 0, width)
+                    if dtype != "float32":
+                        heights = np.where(np.isnan(heights), np.float32(nodata), heights)
+                    file.write(heights.astype(dtype), 1, window=Window(0, row, width, end - row))
+                    task.advance()
+                file.update_tags(**tags(raster, vertical))
+                file.set_band_description(1, "height")
+                file.units = ("m",)
+            check_written(scratch, out)
+            aside(
+                lambda: rasterio.shutil.copy(
+                    scratch, part, driver="COG", COMPRESS="DEFLATE", PREDICTOR=str(predictor), BLOCKSIZE=str(BLOCK),
+                    BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="2",
+                )
+            )  # fmt: skip
+    finally:
+        remove(scratch)
 
 
 def tags(raster: Fetched, vertical: str | None) -> dict[str, str]:

@@ -181,16 +181,24 @@ class Fetched:
         """Samples of a part; one that is damaged is removed from the cache."""
         path = part.kept.part(part.row, part.col)
         try:
-            with self._lock:
-                if path not in self._files:
-                    self._files[path] = Source.open(path)
-                source = self._files[path]
-            return source.read(*window)
+            try:
+                return self._file(path).read(*window)
+            except ReadError:  # another process may have put it there anew
+                with self._lock:
+                    self._files.pop(path, None)
+                return self._file(path).read(*window)
         except ReadError as error:
             remove(path)
             raise ReadError(
                 error.what, path=path, remedy="It was a copy that was kept, and is removed: run it again."
             ) from error
+
+    def _file(self, path: Path) -> Source:
+        """The open file of a part."""
+        with self._lock:
+            if path not in self._files:
+                self._files[path] = Source.open(path)
+            return self._files[path]
 
 
 def _size(piece: Piece) -> tuple[int, int]:

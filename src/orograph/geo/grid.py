@@ -63,13 +63,14 @@ class Grid:
         transform: affine map from (col, row) *corner* coordinates to CRS coordinates (GDAL's convention).
         crs: the coordinate reference system, or None if unknown; it may be given as pyproj takes it ("EPSG:32611").
         samples: affine map from *sample* indices (col, row) to CRS coordinates: ``transform`` moved by half a cell.
+        inverse: of ``samples``.
     """
 
     shape: tuple[int, int]
     transform: Affine
     crs: CRS | None = None
     samples: Affine = field(init=False, repr=False, compare=False)
-    _inverse: Affine = field(init=False, repr=False, compare=False)
+    inverse: Affine = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         rows, cols = self.shape
@@ -82,7 +83,7 @@ class Grid:
             object.__setattr__(self, "crs", CRS.from_user_input(given))
         # Kept, as cameras ask for them in every frame and affine takes its time.
         object.__setattr__(self, "samples", compose(self.transform, Affine.translation(0.5, 0.5)))
-        object.__setattr__(self, "_inverse", ~self.samples)
+        object.__setattr__(self, "inverse", ~self.samples)
 
     @property
     def rows(self) -> int:
@@ -98,13 +99,24 @@ class Grid:
         a, b, _, d, e, _ = self.transform[:6]
         return math.hypot(a, d), math.hypot(b, e)
 
+    @property
+    def linear(self) -> NDArray[np.float64]:
+        """(2, 2): what one column and one row (the matrix's columns) are in CRS coordinates."""
+        a, b, _, d, e, _ = self.samples[:6]
+        return np.array([[a, b], [d, e]])
+
+    @property
+    def cell_area(self) -> float:
+        """The area of a cell, in squared CRS units."""
+        return abs(self.samples.determinant)
+
     def xy(self, col: ArrayLike, row: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """CRS coordinates of sample positions (fractions allowed), float64, of the broadcast shape."""
         return apply(self.samples, col, row)
 
     def index(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Sample positions (col, row), fractional, of CRS coordinates: the inverse of ``xy``."""
-        return apply(self._inverse, x, y)
+        return apply(self.inverse, x, y)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Grid:
         """The grid of samples ``[row0, row1) × [col0, col1)`` of this one (may reach beyond it)."""

@@ -111,8 +111,7 @@ class Colors:
         here = heights[inner]
         albedo = self._albedo(here, row0, col0)
         if self._light is not None:
-            a, b, _, d, e, _ = self.terrain.grid.samples[:6]
-            east, north = (g[inner] * self.relief for g in gradient(heights, [[a, b], [d, e]], 1))
+            east, north = (g[inner] * self.relief for g in gradient(heights, self.terrain.grid.linear, 1))
             x, y, z = self._light
             facing = (z - x * east - y * north) / np.sqrt(1 + east * east + north * north)
             albedo = albedo * (SKY + (1 - SKY) * np.maximum(facing, 0))[..., None]

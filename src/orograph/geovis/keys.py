@@ -77,7 +77,7 @@ class Legend:
 
 UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",
          "degree_celsius": "°C", "degrees celsius": "°C", "kelvin": "K", "percent": "%", "m s**-1": "m/s",
-         "m s-1": "m/s", "1": ""}  # fmt: skip
+         "m s-1": "m/s", "1": "", "millibars": "hPa", "millibar": "hPa", "mbar": "hPa", "mb": "hPa"}  # fmt: skip
 
 
 def written_unit(told: str) -> str:

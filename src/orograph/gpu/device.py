@@ -14,7 +14,6 @@ import math
 import os
 import re
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
+from orograph.folders import temporary
 from orograph.gpu.ctypes_quick import quicken_wgpu
 
 BACKENDS = ("Vulkan", "Metal", "D3D12")
@@ -122,7 +122,7 @@ def _runtime_folder() -> Iterator[None]:
     if sys.platform != "linux" or os.environ.get("XDG_RUNTIME_DIR"):
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="orograph-") as folder:
+    with temporary() as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
         try:
             yield

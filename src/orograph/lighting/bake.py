@@ -13,11 +13,13 @@ last, each level by itself. How a product is averaged:
 
 A bake into a folder is made in ``layers/.partial``, keeps what has been swept there, and takes its place when all of it
 is complete; the store stays readable, with the layers it had, until then. At a URL there is no renaming: layers are
-taken out of the store's record first, and are in it again when they are complete.
+taken out of the store's record first, and are in it again when they are complete; workers make them in a folder of
+this machine, and they are sent then.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,13 +27,14 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from orograph.errors import OutputError, StoreError, UsageError
-from orograph.folders import Amount, bytes_of
+from orograph.folders import Amount, bytes_of, cache_folder
 from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
 from orograph.lighting.products import Product, product
 from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
+from orograph.parallel import map_ordered
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import words
@@ -42,6 +45,7 @@ from orograph.store.executing import Threads
 from orograph.store.layers import GROUP, LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
 from orograph.store.layout import Record, publish
 from orograph.store.lock import alone
+from orograph.store.publishing import AT_ONCE
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.writer import ShardWriter
@@ -128,8 +132,13 @@ def bake(
     check_workers(workers, dask, "A bake")
     store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
-    if (workers is not None or dask is not None) and not isinstance(storage, FolderStorage):
-        raise UsageError("Workers bake into stores in folders.", remedy="Leave out `workers` and `dask`.")
+    if dask is not None and not isinstance(storage, FolderStorage):
+        raise UsageError(
+            "The workers of a cluster elsewhere bake into stores in folders, for what they hand on lies beside them.",
+            remedy="Use `workers` of this machine.",
+        )
+    if workers is not None and storage.url.startswith("memory:"):
+        raise UsageError("Workers bake into stores in folders or buckets.", remedy="Leave out `workers`.")
     read_record(storage)  # a store that is not there is said before anything is written beside it
     cache = min(64 << 20, max_memory // 16)
     with alone(storage, "baking into this store"):
@@ -140,7 +149,7 @@ def bake(
             for layer in there:
                 progress.note(f"{layer.name} is in {storage.url} already, made with the same options.")
             made = [layer for layer in made if layer not in there]
-        if made and isinstance(storage, FolderStorage) and (workers is not None or dask is not None):
+        if made and (workers is not None or dask is not None):
             _on_cluster(storage, before, made, chosen, overwrite, (workers, dask, jobs or 1, max_memory), progress)
         elif made:
             trim()  # what building the store has left
@@ -174,26 +183,54 @@ def _of_all(read: Callable[[Window], Values]) -> Callable[[Spot], Callable[[Wind
 
 
 def _on_cluster(
-    storage: FolderStorage, before: Record, made: list[LayerRecord], options: Options, overwrite: bool,
+    storage: Storage, before: Record, made: list[LayerRecord], options: Options, overwrite: bool,
     how: tuple[int | None, Any, int, int], progress: Progress,
 ) -> None:  # fmt: skip
-    """Have workers bake layers, and let these take their places.
+    """Have workers bake layers, and let these take their places. Those of a store in a bucket are made in the cache
+    folder of this machine, and sent when they are complete.
 
     Args:
         how: workers, dask, threads of each worker, bytes.
     """
     from orograph.lighting.bake_shop import on_cluster, recipe_of
 
-    kept = _kept(storage, before, made, overwrite)
+    folder = storage if isinstance(storage, FolderStorage) else _scratch(storage)
+    kept = _kept(folder, before, made, overwrite)
     workers, dask, jobs, max_memory = how
-    recipe = recipe_of(storage, options, made, before.shard, max_memory // ((workers or 1) * jobs))
-    partial = FolderStorage(storage.path / PARTIAL, many=True)
+    recipe = recipe_of(folder, storage.named(), options, made, before.shard, max_memory // ((workers or 1) * jobs))
+    partial = FolderStorage(folder.path / PARTIAL, many=True)
     writer = ShardWriter(partial)
     with on_workers(recipe, workers, dask, jobs, max_memory, "A bake") as cluster:
         on_cluster(cluster, recipe.open(), writer, progress)
     partial.sweep()
-    _publish(storage, before, made, {layer.name for layer in made}, writer.digests)
+    names = {layer.name for layer in made}
+    if folder is not storage:
+        before = _publish(storage, before, [], names, writer.digests)
+        _send(partial, storage, names, progress)
+    _publish(storage, before, made, names, writer.digests)
     kept.remove()
+
+
+def _scratch(storage: Storage) -> FolderStorage:
+    """Where layers of a store in a bucket are made, the same for each bake of it on this machine."""
+    name = hashlib.blake2b(storage.url.encode(), digest_size=10).hexdigest()
+    folder = FolderStorage(cache_folder() / "bakes" / name)
+    try:
+        folder.path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=folder.url) from error
+    return folder
+
+
+def _send(made: FolderStorage, storage: Storage, names: set[str], progress: Progress) -> None:
+    """Put the objects of layers into a bucket, whose record does not name them yet."""
+    keys = [
+        str(path.relative_to(made.path).as_posix())
+        for name in names for path in sorted((made.path / GROUP / name).rglob("*")) if path.is_file()
+    ]  # fmt: skip
+    with progress.task("Sending layers", total=len(keys)) as task:
+        for _ in map_ordered(lambda key: storage.put(key, [made.get(key) or b""]), keys, AT_ONCE):
+            task.advance()
 
 
 def check(names: Sequence[str]) -> None:

@@ -1,10 +1,13 @@
 """Baked light by the workers of a cluster: what is a task, and what lies in files between tasks.
 
 *Horizons swept without a radius.* All azimuths of one axis and sense make a way over the terrain (four at most), and
-shards of the same steps a row. A task sweeps one shard in all azimuths of a way (``sweep_part``): it reads the heights
-of the shard and of up to a shard on either side, the hulls that its neighbours in the row in front have left, and the
-shard's sums of the way before, and writes the sums and the hulls that leave it. Rows follow one another, and shards of
-a row are swept at once. *Within a radius* a task needs heights alone: it sweeps a shard in all azimuths.
+strips of shards (``STRIPS``) of the same steps a row. A task sweeps one strip in all azimuths of a way
+(``sweep_part``): it reads the heights of the strip and of as much on either side as lines shift in it, the hulls that
+its neighbours in the row in front have left, and the strip's sums of the way before, and writes the sums and the hulls
+that leave it. Rows follow one another, and strips of a row are swept at once. Lines that cross from one strip of a row
+into the next are swept in both; the flatter strips are, the fewer these are. Sums lie in squares as long as strips are
+wide, for the next way's strips may lie across. *Within a radius* a task needs heights alone: it sweeps a shard in all
+azimuths.
 *Rays and walks* are made window by window. In the end a task codes a shard's values (``bake_layers``).
 
 Sums come about in the order of azimuths of one process, so the bytes are those of one process. All files lie in the
@@ -49,6 +52,9 @@ PLAN = "plan.json"
 CACHE = 64 << 20
 """Bytes of a worker's cache of heights."""
 
+STRIPS = 4
+"""Strips of a shard: of lines in all directions, an eighth is swept twice (of whole shards it was half)."""
+
 SWEEP = 192 << 20
 """Bytes for the heights, slopes and stacks of a task."""
 
@@ -57,11 +63,13 @@ class BakeRecipe(NamedTuple):
     """All that workers are told once of a bake.
 
     Attributes:
-        url: the store's folder. options: of the products. layers: what is made. plan: as it lies in the bake's folder.
+        named: the store (``Storage.named``). folder: in which ``layers/.partial`` lies, the store's or another.
+        options: of the products. layers: what is made. plan: as it lies in the bake's folder.
         memory, base: as of all recipes.
     """
 
-    url: str
+    named: tuple[str, dict[str, Any] | None]
+    folder: str
     options: Options
     layers: list[LayerRecord]
     plan: bytes
@@ -73,11 +81,13 @@ class BakeRecipe(NamedTuple):
 
 
 def recipe_of(
-    storage: FolderStorage, options: Options, layers: list[LayerRecord], shard: int, memory: int
-) -> BakeRecipe:
+    folder: FolderStorage, named: tuple[str, dict[str, Any] | None], options: Options, layers: list[LayerRecord],
+    shard: int, memory: int,
+) -> BakeRecipe:  # fmt: skip
     """The recipe of a bake whose plan lies in its folder.
 
     Args:
+        folder, named: as of the recipe.
         shard: samples along the sides of the store's shards. memory: bytes for each task, if that is enough.
 
     Raises:
@@ -89,8 +99,8 @@ def recipe_of(
         )
     bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
     needed = SWEEP + 3 * 4 * bands * shard * shard
-    plan = FolderStorage(storage.path / PARTIAL).get(PLAN) or b""
-    return BakeRecipe(str(storage.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
+    plan = FolderStorage(folder.path / PARTIAL).get(PLAN) or b""
+    return BakeRecipe(named, str(folder.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
 
 
 class BakeShop:
@@ -102,10 +112,12 @@ class BakeShop:
 
     def __init__(self, recipe: BakeRecipe) -> None:
         self.recipe = recipe
-        folder = Path(recipe.url) / PARTIAL
+        folder = Path(recipe.folder) / PARTIAL
         self.storage = guarded(FolderStorage(folder), PLAN, recipe.plan)
-        self.terrain = open_store(recipe.url, cache_bytes=CACHE)
+        url, said = recipe.named
+        self.terrain = open_store(url, cache_bytes=CACHE, storage_options=said)
         self.record = self.terrain.record
+        self.strip = max(1, self.record.shard // STRIPS)
         kept = Checkpoint(folder, json.loads(recipe.plan or b"{}"))
         self.context = Context(
             self.terrain, recipe.options, jobs=1, max_memory=recipe.base + recipe.memory, kept=kept
@@ -130,11 +142,11 @@ class BakeShop:
         return [found] if self.recipe.options.radius is not None else [[way] for way in found]
 
     def rows(self, together: list[list[Lines]]) -> list[int]:
-        """The rows of shards along the steps of a way, in their order; [-1]: all are done at once."""
+        """The rows of strips along the steps of a way, in their order; [-1]: all shards are done at once."""
         if self.recipe.options.radius is not None:
             return [-1]
         (way,) = together
-        rows = range(-(-way[0].steps // self.record.shard))
+        rows = range(-(-way[0].steps // self.strip))
         return list(reversed(rows) if way[0].backward else rows)
 
     def stage(self, name: str, number: int) -> Stage[Any]:
@@ -166,13 +178,41 @@ class BakeShop:
     def _summed(self, number: int, spot: Spot, window: Window) -> Callable[[Window], Values]:
         """What gives a product's values out of a shard's sums."""
         g, (_, of) = next((g, each) for g, each in enumerate(self.groups) if number in each[0])
-        sums = unpack(self.storage.get(f"{folder_of(g, len(of) - 1)}/{spot[0]}.{spot[1]}.sums") or b"")
-        sweep, canvas = self.own(window)[number], sums[str(number)]
+        sweep = self.own(window)[number]
+        canvas = self.sums(folder_of(g, len(of) - 1), window, {number: sweep})[number]
 
         def read(of: Window) -> Values:
             return sweep.finish(canvas, (of[0] - window[0], of[1] - window[0], of[2] - window[2], of[3] - window[2]))
 
         return read
+
+    def squares(self, window: Window) -> list[Window]:
+        """The squares of sums that make up a window, which begins with one."""
+        row0, row1, col0, col1 = window
+        side = self.strip
+        return [
+            (row, min(row + side, row1), col, min(col + side, col1))
+            for row in range(row0, row1, side) for col in range(col0, col1, side)
+        ]  # fmt: skip
+
+    def sums(self, folder: str, window: Window, sweeps: dict[int, Sweep]) -> dict[int, Values]:
+        """The sums of a window, as a way has left them.
+
+        Raises:
+            ValueError: they are damaged, or not there.
+        """
+        row0, row1, col0, col1 = window
+        found = {k: np.empty((sweep.bands, row1 - row0, col1 - col0), np.float32) for k, sweep in sweeps.items()}
+        for square in self.squares(window):
+            kept = unpack(self.storage.get(self.square(folder, square)) or b"")
+            r0, r1, c0, c1 = square
+            for k, canvas in found.items():
+                canvas[:, r0 - row0 : r1 - row0, c0 - col0 : c1 - col0] = kept[str(k)]
+        return found
+
+    def square(self, folder: str, square: Window) -> str:
+        """Where the sums of a square lie."""
+        return f"{folder}/{square[0] // self.strip}.{square[2] // self.strip}.sums"
 
     def _windows(self, number: int, window: Window) -> Callable[[Window], Values]:
         """What gives the values of a product that is made window by window."""
@@ -216,7 +256,7 @@ def folder_of(group: int, way: int) -> str:
 
 
 class SweepStage(Stage[bool]):
-    """The shards of a row, swept in all azimuths of a way (or all shards, in all azimuths)."""
+    """The strips of a row, swept in all azimuths of a way (or all shards, in all azimuths)."""
 
     name = "sweep"
 
@@ -231,7 +271,7 @@ class SweepStage(Stage[bool]):
 
     @property
     def place(self) -> str:
-        return self.shop.recipe.url
+        return self.shop.terrain.url
 
     def tasks(self) -> list[Spot]:
         rows, cols = (-(-n // self.shard) for n in self.shop.context.shape)
@@ -241,17 +281,27 @@ class SweepStage(Stage[bool]):
             return [(i, self.row) for i in range(rows)]
         return [(self.row, j) for j in range(cols)]
 
+    def window(self, spot: Spot) -> Window:
+        """The samples of a task."""
+        tall = wide = self.shard
+        if self.row >= 0:
+            tall, wide = (tall, self.shop.strip) if self.ways[0][0].by_columns else (self.shop.strip, wide)
+        row, col = spot[0] * tall, spot[1] * wide
+        rows, cols = self.shop.context.shape
+        return row, min(row + tall, rows), col, min(col + wide, cols)
+
     def key(self, spot: Spot) -> str:
-        return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.sums"
+        return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.swept"
 
     def kept(self, spot: Spot) -> bool:
         return self.shop.storage.exists(self.key(spot))
 
     def found(self, spot: Spot, proof: bool = True) -> bool | None:
-        if not proof:
-            return True if self.kept(spot) else None
+        if not self.kept(spot):
+            return None
         try:
-            unpack(self.shop.storage.get(self.key(spot)) or b"")
+            for square in self.shop.squares(self.window(spot)) if proof else ():
+                unpack(self.shop.storage.get(self.shop.square(folder_of(self.group, self.way), square)) or b"")
         except ValueError:
             return None
         return True
@@ -261,11 +311,9 @@ class SweepStage(Stage[bool]):
 
     def make(self, spot: Spot) -> bool:
         shop, storage = self.shop, self.shop.storage
-        row, col = spot[0] * self.shard, spot[1] * self.shard
-        rows, cols = shop.context.shape
-        window = row, min(row + self.shard, rows), col, min(col + self.shard, cols)
+        window = self.window(spot)
         sweeps = {k: shop.own(window)[k] for k in self.products}
-        canvases = self._before(spot, window, sweeps)
+        canvases = self._before(window, sweeps)
 
         def add(block: Block) -> None:
             for k, sweep in sweeps.items():
@@ -280,16 +328,20 @@ class SweepStage(Stage[bool]):
                 left |= hulls.packed(index)
             if left:
                 storage.put(self._hulls(spot), [pack(left)])
-        storage.put(self.key(spot), [pack({str(k): canvas for k, canvas in canvases.items()})])
+        folder = folder_of(self.group, self.way)
+        for square in shop.squares(window):
+            r0, r1, c0, c1 = square
+            own = slice(None), slice(r0 - window[0], r1 - window[0]), slice(c0 - window[2], c1 - window[2])
+            storage.put(shop.square(folder, square), [pack({str(k): sums[own] for k, sums in canvases.items()})])
+        storage.put(self.key(spot), [b"all of its sums are there"])
         return True
 
-    def _before(self, spot: Spot, window: Window, sweeps: dict[int, Sweep]) -> dict[int, Values]:
-        """The sums of a shard, as the way before has left them."""
+    def _before(self, window: Window, sweeps: dict[int, Sweep]) -> dict[int, Values]:
+        """The sums of a task's samples, as the way before has left them."""
         if self.way == 0:
             shape = window[1] - window[0], window[3] - window[2]
             return {k: np.zeros((sweep.bands, *shape), np.float32) for k, sweep in sweeps.items()}
-        kept = unpack(self.shop.storage.get(f"{folder_of(self.group, self.way - 1)}/{spot[0]}.{spot[1]}.sums") or b"")
-        return {k: kept[str(k)].copy() for k in sweeps}
+        return self.shop.sums(folder_of(self.group, self.way - 1), window, sweeps)
 
     def _hulls(self, spot: Spot) -> str:
         return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.hulls"

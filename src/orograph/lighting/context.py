@@ -166,8 +166,7 @@ class Context:
         self.terrain, self.options = terrain, options or Options()
         self.jobs, self.max_memory, self.progress = jobs or cpu_count(), max_memory, progress
         self.shape = terrain.grid.shape
-        t = terrain.grid.transform
-        self.linear = np.array([[t.a, t.b], [t.d, t.e]])
+        self.linear = terrain.grid.linear
         # A terrain in memory is there already; a store takes its cache only (part of BASE).
         self._held = 4 * self.shape[0] * self.shape[1] if isinstance(terrain, MemoryTerrain) else 0
 

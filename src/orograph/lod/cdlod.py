@@ -134,7 +134,7 @@ class Cdlod(QuadtreePatches):
         rows, cols = (-((1 - side) >> p) for side in self.terrain.grid.shape)
         row, col = (a.ravel() for a in np.mgrid[: max(rows, 1), : max(cols, 1)])
         boxes = self._heights.of(Squares(p, row, col))
-        a, b, _, d, e, _ = self.terrain.grid.samples[:6]
+        (a, b), (d, e) = self.terrain.chart.linear
         wide, high = boxes.east - boxes.west, boxes.south - boxes.north
         flat = np.maximum(np.hypot(a * wide + b * high, d * wide + e * high),
                           np.hypot(a * wide - b * high, d * wide - e * high))  # fmt: skip

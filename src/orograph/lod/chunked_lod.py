@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -25,17 +26,22 @@ from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
 from orograph.lod.right_triangles import Pass, by_tolerance
-from orograph.lod.selection import TinBatch, TinBatches
+from orograph.lod.selection import CodedChunks, TinBatch, TinBatches
 from orograph.lod.squares import BlockHeights, Index, Squares
 from orograph.parallel import map_ordered
 from orograph.raycast.select import distances, in_frustum
-from orograph.store.chunked import ALL_CELLS, APART, CELLS, Chunk
-from orograph.tessellation import turn
+from orograph.store.chunk_code import HEADER, chunk_of, off_by
+from orograph.store.chunked import ALL_CELLS, APART, CELLS, Chunk, Kind, Words
+from orograph.tessellation import Tessellation, turn
 from orograph.viewpoint import Camera
 
 Array = NDArray[np.float64]
 Name = tuple[int, int, int]
 """Of a chunk: level, row, column."""
+
+
+def _kind(options: ChunkedLodOptions) -> Kind:
+    return Kind(options.cells, options.finest, options.compressed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +54,9 @@ class ChunkedLodOptions:
     )
     morph: bool = option(True, "Whether vertices move between levels, so that nothing pops.")
     skirts: bool = option(True, "Whether skirts hang from the sides of chunks.")
+    compressed: bool = option(
+        False, "Whether meshes are kept in few bytes, heights in steps, and decoded by the GPU when it draws."
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -59,12 +68,13 @@ class Chosen:
 
     Attributes:
         names: of the chunks, and how far each has left its parent's mesh: 0 … 1.
-        triangles: of all, skirts included. within, tolerance: as of a ``right_triangles.Mesh``.
+        triangles: of all, skirts included. skirts: of those. within, tolerance: as of a ``right_triangles.Mesh``.
     """
 
     names: dict[Name, float]
     forced: int
     triangles: int = 0
+    skirts: int = 0
     within: bool = True
     tolerance: float | None = None
 
@@ -91,10 +101,10 @@ class ChunkedLod(Method):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         check_surface(self.terrain)
-        self.chunks = self.terrain.derived("chunked", cells=self.options.cells, finest=self.options.finest)
+        self.chunks = self.terrain.derived("chunked", **_kind(self.options)._asdict())
         self.layout = self.chunks.layout
         self._heights = BlockHeights(self.terrain)
-        self._kept: OrderedDict[Name, Chunk] = OrderedDict()
+        self._kept: OrderedDict[Name, Chunk | Words] = OrderedDict()
         self._bytes = 0
         self._flip = turn(self.terrain.grid) > 0
         self._last = Pass()
@@ -102,9 +112,9 @@ class ChunkedLod(Method):
     @classmethod
     def needs(cls, options: Any) -> tuple[Need, ...]:
         """The meshes of chunks."""
-        return (Need("chunked", {"cells": options.cells, "finest": options.finest}),)
+        return (Need("chunked", _kind(options)._asdict()),)
 
-    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TinBatches:
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TinBatches | CodedChunks:
         """The chunks of a view."""
         self.info.check_goal(goal.name)
         began = time.perf_counter()
@@ -112,27 +122,27 @@ class ChunkedLod(Method):
         def at(tolerance: float) -> Chosen:
             found = self.chosen(camera, tolerance)
             self._fetch(list(found.names))
-            found.triangles = sum(self._triangles(name) for name in found.names)
+            counts = np.array([self._count(name) for name in found.names], np.int64).reshape(-1, 2).sum(0)
+            found.skirts = int(counts[1]) if self.options.skirts else 0
+            found.triangles = int(counts[0]) + found.skirts
             return found
 
         found = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
         tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
         selected = time.perf_counter()
         self._fetch(list(found.names))
-        batches = [self._batch(self._kept[name], left) for name, left in found.names.items()]
-        skirts = sum(self._kept[name].skirt for name in found.names) if self.options.skirts else 0
+        made: TinBatches | CodedChunks = self._coded(found) if self.options.compressed else self._batches(found)
         stats: dict[str, Any] = {
             "method": self.info.name, "tolerance": tolerance, "conservative": False, "geomorph": True,
             "exaggeration": camera.exaggeration, "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
-            "select_ms": round((selected - began) * 1e3, 3), "chunks": len(batches), "forced": found.forced,
-            "triangles": found.triangles, "skirt_triangles": skirts,
+            "select_ms": round((selected - began) * 1e3, 3), "chunks": len(found.names), "forced": found.forced,
+            "triangles": found.triangles, "skirt_triangles": found.skirts, **made.stats,
         }  # fmt: skip
         if goal.triangles is not None:
             stats["within_budget"] = found.within
         self._let_go()
-        kept = [batch for batch in batches if len(batch.triangles)]
         self._last.selected(began)
-        return TinBatches(method=self.info.name, bound=None, stats=stats, batches=kept)
+        return replace(made, stats=stats)
 
     # ---- selecting ----
 
@@ -210,7 +220,8 @@ class ChunkedLod(Method):
                 self._kept.move_to_end(name)
             else:
                 lacking.append(name)
-        for name, chunk in zip(lacking, map_ordered(lambda n: self.chunks.chunk(*n), lacking, self.resources.jobs)):
+        get: Callable[..., Chunk | Words] = self.chunks.words if self.options.compressed else self.chunks.chunk
+        for name, chunk in zip(lacking, map_ordered(lambda n: get(*n), lacking, self.resources.jobs)):
             self._kept[name] = chunk
             self._bytes += chunk.nbytes
 
@@ -219,9 +230,39 @@ class ChunkedLod(Method):
         while self._bytes > self.resources.max_memory // 2 and len(self._kept) > 1:
             self._bytes -= self._kept.popitem(last=False)[1].nbytes
 
-    def _triangles(self, name: Name) -> int:
+    def _count(self, name: Name) -> tuple[int, int]:
+        """A chunk's triangles, and its skirt's."""
         chunk = self._kept[name]
-        return len(chunk.triangles) - (0 if self.options.skirts else chunk.skirt)
+        if isinstance(chunk, Chunk):
+            return len(chunk.triangles) - chunk.skirt, chunk.skirt
+        return int(chunk[HEADER.index("triangles")]), 2 * int(chunk[HEADER.index("hung")])
+
+    def _batches(self, found: Chosen) -> TinBatches:
+        """Chunks as meshes."""
+        there = ((self._kept[name], left) for name, left in found.names.items())
+        batches = [self._batch(chunk, left) for chunk, left in there if isinstance(chunk, Chunk)]
+        return TinBatches(method=self.info.name, bound=None, batches=[one for one in batches if len(one.triangles)])
+
+    def _coded(self, found: Chosen) -> CodedChunks:
+        """Chunks as they are kept, and by how much their heights are off at most."""
+        names, words = list(found.names), [self._kept[name] for name in found.names]
+        off = max((off_by(one) for one in words if not isinstance(one, Chunk)), default=0.0)
+        return CodedChunks(
+            method=self.info.name, bound=None, stats={"height_error": off}, layout=self.layout, source=self.chunks,
+            names=names, words=[one for one in words if not isinstance(one, Chunk)],
+            left=np.array(list(found.names.values()), np.float32), skirts=self.options.skirts, expand=self._expand,
+        )  # fmt: skip
+
+    def _expand(self, selection: CodedChunks) -> Tessellation:
+        """The triangles of coded chunks."""
+
+        def decode(k: int) -> TinBatch:
+            return self._batch(chunk_of(selection.words[k], self.layout, *selection.names[k]), float(selection.left[k]))
+
+        batches = [one for one in map_ordered(decode, range(len(selection.names)), self.resources.jobs)
+                   if len(one.triangles)]  # fmt: skip
+        of = {name: getattr(selection, name) for name in ("method", "bound", "stats")}
+        return TinBatches(batches=batches, **of).tessellation()
 
     def _batch(self, chunk: Chunk, left: float) -> TinBatch:
         """A chunk's mesh where its vertices have moved to."""

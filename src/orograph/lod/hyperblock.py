@@ -61,6 +61,8 @@ class HyperBlock(QuadTin):
         "Lario, Pajarola & Tirado 2003", "triangles", HyperBlockOptions, lambda options: True,
     )  # fmt: skip
 
+    _needs_all = True
+
     def _prepare(self) -> None:
         self._ends = thresholds(self.options.levels)
         tree = self.tree

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.lod.quadtin_build import LIVE
 from orograph.lod.quadtin_pass import finest_bound, strip_of
 from orograph.lod.quadtin_tree import Hierarchy
+from orograph.store.quadtin_build import LIVE
 
 MOST = 10
 """There are at most 2 to this power blocks along a side."""
@@ -195,8 +195,9 @@ def _boxes(tree: Hierarchy, owner: Integers, mine: NDArray[np.int64], count: int
         at = tree.vertices[tree.corners[mine], axis]
         np.minimum.at(boxes[:, 2 * axis], of, at.min(axis=1))
         np.maximum.at(boxes[:, 2 * axis + 1], of, at.max(axis=1))
-    np.minimum.at(boxes[:, 4], of, tree.low[mine])
-    np.maximum.at(boxes[:, 5], of, tree.high[mine])
+    z = tree.vertices[tree.corners[mine], 2]
+    np.minimum.at(boxes[:, 4], of, z.min(axis=1) - tree.off[mine])
+    np.maximum.at(boxes[:, 5], of, z.max(axis=1) + tree.off[mine])
     return boxes
 
 

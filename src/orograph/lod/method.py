@@ -91,7 +91,7 @@ class Need:
 
     Attributes:
         name: of the derived data: "diamonds" (of an ``error``), "patches" (of an ``error``, with ``legs``), "tins"
-            (with ``legs``), or "chunked" (of ``cells`` and ``finest``).
+            (with ``legs``), or "chunked" (as ``store.chunked.Kind`` has it).
         options: what it must have been made with.
     """
 

@@ -11,6 +11,7 @@ from typing import Any
 from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.lod.method import Need, Resources
+from orograph.store.chunked import Kind
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Terrain
 
@@ -89,7 +90,7 @@ def _tins(terrain: Terrain, options: Mapping[str, Any], resources: Resources) ->
 def _chunked(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
     if not isinstance(terrain, StoredTerrain) or terrain.has("chunked", **options):
         return
-    pair = f"({options['cells']}, {options['finest']:g})"
+    pair = Kind(**options)
     remedy = f"Allow more memory, or build it with them (`orograph.build(..., chunked={pair})`)."
     _check_room(terrain, resources, CHUNKED_BYTES_PER_SAMPLE, "meshes of chunks", remedy)
     resources.progress.note(
@@ -99,10 +100,21 @@ def _chunked(terrain: Terrain, options: Mapping[str, Any], resources: Resources)
         terrain.supply("chunked", **options)
 
 
+def _quadtin(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
+    if not isinstance(terrain, StoredTerrain) or terrain.has("quadtin", **options):
+        return
+    asked = f"({options['finest']:g}, {options['split']!r})"
+    resources.progress.note(
+        f"the store lacks this QuadTIN: made in memory (`orograph.build(..., quadtin={asked})` keeps it)"
+    )
+    # (The method itself makes it: ``lod.quadtin``.)
+
+
 SUPPLIERS: dict[str, Callable[[Terrain, Mapping[str, Any], Resources], None]] = {
     "diamonds": _diamonds,
     "patches": _patches,
     "tins": _tins,
     "chunked": _chunked,
+    "quadtin": _quadtin,
 }
 """By name of a need, what makes it; the options are the need's."""

@@ -34,7 +34,7 @@ from orograph.lod.localise import prism_outside, sample_exceeds
 from orograph.parallel import cpu_count, map_ordered
 from orograph.store.terrain import Heights, Terrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 CANDIDATE, ACTIVE = 1, 2
 """Marks of vertices: its diamond may be inaccurate; it is split."""
@@ -279,7 +279,7 @@ def oracles(
     jobs = jobs or cpu_count()
     for tolerance in tolerances:
         began = time.perf_counter()
-        camera = camera_parameters(view, terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+        camera = camera_parameters(Camera.over(terrain.grid, view, exaggeration), tolerance=tolerance)
         while True:
             field.begin()
             marks, found, count = _candidates(field, camera)

@@ -22,19 +22,21 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import CameraParameters, camera_parameters
 from orograph.errors import UsageError
-from orograph.geo.chart import AffineChart
 from orograph.lod.field import check_surface
-from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Ready
+from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
 from orograph.lod.quadtin_pass import activate, leaves_of, strip_of
-from orograph.lod.quadtin_tree import Hierarchy, check_room, has_points, hierarchy_of
+from orograph.lod.quadtin_tree import Hierarchy, Resident
 from orograph.lod.right_triangles import Pass, by_tolerance
 from orograph.lod.selection import TriangleMesh
+from orograph.store.quadtin_grow import has_points
+from orograph.store.quadtin_layout import SPLITS, QuadTins
+from orograph.store.quadtin_make import make_quadtin
 from orograph.tessellation import Tessellation, turn
 from orograph.viewpoint import Camera
 
-PART = 16
-"""The finest triangles are off by the spacing of samples over this, unless otherwise asked."""
+BYTES_PER_TRIANGLE = 24
+"""Of the truth, while a hierarchy is made of it and held: about."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +49,7 @@ class QuadTinOptions:
     )  # fmt: skip
     split: str = option(
         "nearest", "Which point splits a triangle: the one nearest to the middle of its longest side, as in print, or "
-        "the one that it is furthest off at.", choices=("nearest", "deviation"),
+        "the one that it is furthest off at.", choices=SPLITS,
     )  # fmt: skip
     cull: bool = option(True, "Refine only what may be in view.")
 
@@ -99,21 +101,52 @@ class QuadTin(Method):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         check_surface(self.terrain)
-        check_room(self.terrain, self.resources.max_memory)
         self.truth = "points" if has_points(self.terrain) else "raster"
-        finest = self.options.finest or min(self.terrain.grid.spacing) / PART
-        self.tree: Hierarchy = hierarchy_of(
-            self.terrain,
-            finest,
-            self.options.split == "deviation",
-            self.resources.progress,
-            self.resources.max_memory,
-        )
+        what = {"finest": self.options.finest, "split": self.options.split}
+        if self.terrain.has("quadtin", **what):
+            source: QuadTins = self.terrain.derived("quadtin", **what)
+        else:
+            self._check_room()
+            resources = self.resources
+            source = make_quadtin(
+                self.terrain, **what, jobs=resources.jobs, progress=resources.progress, max_memory=resources.max_memory
+            )
+        self._resident = Resident(
+            source, self.terrain.grid, self.resources.max_memory, self.terrain.name, self._needs_all
+        )  # fmt: skip
         self._last = Pass()
         self._prepare()
 
+    def _check_room(self) -> None:
+        """Raise UsageError where making the hierarchy takes more memory than is allowed."""
+        rows, cols = self.terrain.grid.shape
+        count = len(self.terrain.derived("points").triangles) if self.truth == "points" else 2 * rows * cols
+        needed = count * BYTES_PER_TRIANGLE
+        if needed > self.resources.max_memory:
+            raise UsageError(
+                f"The store has no hierarchy of a QuadTIN, and to make it in memory takes {needed >> 20} MiB.",
+                path=self.terrain.name,
+                remedy="Allow more memory, build a store with it "
+                f"(`orograph.build(..., quadtin={(self.options.finest, self.options.split)})`), or give a coarser "
+                "`resolution` or a smaller area (`bbox`).",
+            )  # fmt: skip
+
+    _needs_all = False
+    """Whether all of the hierarchy is to be in memory."""
+
+    @property
+    def tree(self) -> Hierarchy:
+        """What of the hierarchy is in memory: all, where it is small."""
+        return self._resident.tree
+
+    @classmethod
+    def needs(cls, options: Any) -> tuple[Need, ...]:
+        """The hierarchy."""
+        return (Need("quadtin", {"finest": options.finest, "split": options.split}),)
+
     def _prepare(self) -> None:
         """Room for a refinement."""
+        self._prepared = self.tree
         count = len(self.tree.vertices)
         self._active, self._met = np.zeros(count, np.uint8), np.zeros(count + 1, np.int32)
         self._stack, self._leaves = np.empty(count + 1, np.int32), np.empty(1 << 12, np.int32)
@@ -157,6 +190,8 @@ class QuadTin(Method):
 
     def _refine(self, camera: Camera, tolerance: float) -> Refined:
         lens = self._lens(camera, tolerance)
+        if self._resident.follow(lens, self.options.cull) is not self._prepared:
+            self._prepare()
         active = activate(lens, self.options.cull, self.tree, self._active, self._met, self._stack)
         while True:
             count, bound = leaves_of(lens, self.tree, self._active, self._leaves, self._depth)
@@ -165,18 +200,14 @@ class QuadTin(Method):
             self._leaves = np.empty(2 * len(self._leaves), np.int32)
 
     def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
-        if not isinstance(camera.chart, AffineChart):
-            raise UsageError(f"{self.info.name} refines flat terrain only.")
-        return camera_parameters(
-            camera.view, camera.chart.grid, exaggeration=camera.exaggeration, tolerance=tolerance
-        )  # fmt: skip
+        return camera_parameters(camera, tolerance=tolerance)
 
     def _mesh(self, found: Refined, stats: dict[str, Any]) -> Tessellation:
         """The triangles of a mesh, its vertices numbered, with its strip."""
         corners = self.tree.corners[found.leaves]
         numbers = np.zeros(len(self.tree.vertices), np.int32)
-        numbers[corners] = 1
-        which = np.flatnonzero(numbers)
+        _, first = np.unique(corners, return_index=True)
+        which = corners.ravel()[np.sort(first)]  # in the order of the mesh, whatever else is in memory
         numbers[which] = np.arange(len(which))
         triangles, backwards = numbers[corners], turn(self.terrain.grid) < 0
         if backwards:

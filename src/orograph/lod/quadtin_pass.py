@@ -10,10 +10,30 @@ from __future__ import annotations
 
 from orograph._numba import inlined, kernel
 from orograph.error.screen import ANISOTROPIC, anisotropic_exceeds, outside, sphere_bound, to_camera, triangle_bound
-from orograph.lod.quadtin_build import LIVE
+from orograph.store.quadtin_build import LIVE
 
 FIRST = 4
 """The vertex that splits the first two triangles; those before are the domain's corners."""
+
+
+@kernel
+def parts_needed(camera, cull, centres, radii, errors, out):
+    """How many parts of each block a view may need.
+
+    Args:
+        centres: (b, 3); radii: (b,); errors: (b, parts): as of ``Summary``. out: (b,) int8, filled.
+    """
+    for b in range(len(centres)):
+        col, row, z, r = centres[b, 0], centres[b, 1], centres[b, 2], radii[b] * camera.stretch
+        out[b] = 0
+        if cull:
+            gone, _ = outside(camera, col, row, z, r, 0)
+            if gone:
+                continue
+        for p in range(errors.shape[1]):
+            exceeds, _ = anisotropic_exceeds(camera, col, row, z, errors[b, p], r)
+            if exceeds and errors[b, p] > 0:
+                out[b] = p + 1
 
 
 @kernel
@@ -104,7 +124,7 @@ def leaves_of(camera, tree, active, out, stack):
                 return -1, worst
             out[count] = t
             count += 1
-            if m < 0:
+            if m == -1:
                 worst = max(worst, finest_bound(camera, tree, t))
     return count, worst
 

@@ -1,7 +1,8 @@
-"""What a QuadTIN is made of, and its hierarchy as it is selected from.
+"""A QuadTIN's hierarchy as it is selected from: the top, and of its blocks the parts that views have asked for.
 
-The truth is the Delaunay surface of the points, where the terrain was gridded from points and has them, else the
-raster's own surface: its samples, cells cut along the diagonal of even corners. Lattice units; samples; metres.
+Vertices on sides between blocks are one vertex in both; a triangle whose children are not in memory is none that ends
+there. What is in memory changes nothing of what is drawn: a part is read if any of its vertices may be active. Sample
+coordinates; metres.
 """
 
 from __future__ import annotations
@@ -11,38 +12,39 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.delaunay import Surface, lattice_bits
+from orograph.error.screen import CameraParameters
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lod import quadtin_build as build
-from orograph.lod.quadtin_build import Tree, Truth
-from orograph.progress import SILENT, Progress
-from orograph.store.terrain import Terrain
+from orograph.lod.quadtin_pass import parts_needed
+from orograph.store.quadtin_kernels import UNREAD, expand
+from orograph.store.quadtin_layout import DEPTHS, FIRST, Layout, Part, QuadTins, Top, top_of
 
-BYTES_PER_TRIANGLE = 120
-"""Of the truth, while a hierarchy is made of it: about."""
+BYTES = 240
+"""A vertex and its two triangles, in memory, about."""
 
-ROUNDING = 1e-9
-"""Deviations of this part of the largest height are none."""
+AT_ONCE = 1 << 20
+"""Hierarchies of no more vertices are read whole."""
 
 Floats = NDArray[np.float64]
 
 
 class Hierarchy(NamedTuple):
-    """A QuadTIN.
+    """A QuadTIN, or what of it is in memory.
 
     Attributes:
         vertices: (v, 3) float64: column, row, metres; the first four are the corners of the domain.
         error, radius: (v,) float64, metres: of the diamond that a vertex splits, with all that depends on it; of the
             sphere around the vertex that holds its ground.
         parents: (v, 2) int32, the vertices that it depends on, twice the same on the border.
-        corners: (t, 3) int32; child, node: (t,) int32; state: (t,) uint8: as of ``Tree``.
+        corners: (t, 3) int32: left and right end of the base, apex; of positive area.
+        child, node: (t,) int32: the first of two children, −1: none; the vertex that splits it, −1: none does, −2: it
+            is not in memory.
+        state: (t,) uint8: DEAD, LIVE or MIXED.
         off, reach: (t,) float64, metres: how far a triangle is from the truth; from its apex to what it stands for.
-        low, high: (t,) float64, metres: of the ground under a triangle, infinite where there is none.
         nodes: (v, 4) int32, the vertices that depend on it, −1: none.
         points: how many vertices are the truth's. steiner: how many are not. finest: metres.
         stuck: triangles that could not be split although they are further off.
-        whole: whether there is ground everywhere.
+        whole: whether there is ground everywhere. (These five of all of it.)
     """
 
     vertices: Floats
@@ -55,8 +57,6 @@ class Hierarchy(NamedTuple):
     state: NDArray[np.uint8]
     off: Floats
     reach: Floats
-    low: Floats
-    high: Floats
     nodes: NDArray[np.int32]
     points: int
     steiner: int
@@ -65,175 +65,153 @@ class Hierarchy(NamedTuple):
     whole: bool
 
 
-def has_points(terrain: Terrain) -> bool:
-    """Whether a terrain was gridded from points and has them."""
-    return terrain.has("points") or hasattr(terrain.samples, "surface")
+class Resident:
+    """What of a hierarchy is in memory.
 
+    Args:
+        source: the hierarchy as it is kept. grid: the terrain's. max_memory: bytes. name: of the terrain.
+        whole: read all of it, once.
 
-def truth_of(terrain: Terrain) -> tuple[Truth, int]:
-    """The surface that a QuadTIN is to be, and the lattice's bits."""
-    if has_points(terrain):
-        surface: Surface = terrain.derived("points")
-        used, places = np.unique(surface.triangles, return_inverse=True)
-        corners: NDArray[np.int32] = places.reshape(-1, 3).astype(np.int32)
-        z = surface.z[used].astype(np.float64)
-        return Truth(surface.x[used], surface.y[used], z, corners, build.rim_of(corners, len(used))), surface.bits
-    rows, cols = terrain.grid.shape
-    bits = lattice_bits(rows, cols)
-    z = terrain.read(0, 0, rows, 0, cols).astype(np.float64).ravel()
-    col, row = (v.ravel().astype(np.int64) for v in np.meshgrid(np.arange(cols), np.arange(rows)))
-    nw = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).ravel()
-    ne, sw, se = nw + 1, nw + cols, nw + cols + 1
-    even = ((row[nw] + col[nw]) & 1 == 0)[:, None]
-    one = np.where(even, np.stack([nw, ne, se], -1), np.stack([nw, ne, sw], -1))
-    two = np.where(even, np.stack([nw, se, sw], -1), np.stack([ne, se, sw], -1))
-    triangles = np.stack([one, two], 1).reshape(-1, 3).astype(np.int32)
-    triangles = np.ascontiguousarray(triangles[~np.isnan(z[triangles]).any(1)])
-    return Truth(col << bits, row << bits, z, triangles, build.rim_of(triangles, len(z))), bits
+    Attributes:
+        tree: what is in memory. parts: (b,) int8, how many parts of each block that is. read: blocks' parts, by now.
+    """
 
+    def __init__(self, source: QuadTins, grid: Grid, max_memory: int, name: str, whole: bool = False) -> None:
+        self.source, self.grid, self.max_memory, self.name = source, grid, max_memory, name
+        self._top = top_of(source.layout.across)
+        self._held: dict[int, list[Part]] = {}
+        self.read = 0
+        count = source.layout.blocks
+        all_of_it = int(source.summary.vertices.sum())
+        self._static = whole or all_of_it <= min(AT_ONCE, max_memory // (4 * BYTES))
+        self.parts = np.full(count, len(DEPTHS) if self._static else 0, np.int8)
+        if whole and all_of_it * BYTES > max_memory:
+            raise UsageError(
+                f"The hierarchy has {all_of_it:,} vertices, which do not fit into memory.", path=name,
+                remedy="Allow more memory, or more metres (its option finest).",
+            )  # fmt: skip
+        self.tree = self._assembled()
 
-def check_room(terrain: Terrain, max_memory: int) -> None:
-    """Raise UsageError where the hierarchy of a terrain takes more memory than is allowed."""
-    rows, cols = terrain.grid.shape
-    count = len(terrain.derived("points").triangles) if has_points(terrain) else 2 * rows * cols
-    needed = count * BYTES_PER_TRIANGLE
-    if needed > max_memory:
-        raise UsageError(
-            f"The hierarchy of a QuadTIN is made in memory and takes some {needed >> 20} MiB here.", path=terrain.name,
-            remedy="Allow more memory, give a coarser `resolution`, or take a smaller area (`bbox`).",
+    def follow(self, camera: CameraParameters, cull: bool) -> Hierarchy:
+        """What is in memory, when it has what a view needs.
+
+        Raises:
+            UsageError: that does not fit. DamagedChunkError: as of stores.
+        """
+        if self._static:
+            return self.tree
+        needed = np.zeros_like(self.parts)
+        s = self.source.summary
+        parts_needed(camera, cull, s.centre, s.radius, s.errors, needed)
+        if (needed <= self.parts).all():
+            return self.tree
+        kept = np.maximum(needed, self.parts)
+        self.parts = kept if self._bytes(kept) <= self.max_memory // 2 else needed
+        if self._bytes(self.parts) > self.max_memory:
+            raise UsageError(
+                f"One view needs more than {self.max_memory >> 20} MiB of the hierarchy.", path=self.name,
+                remedy="Allow more memory, or a larger tolerance.",
+            )  # fmt: skip
+        self.tree = self._assembled()
+        return self.tree
+
+    def _bytes(self, parts: NDArray[np.int8]) -> int:
+        there = np.arange(len(DEPTHS)) < parts[:, None]
+        return int(self.source.summary.vertices[there].sum()) * BYTES
+
+    def _read(self) -> dict[int, list[Part]]:
+        """The parts of blocks that are to be there, by block."""
+        held: dict[int, list[Part]] = {}
+        for block in np.flatnonzero(self.parts).tolist():
+            have = self._held.get(block, [])
+            for p in range(len(have), int(self.parts[block])):
+                have = [*have, self.source.part(p, block)]
+                self.read += 1
+            held[block] = have[: int(self.parts[block])]
+        return held
+
+    def _assembled(self) -> Hierarchy:
+        """The top, and the parts of blocks that are to be there."""
+        layout, summary, facts = self.source.layout, self.source.summary, self.source.facts
+        top, n = self._top, len(self._top.order)
+        held = self._held = self._read()
+        numbering = Numbering(layout, top)
+        ids = [numbering.of(block, parts) for block, parts in held.items()]
+        at = numbering.count
+        z, error, radius = np.empty(at), np.empty(at), np.empty(at)
+        z[:n], error[:n], radius[:n] = summary.z, summary.error, summary.sphere
+        for parts, number in zip(held.values(), ids):
+            for out, name in ((z, "z"), (error, "error"), (radius, "radius")):
+                out[number[4:]] = np.concatenate([getattr(one, name) for one in parts])
+        where = np.ldexp(np.concatenate(numbering.places).astype(np.float64), -layout.bits)
+        counts = [sum(len(one.node) for one in parts) - 2 for parts in held.values()]
+        base = len(top.node)
+        total = base + sum(counts)
+        corners = np.zeros((total, 3), np.int32)
+        corners[:2] = FIRST[0]
+        child, node = np.full(total, -1, np.int32), np.full(total, -1, np.int32)
+        parents, nodes = np.full((at, 2), -1, np.int32), np.full((at, 4), -1, np.int32)
+        off, state = np.empty(total), np.empty(total, np.uint8)
+        off[:base], state[:base] = summary.off, summary.state
+        first = np.arange(n, dtype=np.int32)
+        expand(top.node, first, first[:2], 2, corners, child, node, parents, nodes)
+        node[top.roots[(summary.vertices.sum(axis=1) > 0) & (self.parts == 0)]] = UNREAD
+        for (block, parts), number, count in zip(held.items(), ids, counts):
+            splits = np.concatenate([one.node for one in parts])
+            expand(splits, number, top.roots[block], base, corners, child, node, parents, nodes)
+            off[base : base + count] = np.concatenate([one.off for one in parts])[2:]
+            state[base : base + count] = np.concatenate([one.state for one in parts])[2:]
+            base += count
+        parents[parents < 0] = 0
+        metres = np.column_stack([where @ np.array(self.grid.linear).T, z])
+        reach = np.linalg.norm(metres[corners[:, :2]] - metres[corners[:, 2:]], axis=-1).max(axis=1) + off
+        return Hierarchy(
+            np.column_stack([where, z]), error, radius, parents, corners, child, node, state, off, reach, nodes,
+            facts.points, facts.steiner, facts.finest, facts.stuck, facts.whole,
         )  # fmt: skip
 
 
-def hierarchy_of(
-    terrain: Terrain, finest: float, by_deviation: bool, progress: Progress = SILENT, max_memory: int = 1 << 30
-) -> Hierarchy:  # fmt: skip
-    """The QuadTIN of a terrain.
+class Numbering:
+    """Numbers of vertices in the whole, given out block by block; those on sides between blocks have one.
 
-    Args:
-        finest: metres within which the finest triangles are; they are split until they are.
-        by_deviation: diamonds are split at the point furthest from them, not at that nearest to the middle.
-
-    Raises:
-        UsageError: there is no ground, or so many triangles are needed that they do not fit into ``max_memory``.
+    Attributes:
+        count: how many there are. places: (n, 2) int64, on the lattice, of the new ones by block; first the top's.
     """
-    truth, bits = truth_of(terrain)
-    if not len(truth.triangles):
-        raise UsageError("There is no ground to triangulate.", path=terrain.name)
-    finest = max(finest, ROUNDING * float(np.abs(truth.z[truth.triangles]).max()) + ROUNDING)
-    with progress.task("Making the QuadTIN"):
-        tree = grown(truth, terrain.grid.shape, bits, finest, by_deviation, max_memory)
-    return finished(tree, terrain.grid, bits, finest)
 
+    def __init__(self, layout: Layout, top: Top) -> None:
+        row, col = top.order.T
+        self.layout, self.count = layout, len(row)
+        self.places = [np.column_stack([layout.xs[col], layout.ys[row]])]
+        self._corners = np.empty((layout.across + 1, layout.across + 1), np.int32)
+        self._corners[row, col] = np.arange(len(row))
+        self._sides: dict[tuple[bool, int, int], NDArray[np.int64]] = {}
 
-def grown(
-    truth: Truth, shape: tuple[int, int], bits: int, finest: float, by_deviation: bool, max_memory: int = 1 << 30
-) -> Tree:  # fmt: skip
-    """The triangles over a raster's rectangle of samples, split until they are within ``finest`` metres of the truth,
-    and where ground and missing ground meet no longer than a sample."""
-    width, height = (shape[1] - 1) << bits, (shape[0] - 1) << bits
-    tree = _begun(truth, width, height)
-    while True:
-        full = build.grow(tree, truth, finest, float(1 << bits), by_deviation)
-        if full == build.DONE:
-            return tree
-        if full == build.TRIANGLES_FULL:
-            if 2 * sum(array.nbytes for array in tree) > max_memory:
-                raise UsageError(
-                    f"It takes more than {tree.counts[build.TRIANGLES]:,} triangles to be within {finest:.3g} m of the "
-                    "ground everywhere, which do not fit into memory.",
-                    remedy="Allow more metres (its option finest) or memory; leave long triangles out (`max_edge`).",
-                )
-            tree = _larger(tree)
-            continue
-        leaves = tree.child[: tree.counts[build.TRIANGLES]] < 0
-        lists = tree.lists[: len(leaves)]
-        live = int((lists[leaves, 1] - lists[leaves, 0]).sum())
-        pool = np.empty(max(3 * live, len(tree.pool)) + (1 << 16), np.int32)
-        build.gather_lists(tree, pool)
-        tree = tree._replace(pool=pool)
-
-
-def _begun(truth: Truth, width: int, height: int) -> Tree:
-    """Two triangles."""
-    room, ends = 1 << 12, 1 << 11
-    count = len(truth.triangles)
-    tree = Tree(
-        np.zeros(ends, np.int64), np.zeros(ends, np.int64), np.zeros(ends), np.zeros(ends, np.uint8),
-        np.full((ends, 2), -1, np.int32), np.zeros((room, 3), np.int32), np.full((room, 3), -1, np.int32),
-        np.full(room, -1, np.int32), np.full(room, -1, np.int32), np.zeros(room, np.uint8), np.zeros(room),
-        np.zeros(room), np.zeros(room), np.zeros((room, 2), np.int64), np.empty(9 * count + (1 << 16), np.int32),
-        np.zeros(6, np.int64),
-    )  # fmt: skip
-    tree.x[:4], tree.y[:4] = (0, width, width, 0), (0, 0, height, height)
-    tree.z[:4] = truth.z[truth.triangles].mean()
-    places = {(int(x), int(y)): z for x, y, z in zip(tree.x[:4], tree.y[:4], range(4))}
-    for s in np.flatnonzero(np.isin(truth.x, (0, width)) & np.isin(truth.y, (0, height))):
-        if not np.isnan(truth.z[s]):
-            tree.z[places[int(truth.x[s]), int(truth.y[s])]] = truth.z[s]
-    tree.steiner[:4] = 1
-    tree.corners[:2] = (2, 0, 1), (0, 2, 3)
-    tree.beside[0, 0], tree.beside[1, 0] = 1, 0
-    every = np.arange(count, dtype=np.int32)
-    tree.counts[:2] = 2, 4
-    at = 0
-    for t in range(2):
-        mine = _overlapping(tree, truth, t, every)
-        tree.pool[at : at + len(mine)] = mine
-        tree.lists[t] = at, at + len(mine)
-        at += len(mine)
-        build.measure(tree, truth, t)
-    tree.counts[build.POOL] = at
-    return tree
-
-
-def _overlapping(tree: Tree, truth: Truth, t: int, which: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Those of the truth's triangles that may overlap one of the first two: on its side of the diagonal."""
-    left, right = (int(v) for v in tree.corners[t, :2])
-    ax, ay, bx, by = tree.x[left], tree.y[left], tree.x[right], tree.y[right]
-    side = (bx - ax) * (truth.y - ay) - (by - ay) * (truth.x - ax)
-    return np.asarray(which[(side[truth.triangles] > 0).any(1)], np.int32)
-
-
-def _larger(tree: Tree) -> Tree:
-    """Twice the room."""
-    grown_ = {
-        name: np.concatenate([array, np.full_like(array, -1 if name in ("owners", "beside", "child", "node") else 0)])
-        for name, array in tree._asdict().items()
-        if name not in ("pool", "counts")
-    }
-    return tree._replace(**grown_)
-
-
-def finished(tree: Tree, grid: Grid, bits: int, finest: float) -> Hierarchy:
-    """A tree as it is selected from."""
-    count, v = int(tree.counts[build.TRIANGLES]), int(tree.counts[build.VERTICES])
-    col, row = (np.ldexp(a[:v].astype(np.float64), -bits) for a in (tree.x, tree.y))
-    a, b, _, d, e, _ = grid.samples[:6]
-    east, north, z = a * col + b * row, d * col + e * row, tree.z[:v]
-    error, radius = np.zeros((2, v))
-    build.saturate(tree, east, north, error, radius)
-    owners = tree.owners[:v]
-    corners, node = tree.corners[:count].copy(), tree.node[:count].copy()
-    parents = corners[owners, 2]
-    parents[:, 1] = np.where(owners[:, 1] < 0, parents[:, 0], parents[:, 1])
-    nodes = np.full((v, 4), -1, np.int32)
-    split = np.flatnonzero(node >= 0)
-    apex, child = corners[split, 2], node[split]
-    order = np.lexsort((child, apex))
-    apex, child = apex[order], child[order]
-    new = np.r_[True, (apex[1:] != apex[:-1]) | (child[1:] != child[:-1])]
-    apex, child = apex[new], child[new]
-    slot = np.arange(len(apex)) - np.searchsorted(apex, apex)
-    inner = apex > 3
-    nodes[apex[inner], slot[inner]] = child[inner]
-    state = tree.state[:count].copy()
-    at = np.stack([east, north, z], -1)
-    reach = np.linalg.norm(at[corners[:, :2]] - at[corners[:, 2:]], axis=-1).max(axis=1) + tree.error[:count]
-    leaves = tree.child[:count] < 0
-    steiner = int(tree.steiner[4:v].sum())
-    return Hierarchy(
-        np.stack([col, row, z], -1), error, radius, np.ascontiguousarray(parents, np.int32), corners,
-        tree.child[:count].copy(), node, state, tree.error[:count].copy(), reach,
-        tree.low[:count].copy(), tree.high[:count].copy(), nodes, v - 4 - steiner, steiner, finest,
-        int(tree.counts[build.STUCK]), bool((state[leaves] == build.LIVE).all()),
-    )  # fmt: skip
+    def of(self, block: int, parts: list[Part]) -> NDArray[np.int32]:
+        """The numbers of a block's vertices, its corners' first."""
+        layout = self.layout
+        r, c = divmod(block, layout.across)
+        x = np.concatenate([one.x for one in parts]) + layout.xs[c]
+        y = np.concatenate([one.y for one in parts]) + layout.ys[r]
+        numbers = np.full(len(x), -1, np.int64)
+        sides = [
+            ((upright, r + down, c + right), y if upright else x, on)
+            for upright, down, right, on in (
+                (True, 0, 0, x == layout.xs[c]), (True, 0, 1, x == layout.xs[c + 1]),
+                (False, 0, 0, y == layout.ys[r]), (False, 1, 0, y == layout.ys[r + 1]),
+            )
+        ]  # fmt: skip
+        for key, along, on in sides:
+            if key in self._sides and on.any():
+                known, number = self._sides[key]
+                near = np.minimum(np.searchsorted(known, along[on]), len(known) - 1)
+                numbers[on] = np.where(known[near] == along[on], number[near], -1)
+        new = numbers < 0
+        numbers[new] = self.count + np.arange(np.count_nonzero(new))
+        self.count += int(np.count_nonzero(new))
+        self.places.append(np.column_stack([x, y])[new])
+        for key, along, on in sides:
+            known, number = self._sides.get(key, np.zeros((2, 0), np.int64))
+            places, first = np.unique(np.append(known, along[on]), return_index=True)
+            self._sides[key] = np.stack([places, np.append(number, numbers[on])[first]])
+        corners = self._corners[[r, r, r + 1, r + 1], [c, c + 1, c + 1, c]]
+        return np.append(corners, numbers).astype(np.int32)

@@ -28,6 +28,10 @@ class RayCastOptions:
         "exact", "What rays meet between samples where that keeps the tolerance, else both triangles; on the GPU.",
         choices=("exact", "bilinear", "constant"),
     )  # fmt: skip
+    antialias: str = option(
+        "all", "Pixels of a GPU's picture that have more samples than one: all, or those at breaks of depth or colour.",
+        choices=("all", "breaks"),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)
@@ -61,5 +65,6 @@ class RayCast(Method):
         if surface != "exact":
             stats["surface"] = surface
         return RayWindows(
-            method=self.info.name, bound=float(tolerance), stats=stats, windows=windows, surface=surface
+            method=self.info.name, bound=float(tolerance), stats=stats, windows=windows, surface=surface,
+            at_breaks=self.options.antialias == "breaks",
         )  # fmt: skip

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import ANISOTROPIC, LOCALISED, CameraParameters, Metric, camera_parameters, metric_of
 from orograph.errors import UsageError
-from orograph.geo.chart import AffineChart
 from orograph.lod.criterion import NOTHING
 from orograph.lod.field import Field
 from orograph.lod.look_ahead import Ahead
@@ -191,12 +190,7 @@ class RightTriangles(Method):
         return self._ahead.table(self.field, lens, self.cull)
 
     def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
-        if not isinstance(camera.chart, AffineChart):
-            raise UsageError(f"{self.info.name} refines flat terrain only.")
-        return camera_parameters(
-            camera.view, camera.chart.grid, exaggeration=camera.exaggeration, tolerance=tolerance,
-            color_tolerance=self.color_tolerance,
-        )  # fmt: skip
+        return camera_parameters(camera, tolerance=tolerance, color_tolerance=self.color_tolerance)
 
 
 class RightTriangleMeshes(RightTriangles):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.hierarchy.clip_stack import ClipStack
+from orograph.store.chunked import Layout
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
@@ -136,6 +137,31 @@ class TinBatches(Selection):
         return Tessellation(ranked[new], where[triangles], stats=dict(self.stats))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CodedChunks(Selection):
+    """Chunks in few bytes, which who draws them decodes (``store.chunk_code``).
+
+    Attributes:
+        layout: of all chunks. source: whose they are; the chunks of one source and one name are the same.
+        names: level, row and column of each. words: of each, uint32. left: float32, how far its vertices have left the
+            coarser mesh, 0 to 1. skirts: whether they are drawn.
+        expand: makes the triangles of all.
+    """
+
+    layout: Layout
+    source: Any
+    names: Sequence[tuple[int, int, int]]
+    words: Sequence[NDArray[np.uint32]]
+    left: NDArray[np.float32]
+    skirts: bool
+    expand: Any
+
+    def tessellation(self) -> Tessellation:
+        """The triangles of all chunks."""
+        made: Tessellation = self.expand(self)
+        return made
+
+
 @dataclass(frozen=True, slots=True)
 class Blend:
     """Where the heights of a ring become those of the next coarser one, in the ring's own samples.
@@ -196,10 +222,12 @@ class RayWindows(Selection):
 
     Attributes:
         windows: outermost first. surface: what rays meet between their samples, where that keeps the bound.
+        at_breaks: of a picture, only pixels where depth or colour breaks off have more samples than one.
     """
 
     windows: ClipStack
     surface: RaySurface = "exact"
+    at_breaks: bool = False
 
     def tessellation(self) -> Tessellation:
         raise UsageError(

@@ -155,8 +155,8 @@ class ThresholdSpheres(RightTriangleMeshes):
         began = time.perf_counter()
         view, exaggeration, tolerance = camera.view, camera.exaggeration, goal.tolerance
         grid, lens = self.terrain.grid, self._lens(camera, tolerance)
-        a, b, c, d, e, f = grid.samples[:6]
-        size = math.hypot((abs(a) + abs(b)) * grid.cols, (abs(d) + abs(e)) * grid.rows) * lens.stretch
+        linear, first = grid.linear, grid.samples
+        size = float(np.hypot(*(np.abs(linear) @ (grid.cols, grid.rows)))) * lens.stretch
         cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
         colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens.texel) / cosine
         isotropic = self.spheres != ANISOTROPIC
@@ -178,9 +178,9 @@ class ThresholdSpheres(RightTriangleMeshes):
             state.turn += turned + (RADIANS if turned else 0.0)
         state.eye, state.axes = eye, axes
         around = Frame(
-            eye=tuple(eye.tolist()), origin=(c, f), affine=(a, b, d, e), way=state.way, turn=state.turn, moved=moved,
-            turned=turned, unit=unit, reach=spheres[0] if isotropic else 0.0, color_reach=colored, slack=1e-9 * size,
-            secant=1.0 / cosine,
+            eye=tuple(eye.tolist()), origin=(first.c, first.f), affine=(first.a, first.b, first.d, first.e),
+            way=state.way, turn=state.turn, moved=moved, turned=turned, unit=unit,
+            reach=spheres[0] if isotropic else 0.0, color_reach=colored, slack=1e-9 * size, secant=1.0 / cosine,
         )  # fmt: skip
         criterion = Criterion(lens, self.spheres, self.cull, NOTHING)
         lists = Lists(state.heads, state.turns)

@@ -333,11 +333,9 @@ class TrianglePatches(RightTriangles):
         planes = np.asarray(frustum, np.float64)
         if planes.ndim != 2 or planes.shape[1] != 4 or len(planes) > 6:
             raise UsageError(f"A frustum is at most 6 planes (m, 4), not an array of {planes.shape}.")
-        a, b, c, d, e, f = self.terrain.grid.samples[:6]
-        whole = np.array([[a, b, 0.0, c], [d, e, 0.0, f], [0.0, 0.0, stretch, 0.0], [0.0, 0.0, 0.0, 1.0]])
         table = np.zeros((6, 4))
         table[:, 3] = np.inf
-        table[: len(planes)] = planes @ whole
+        table[: len(planes)] = self.terrain.chart.planes(planes.tolist(), stretch)
         flat: NDArray[np.float64] = table.ravel()
         return flat
 

@@ -103,7 +103,7 @@ def area(
     # The border is positive in sample coordinates, what is cut out of it negative.
     turned = [ring if (a > 0) == (k == 0) else ring[::-1] for k, (ring, a) in enumerate(zip(samples, signed))]
     cells = abs(signed[0]) - sum(abs(a) for a in signed[1:])
-    cell = abs(terrain.grid.transform.determinant)
+    cell = terrain.grid.cell_area
     sums = _sum(places, turned, math.nan if level is None else level, jobs, progress)
     ground, missing, surface, surface_grid, heights, above, below = (float(v) for v in sums)
     plan_grid = cells * cell
@@ -204,7 +204,7 @@ def _sum(places: Places, rings: list[Array], level: float, jobs: int | None, pro
     rows, cols = terrain.grid.shape
     low, high = rings[0].min(axis=0), rings[0].max(axis=0)
     inverse = np.linalg.inv(places.linear)
-    cell = abs(terrain.grid.transform.determinant)
+    cell = terrain.grid.cell_area
 
     def tile(at: tuple[int, int]) -> Array:
         sums = np.zeros(7)

@@ -21,7 +21,7 @@ from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of, scratch
 from orograph.lighting.raster import Band, rectangles
 from orograph.measuring.flood_kernels import REACHED, WET, fill
-from orograph.measuring.height_error import BEYOND, ErrorField, HeightError
+from orograph.measuring.height_error import ErrorField, HeightError
 from orograph.measuring.places import Places
 from orograph.measuring.probable import (
     DRAWS,
@@ -108,7 +108,7 @@ def _below(terrain: Terrain, errors: ErrorField, level: float, jobs: int) -> Cal
     from scipy.special import ndtr
 
     def look(window: Window) -> NDArray[np.float32]:
-        heights = terrain.read(0, *window).astype(np.float64)
+        heights = terrain.read(0, *window).astype(np.float64) + errors.mean(*window)
         sigma = errors.deviations(*window)
         with np.errstate(divide="ignore", invalid="ignore"):
             found = np.where(sigma > 0, ndtr((level - heights) / sigma), heights < level)
@@ -166,7 +166,7 @@ class _Rivers:
         for row0, row1, col0, col1 in rectangles(terrain.grid.shape, TILE, TILE):
             i, j = row0 // TILE, col0 // TILE
             low = float(lowest[min(i, lowest.shape[0] - 1), min(j, lowest.shape[1] - 1)])
-            if low < level + BEYOND * errors.largest:
+            if low < level + errors.beyond:
                 self.windows[i, j] = (row0, row1, col0, col1)
 
     def flooded(self, draw: int) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:

@@ -13,7 +13,8 @@ A draw is a moving average (Oliver 1995): white noise on a lattice of R / sqrt(1
 standard deviation, whose weights at each sample have the sum of squares 1, so that the variance is 1 everywhere. Its
 noise comes from a counter-based generator (Philox: Salmon et al. 2011) whose key is the seed and the number of the
 draw, and whose counter is the place: any window of any draw is made by itself, with the same numbers whoever makes
-it. Where R is less than ``INDEPENDENT`` of a cell, errors are independent (correlated by less than 0.005).
+it. Where check points are given, draws agree with them (``conditioning``). Where R is less than ``INDEPENDENT`` of a
+cell, errors are independent (correlated by less than 0.005).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting.normal import gradient
 from orograph.lighting.raster import Canvas, rectangles
+from orograph.measuring.conditioning import Conditioning, read_checks
 from orograph.measuring.error_kernels import REACH, spread
 from orograph.parallel import for_each
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable
@@ -61,6 +63,9 @@ class HeightError:
             the terrain).
         range: metres at which 5 % of the correlation is left; 0: errors of samples are independent.
         horizontal: standard deviation of the place, metres; adds (horizontal · tan slope)² to the variance.
+        checks: check points with measured heights, with which draws agree: an array (n, 3) of easting, northing and
+            height; or a table, file or ``Dataset`` of points. None: there are none.
+        check_sigma: standard deviation of the measured heights, metres, where the points name none.
 
     Raises:
         UsageError: a number is negative or not finite.
@@ -69,11 +74,14 @@ class HeightError:
     sigma: Any = 0.0
     range: float = 0.0
     horizontal: float = 0.0
+    checks: Any = None
+    check_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.sigma, os.PathLike):
             object.__setattr__(self, "sigma", os.fspath(self.sigma))
-        said = {"range of errors": self.range, "horizontal accuracy": self.horizontal}
+        said = {"range of errors": self.range, "horizontal accuracy": self.horizontal,
+                "accuracy of check points": self.check_sigma}  # fmt: skip
         if self.is_number:
             said["standard deviation"] = self.sigma
         for name, value in said.items():
@@ -89,7 +97,12 @@ class HeightError:
     def tags(self) -> dict[str, str]:
         """What a file says of it."""
         sigma = f"{self.sigma:g} m" if self.is_number else str(self.sigma)[:200]
-        return {"sigma": sigma, "range": f"{self.range:g} m", "horizontal": f"{self.horizontal:g} m"}
+        told = {"sigma": sigma, "range": f"{self.range:g} m", "horizontal": f"{self.horizontal:g} m"}
+        if self.checks is not None:
+            source = getattr(self.checks, "source", self.checks)
+            source = source if isinstance(source, str) else "an array or table"
+            told |= {"check_points": str(source)[:200], "check_sigma": f"{self.check_sigma:g} m"}
+        return told
 
 
 class ErrorField:
@@ -102,7 +115,8 @@ class ErrorField:
 
     Attributes:
         sigma: metres: a number, or (rows, cols) float32.
-        largest: of them.
+        largest: of them. beyond: metres that no error exceeds.
+        conditioning: what makes draws agree with check points; None: there are none.
 
     Raises:
         UsageError: the cells are sheared, and errors correlated; the seed is negative.
@@ -117,8 +131,8 @@ class ErrorField:
         if not 0 <= seed < 1 << 63:
             raise UsageError(f"A seed is a whole number from 0, not {seed}.")
         self.terrain, self.error, self.seed = terrain, error, seed
-        a, b, _, d, e, _ = terrain.grid.transform[:6]
-        cell_x, cell_y = math.hypot(a, d), math.hypot(b, e)
+        (a, b), (d, e) = terrain.grid.linear
+        cell_x, cell_y = terrain.grid.spacing
         self.independent = error.range < INDEPENDENT * min(cell_x, cell_y)
         if not self.independent and abs(a * b + d * e) > SQUARE * cell_x * cell_y:
             raise UsageError(
@@ -137,9 +151,34 @@ class ErrorField:
             self.sigma = found
         known = np.asarray(self.sigma)
         self.largest = float(known) if known.ndim == 0 else float(np.nanmax(known, initial=0.0))
+        self.conditioning = self._conditioning((cell_x, cell_y))
+        moved = 0.0 if self.conditioning is None else self.conditioning.most
+        self.beyond = (BEYOND + moved) * self.largest
+
+    def _conditioning(self, cells: tuple[float, float]) -> Conditioning | None:
+        if self.error.checks is None:
+            return None
+        checks = read_checks(self.error.checks, self.error.check_sigma, self.terrain)
+
+        def sigma(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Array:
+            if isinstance(self.sigma, float):
+                return np.full(len(rows), self.sigma)
+            return self.sigma[rows, cols].astype(np.float64)
+
+        reach = 0.0 if self.independent else self.error.range
+        return Conditioning(checks, self.terrain.grid.shape, cells, reach, sigma)
 
     def window(self, draw: int, row0: int, row1: int, col0: int, col1: int) -> Array:
         """Errors (rows, cols) of samples, metres, of the draw with a number from 0."""
+        window = row0, row1, col0, col1
+        out = self._unit(draw, *window)
+        if self.conditioning is not None:
+            out += self.conditioning.moved(draw, self.seed, lambda *w: self._unit(draw, *w), window)
+        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row0:row1, col0:col1]
+        return np.asarray(out * sigma)
+
+    def _unit(self, draw: int, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """Errors (rows, cols) of variance 1, before check points are heard."""
         out = np.empty((row1 - row0, col1 - col0))
         if self.independent:
             noise = self._noise(draw, row0, row1, col0, col1)
@@ -150,14 +189,22 @@ class ErrorField:
             cols = self._nodes(col0, col1, across)
             noise = self._noise(draw, *rows, *cols)
             spread(noise, rows[0], cols[0], row0, col0, down, across, out)
-        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row0:row1, col0:col1]
-        return np.asarray(out * sigma)
+        return out
 
     def deviations(self, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Standard deviations (rows, cols) of samples, metres."""
+        """Standard deviations (rows, cols) of samples, metres; given the check points, if there are any."""
         if isinstance(self.sigma, float):
-            return np.full((row1 - row0, col1 - col0), self.sigma)
-        return self.sigma[row0:row1, col0:col1].astype(np.float64)
+            found = np.full((row1 - row0, col1 - col0), self.sigma)
+        else:
+            found = self.sigma[row0:row1, col0:col1].astype(np.float64)
+        return found if self.conditioning is None else found * self.conditioning.left((row0, row1, col0, col1))
+
+    def mean(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """Means (rows, cols) of errors, metres: 0, but where check points say otherwise."""
+        if self.conditioning is None:
+            return np.zeros((row1 - row0, col1 - col0))
+        sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row0:row1, col0:col1]
+        return np.asarray(sigma * self.conditioning.mean((row0, row1, col0, col1)))
 
     @staticmethod
     def _nodes(first: int, last: int, step: float) -> tuple[int, int]:
@@ -192,7 +239,7 @@ class ErrorField:
             heights, inner = around(self.terrain, *windows[k])
             sigma: Any = float(self.error.sigma) if field is None else _sampled(field, self.terrain.grid, *windows[k])
             if self.error.horizontal:
-                east, north = gradient(heights, linear_of(self.terrain.grid), 1)
+                east, north = gradient(heights, self.terrain.grid.linear, 1)
                 tangent = np.hypot(east[inner].astype(np.float64), north[inner])
                 sigma = np.sqrt(sigma**2 + (self.error.horizontal * tangent) ** 2)
             missing = np.isnan(heights[inner])
@@ -208,12 +255,6 @@ class ErrorField:
                 path=str(self.error.sigma) if isinstance(self.error.sigma, str) else None,
                 remedy="Name one that covers the terrain, or cut the terrain to it (`bbox`, `clip`).",
             )  # fmt: skip
-
-
-def linear_of(grid: Grid) -> Array:
-    """(2, 2): metres east and north per column and per row."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return np.array([[a, b], [d, e]])
 
 
 def around(terrain: Terrain, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, tuple[slice, slice]]:
@@ -255,8 +296,7 @@ class Drawn(Terrain):
     @cached_property
     def height_range(self) -> tuple[float, float]:
         low, high = self._terrain.height_range
-        beyond = BEYOND * self._field.largest
-        return low - beyond, high + beyond
+        return low - self._field.beyond, high + self._field.beyond
 
     @property
     def valid_fraction(self) -> float:

@@ -224,9 +224,7 @@ def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, f
     from orograph.raycast.traverse import cast as walk
 
     rows, cols = terrain.grid.shape
-    a, b, c, d, e, f = (~terrain.grid.samples)[:6]
-    o = np.array([a * origin[0] + b * origin[1] + c, d * origin[0] + e * origin[1] + f, origin[2]])
-    v = np.array([a * direction[0] + b * direction[1], d * direction[0] + e * direction[1], direction[2]])
+    o, v = terrain.chart.from_world(origin), terrain.chart.vectors_from_world(direction)
     table = terrain.tiles(0)
     low, high = terrain.height_range
     if math.isnan(low):

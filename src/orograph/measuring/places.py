@@ -78,8 +78,8 @@ class Places:
     @property
     def linear(self) -> Array:
         """(2, 2) metres east and north on the grid per column and per row."""
-        t = self.grid.transform
-        return np.array([[t.a, t.b], [t.d, t.e]])
+        linear: Array = self.grid.linear
+        return linear
 
     # ---- coordinates ---------------------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from orograph.folders import Amount, bytes_of, scratch
 from orograph.geo.grid import Grid, compose
 from orograph.lighting.normal import gradient
 from orograph.lighting.raster import Band, rectangles, write
-from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around, linear_of
+from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around
 from orograph.measuring.viewshed import viewshed
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
@@ -123,7 +123,7 @@ class Tally:
 
     def __init__(self, found: Probable) -> None:
         self.found = found
-        self.cell = abs(found.grid.transform.determinant)
+        self.cell = found.grid.cell_area
         self.known = np.zeros(len(found.bands), np.int64)
         self.total = np.zeros(len(found.bands))
 
@@ -212,7 +212,7 @@ def probable_slope(
         if not 0 <= limit < 90:
             raise UsageError(f"A slope to exceed is from 0 to 90 degrees, not {limit:g}.")
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
-    linear = linear_of(terrain.grid)
+    linear = terrain.grid.linear
     bands = (
         Band("mean slope", "°", "the mean slope of the draws, degrees", (0.0, 90.0)),
         Band("standard deviation of the slope", "°", "of the slopes of the draws, n − 1, degrees", (0.0, 90.0)),

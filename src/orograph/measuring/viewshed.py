@@ -190,7 +190,7 @@ class Summary:
     """Counts what is seen while blocks go by."""
 
     def __init__(self, shed: Viewshed) -> None:
-        self.cell = abs(shed.grid.transform.determinant)
+        self.cell = shed.grid.cell_area
         self.heights = shed.heights
         self.seen = self.known = 0
 

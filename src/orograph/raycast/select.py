@@ -54,12 +54,9 @@ def tile_boxes(terrain: Terrain, level: int) -> Boxes:
 
 def in_frustum(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> NDArray[np.bool_]:
     """Tiles whose box is not wholly outside one plane of the frustum (conservative)."""
-    a, b, c, d, e, f = terrain.grid.samples[:6]
     inside = np.isfinite(boxes.high)
-    for nx, ny, nz, n0 in view.frustum(exaggeration):
-        # The plane in sample coordinates; its most positive corner of the box decides.
-        px, py, pz = nx * a + ny * d, nx * b + ny * e, nz * exaggeration
-        p0 = n0 + nx * c + ny * f
+    for px, py, pz, p0 in terrain.chart.planes(view.frustum(exaggeration).tolist(), exaggeration):
+        # The box's most positive corner decides.
         reach = p0 + px * np.where(px > 0, boxes.east, boxes.west) + py * np.where(py > 0, boxes.south, boxes.north)
         inside &= reach + pz * np.where(pz > 0, boxes.high, boxes.low) >= 0
     return inside
@@ -68,12 +65,7 @@ def in_frustum(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) 
 def distances(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> Array:
     """A lower bound of the distance from the eye to each box, metres of stretched space."""
     col, row = terrain.grid.index(view.eye[0], view.eye[1])
-    a, b, _, d, e, _ = terrain.grid.samples[:6]
-    # Metres per sample along the least stretched direction: exact for the square, unrotated cells of most terrain.
-    if abs(a * b + d * e) < 1e-9 * (a * a + b * b + d * d + e * e):
-        sx, sy = math.hypot(a, d), math.hypot(b, e)
-    else:
-        sx = sy = float(np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)[1])
+    sx, sy = terrain.chart.least_steps
     dx = np.maximum(np.maximum(boxes.west - col, col - boxes.east), 0) * sx
     dy = np.maximum(np.maximum(boxes.north - row, row - boxes.south), 0) * sy
     dz = np.maximum(np.maximum(boxes.low - view.eye[2], view.eye[2] - boxes.high), 0) * exaggeration

@@ -71,7 +71,8 @@ def render(
             there is none). Default "cpu".
         conservative: refuse a ``method`` with which the tolerance is no promise for every sample in view.
         each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
-            the relief), or "member", "band" or "time" of the first data, all or some: "member=1-6", "time=T12".
+            the relief), "data" (one for each, with scales of their own), or "member", "band" or "time" of the first
+            data, all or some: "member=1-6", "time=T12".
         progress: hears of what is being done, and of warnings. Default: work that lasts has a bar in terminals and
             notebooks, warnings are Python's; False: nothing is said.
         options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,

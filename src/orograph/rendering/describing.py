@@ -42,9 +42,13 @@ def describe(scene: Scene) -> str:
         shown = things.values[upright]
         if len(shown):
             parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")
-        floating = upright & np.isfinite(things.ends[:, 0]) if things.ends is not None else np.zeros(0)
-        if floating.any():
-            parts.append(f"{int(floating.sum())} of them float over the ground.")
+        if things.ends is not None:
+            floating = upright & np.isfinite(things.ends[:, 0])
+            below = floating & (np.zeros(len(things)) if things.hidden is None else things.hidden > 0).astype(bool)
+            if floating.sum() > below.sum():
+                parts.append(f"{int(floating.sum() - below.sum())} of them float over the ground.")
+            if below.any():
+                parts.append(f"{int(below.sum())} of them are at their depths, and seen through the ground.")
     plain = [layer.title for layer in drawn(scene.data.layers) if layer.key is None]
     if plain:
         parts.append(f"Laid over the ground: {', '.join(plain)}.")

@@ -12,6 +12,11 @@ from orograph.rendering.gbuffer import NONE, Area, GBuffer, Mark, Surface
 Array = NDArray[np.float64]
 
 
+TIE = 1e-9
+"""Part of a depth by which a patch may lie in front of ground without being seen: where they meet they are one, however
+depths round (``composited`` finds them in another frame)."""
+
+
 class Layered:
     """``ground`` as the first layer, and in front of it ``over`` as the second.
 
@@ -35,7 +40,7 @@ class Layered:
 
     def _joined(self, ground: GBuffer, over: GBuffer) -> GBuffer:
         with np.errstate(invalid="ignore"):
-            hidden = np.isnan(over.depth) | (ground.depth <= over.depth)
+            hidden = np.isnan(over.depth) | (ground.depth <= over.depth * (1 + TIE))
         return replace(
             ground,
             over=GBuffer(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,13 @@ from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty, datasets_of
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.features import has_features
+from orograph.geovis.data.listing import times_in
 from orograph.geovis.data.painting import MEASURES, image_grid
 from orograph.geovis.data.points import is_table
-from orograph.geovis.data.reading import Field, matches, members_in, read, times_in
+from orograph.geovis.data.reading import Field, members_in, read
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import spanned
+from orograph.geovis.data.times import matches
 from orograph.geovis.layers import drawn as visible
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import session
@@ -36,7 +39,7 @@ from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
 PAPER, INK = (246, 244, 239), (36, 40, 46)
-EACH = ("view", "member", "band", "time")
+EACH = ("view", "data", "member", "band", "time")
 MOST = 36
 """Panels: more are too small to read."""
 
@@ -64,8 +67,8 @@ def draw_panels(
 
     Args:
         view: of each panel; its size is that of the whole.
-        each: "view": a map beside the relief; "member", "band" or "time" of the first data: all of them, or some,
-            "member=1-6", "time=2019-03-01".
+        each: "view": a map beside the relief; "data": one panel for each of several data, with scales of their own;
+            "member", "band" or "time" of the first data: all of them, or some, "member=1-6", "time=2019-03-01".
         options: of a scene, ``furniture`` and ``title`` being those of the whole.
 
     Raises:
@@ -73,7 +76,12 @@ def draw_panels(
     """
     panels = panels_of(datasets_of(options.get("data")), each, terrain)
     size = (view.width, view.height)
-    free = insets(size, terrain.attribution) if options.get("furniture") else (0.0, 0.0, 0.0, 0.0)
+    common = {name: value for name, value in options.items() if name not in ("furniture", "title", "data")}
+    free = (0.0, 0.0, 0.0, 0.0)
+    if options.get("furniture"):
+        told = datasets_of(options.get("data")) if each == "data" else panels[0].data
+        legend = Scene.of(terrain, view, **common, data=told)
+        free = insets(size, terrain.attribution, (), legend.keys)
     style = Style.of(size, " ".join(panel.title for panel in panels))
     caption = math.ceil(CAPTION * style.unit)
     boxes = _boxes(len(panels), size, free, caption, style.gap)
@@ -82,7 +90,6 @@ def draw_panels(
     sheet[:] = PAPER
     cover = np.zeros(sheet.shape[:2], bool)
     draw = session(progress, backend=backend)
-    common = {name: value for name, value in options.items() if name not in ("furniture", "title", "data")}
     made: list[tuple[Scene, Picture]] = []
     with progress.task("Drawing panels", total=len(panels)) as task:
         for panel, (x, y, _, _) in zip(panels, boxes):
@@ -96,7 +103,8 @@ def draw_panels(
     sheet = _captioned(sheet, panels, boxes, style)
     scene, picture = made[-1]
     if options.get("furniture"):
-        sheet = _furnished(sheet, cover, scene.but(view=view), picture, options.get("title"), _note(panels, each))
+        shown = legend if each == "data" else scene.but(view=view)
+        sheet = _furnished(sheet, cover, shown, picture, options.get("title"), _note(panels, each))
     names = ", ".join(panel.title for panel in panels)
     words = f"{len(panels)} panels: {names}. {picture.facts['description']}"
     facts = {
@@ -121,6 +129,8 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
         raise UsageError(f"There is no panel for each {key!r}.", remedy=f"There are {', '.join(EACH)}.")
     if key == "view":
         return [Panel("Map", data, True), Panel("Relief", data)]
+    if key == "data":
+        return _of_several(data)
     if not data:
         raise UsageError(f"A panel for each {key} is of data, and there are none.")
     first, *rest = data
@@ -160,6 +170,22 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
         shared = replace(shared, range=(0.0, spanned(np.concatenate(sigmas), None)[1]))
     breaks = "equal" if first.breaks == "quantiles" else first.breaks
     return [Panel(title, (one.but(range=span, breaks=breaks, uncertainty=shared), *rest)) for title, one in ones]
+
+
+def _of_several(data: tuple[Dataset, ...]) -> list[Panel]:
+    """A panel for each of several data.
+
+    Raises:
+        UsageError: there are too few, or too many.
+    """
+    if not 2 <= len(data) <= MOST:
+        raise UsageError(f"Panels of data are 2 to {MOST}, and there are {len(data)}.", remedy="Give several --data.")
+
+    def title(number: int, one: Dataset) -> str:
+        source = Path(one.source).stem if isinstance(one.source, str) else f"data {number}"
+        return (one.name or one.variable or source).replace("_", " ")
+
+    return [Panel(title(k + 1, one), (one,)) for k, one in enumerate(data)]
 
 
 def _doubt_of(whole: Dataset, one: Dataset, terrain: Terrain) -> Uncertainty | None:
@@ -238,4 +264,6 @@ def _furnished(
 
 
 def _note(panels: list[Panel], each: str) -> str:
+    if each == "data":
+        return "each panel with a scale of its own"
     return "map and relief" if panels[0].plan else f"one panel for each {each.partition('=')[0]}, one scale"

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera
 
 Array = NDArray[np.float64]
 
@@ -44,13 +43,12 @@ class Projection:
     far: float
 
     @classmethod
-    def of(cls, view: View, grid: Grid, exaggeration: float = 1.0) -> Projection:
-        """The projection of the whole picture that ``view`` is, or is a tile of."""
-        whole, inverse = view.whole, ~grid.samples
-        linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
-        origin, *others = whole.ray_basis(exaggeration)
-        o = linear @ origin + np.array([inverse.c, inverse.f, 0.0])
-        ou, ov, d, du, dv = (linear @ v for v in others)
+    def of(cls, camera: Camera) -> Projection:
+        """The projection of the whole picture that the camera's view is, or is a tile of."""
+        whole, chart = camera.view.whole, camera.affine
+        origin, *others = whole.ray_basis(camera.exaggeration)
+        o = chart.from_world(origin)
+        ou, ov, d, du, dv = (chart.vectors_from_world(v) for v in others)
         return cls(
             o, ou, ov, d, du, dv, whole.projection == "perspective", whole.width, whole.height, whole.near, whole.far
         )

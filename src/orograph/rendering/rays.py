@@ -5,7 +5,6 @@ Positions are sample coordinates (column, row, true height); depth is the rays' 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,13 +51,13 @@ class Rays:
 
     def __init__(self, scene: Scene, surface: Surface) -> None:
         self.scene, self.surface = scene, surface
-        view, grid = scene.view.whole, scene.terrain.grid
+        view, chart = scene.view.whole, scene.terrain.chart
         self.view = view
         self.basis = view.ray_basis(scene.surface.exaggeration)
-        inverse = ~grid.samples
+        inverse = chart.grid.inverse
         self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
         self.offset = np.array([inverse.c, inverse.f, 0.0])
-        self.spacing = math.sqrt(abs(grid.transform.determinant))
+        self.spacing = chart.spacing
 
     def depths(self, px: Array, py: Array) -> Array:
         """Depths (n,) of the ground at pixel positions (n,), by all threads; NaN where there is none."""

@@ -1,4 +1,5 @@
-"""Things that stand on the ground, drawn over a finished picture of it: what its depth hides is hidden.
+"""Things that stand on the ground, drawn over a finished picture of it: what its depth hides is hidden, or shines
+through.
 
 Each thing is a solid that rays are cast at, exactly, several through each pixel that it may cover; the pictures of both
 backends carry the depth that this needs. The foot of a thing is at the surface's own height; what stands is not
@@ -22,6 +23,7 @@ from orograph.rendering.shadows import shade
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
+Colors = NDArray[np.float32]
 
 ROWS = 32
 """Rows of a picture that a thread draws at a time."""
@@ -76,6 +78,8 @@ def stand(
     out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
     shade(things, out, depth, scene)
     which = np.full(depth.shape, -1, np.int32)
+    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
+    through = np.unique(hidden[hidden > 0])
     sun = np.array(scene.lighting.sun.direction)
     forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]
     flat = float(np.hypot(*forward))
@@ -87,22 +91,42 @@ def stand(
         if not len(chosen):
             return
         shape = last - top, cols, len(offsets)
-        color, nearest = np.zeros((*shape, 3), np.float32), np.full(shape, np.inf)
-        cast(
-            things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes, chosen, basis, offsets,
-            ahead, sun, AMBIENT, scene.view.near, top, far[top:last], color, nearest, which[top:last],
-        )  # fmt: skip
+
+        def draw(chosen: NDArray[np.intp], depths: Array, seen: NDArray[np.int32]) -> tuple[Colors, Array]:
+            color, nearest = np.zeros((*shape, 3), np.float32), np.full(shape, np.inf)
+            cast(
+                things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes, chosen, basis,
+                offsets, ahead, sun, AMBIENT, scene.view.near, top, depths, color, nearest, seen,
+            )  # fmt: skip
+            return color, nearest
+
+        for opacity in through:
+            below = np.full(shape[:2], -1, np.int32)
+            deep = chosen[hidden[chosen] == opacity]
+            color, nearest = draw(deep, np.full(shape[:2], np.inf), below)
+            hit = np.isfinite(nearest) & (nearest >= far[top:last][..., None])
+            _blend(out[top:last], color * hit[..., None] * np.float32(opacity), hit.sum(-1) * np.float32(opacity))
+            which[top:last] = np.where(hit[..., 0], below, which[top:last])
+        color, nearest = draw(chosen, far[top:last], which[top:last])
         hit = np.isfinite(nearest)
-        some = hit.any(-1)
-        part = hit.sum(-1)[some][:, None] / np.float32(len(offsets))
-        under = srgb_to_linear(out[top:last][some] / np.float32(255))
-        mixed = under * (1 - part) + color[some].sum(1) / np.float32(len(offsets))
-        out[top:last][some] = np.rint(linear_to_srgb(mixed) * 255)
+        _blend(out[top:last], color, hit.sum(-1).astype(np.float32))
         mostly = 2 * hit.sum(-1) > len(offsets)
         nearest_depth[top:last][mostly] = nearest.min(-1)[mostly]
 
     for_each(band, range(0, rows, ROWS), scene.budget.jobs)
     return Stood(out, nearest_depth, which, int((~known).sum()))
+
+
+def _blend(pixels: NDArray[np.uint8], color: Colors, hits: Colors) -> None:
+    """Lay colours (rows, cols, samples, 3), multiplied by their opacity, over pixels.
+
+    Args:
+        hits: (rows, cols) the sum of the samples' opacities.
+    """
+    some, samples = hits > 0, np.float32(color.shape[2])
+    under = srgb_to_linear(pixels[some] / np.float32(255))
+    mixed = under * (1 - hits[some][:, None] / samples) + color[some].sum(1) / samples
+    pixels[some] = np.rint(linear_to_srgb(mixed) * 255)
 
 
 def places(things: Things, scene: Scene) -> tuple[Array, Array]:
@@ -150,15 +174,17 @@ def _basis(scene: Scene) -> tuple[Array, Array]:
 def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np.int64]:
     """(n, 4) first and last column, first and last row that each may cover; of what lies around the eye, all."""
     wide = np.where(np.isin(things.kind, (Kind.FLAG, Kind.TUBE)), things.radius, things.radius * np.sqrt(2))
-    wide = np.where(np.isin(things.kind, (Kind.WALL, Kind.PANEL)), 0.0, wide)
+    flat = np.isin(things.kind, (Kind.PANEL, Kind.SECTION))
+    wide = np.where(flat | (things.kind == Kind.WALL), 0.0, wide)
     tube = things.kind == Kind.TUBE
     low, high = np.where(tube, -wide, 0.0), np.where(tube, wide, things.height)
+    high = np.where(things.kind == Kind.COLUMN, 0.0, high)
     corners = np.stack([
         foot + np.stack([i * wide, j * wide, up], 1)
         for foot in (place, place + end) for i in (-1, 1) for j in (-1, 1) for up in (low, high)
     ])  # fmt: skip
-    # The other two corners of panels.
-    rise = np.where(things.kind == Kind.PANEL, end[:, 2], 0.0)[:, None] * [0.0, 0.0, 1.0]
+    # The other two corners of panels and sections.
+    rise = np.where(flat, end[:, 2], 0.0)[:, None] * [0.0, 0.0, 1.0]
     corners = np.concatenate([corners, [place + rise, place + end - rise]])
     corners[..., 2] /= scene.surface.exaggeration
     (xy, depth), view = scene.view.project(corners, scene.surface.exaggeration), scene.view

@@ -1,4 +1,4 @@
-"""Rays at simple solids: bars, spheres, cones, cylinders, flags, tubes, walls. See ``standing``.
+"""Rays at simple solids: bars, spheres, cones, cylinders, flags, tubes, walls, panels, columns. See ``standing``.
 
 All positions are in stretched space (heights times the exaggeration), in metres, relative to the eye's own place.
 """
@@ -200,19 +200,20 @@ def cast(
                         t, nx, ny, nz = _tube(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], r)
                     elif kind[n] == 6:
                         t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], h)
-                    elif kind[n] == 8:
+                    elif kind[n] == 8 or kind[n] == 10:
                         t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], 0.0, end[n, 2])
-                        if dx * end[n, 1] - dy * end[n, 0] <= 0:
+                        if kind[n] == 8 and dx * end[n, 1] - dy * end[n, 0] <= 0:
                             t = np.inf
                     elif kind[n] == 4:
                         t, nx, ny, nz = _flag(ox, oy, oz, dx, dy, dz, x, y, z, r, h, ahead[0], ahead[1])
                     else:
-                        t, nx, ny, nz = _turned(ox, oy, oz, dx, dy, dz, x, y, z, r, h, 0.0 if kind[n] == 2 else 1.0)
+                        up = end[n, 2] if kind[n] == 9 else h
+                        t, nx, ny, nz = _turned(ox, oy, oz, dx, dy, dz, x, y, z, r, up, 0.0 if kind[n] == 2 else 1.0)
                     if not near <= t < nearest[row, col, s] or t >= ground:
                         continue
                     nearest[row, col, s] = t
                     light = ambient + (1 - ambient) * max(0.0, nx * sun[0] + ny * sun[1] + nz * sun[2])
-                    if kind[n] == 8:
+                    if kind[n] == 8 or kind[n] == 10:
                         light = 1.0
                     for c in range(3):
                         color[row, col, s, c] = rgb[n, c] * light

@@ -177,7 +177,7 @@ def draw_by_workers(
     """Draw a scene into a file, its tiles by workers.
 
     Args:
-        workers: processes of ``jobs`` threads each (None: 1), which share ``max_memory``; or
+        workers: processes of ``jobs`` threads each (None: 1), which share ``max_memory`` and the scene's own budget; or
         dask: a ``distributed.Client``, or the address of a scheduler.
         depth, backend, dpi, progress: as for ``draw_large``.
 
@@ -191,6 +191,9 @@ def draw_by_workers(
     check_workers(workers, dask, "A picture")
     if scene.surface.wireframe and backend == "cpu":
         raise UsageError("A wireframe is drawn over a whole picture, by one process.", remedy="Leave out the workers.")
+    if workers is not None and scene.budget.max_memory is not None:
+        # Each holds the heights of its tiles; all tiles, and what is seen of them here, are drawn from the same ones.
+        scene = scene.but(max_memory=scene.budget.max_memory // workers)
     out = Path(path)
     folder = FolderStorage(out.absolute().with_name(f".{out.name}.tiles"), many=True)
     imbalance = 1.0

@@ -127,10 +127,9 @@ def steepness(terrain: Terrain) -> float:
         level += 1
     rows, cols = terrain.mean_shape(level)
     heights = terrain.read_mean(level, 0, rows, 0, cols).astype(np.float64)
-    t = terrain.grid.transform
     slope = np.zeros(0)
     if min(heights.shape) >= 2:
-        to_world = np.linalg.inv(np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**level).T
+        to_world = np.linalg.inv(terrain.grid.linear * 2.0**level).T
         down, across = heights[1:, :-1] - heights[:-1, :-1], heights[:-1, 1:] - heights[:-1, :-1]
         gx = to_world[0, 0] * across + to_world[0, 1] * down
         gy = to_world[1, 0] * across + to_world[1, 1] * down

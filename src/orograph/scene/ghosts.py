@@ -47,7 +47,7 @@ class Ghost:
 
     source: Any
     color: str = COLOR
-    opacity: float = 0.55
+    opacity: float = 0.75
     hidden: float = 0.25
     name: str | None = None
     band: int | None = None

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from orograph.errors import UsageError
 from orograph.folders import parse_bytes
 from orograph.lod.options import Described, check, described, option
-from orograph.lod.registry import AUTO
+from orograph.lod.registry import AUTO, chosen
 from orograph.scene import given
 from orograph.scene.aids import Aids
 from orograph.scene.contours import Contours
@@ -72,6 +72,10 @@ def check_exaggeration(factor: float) -> None:
     """Raise UsageError unless heights can be stretched by ``factor``."""
     if not 0 < factor <= STEEPEST:
         raise UsageError(f"The exaggeration is a factor greater than 0, and at most {STEEPEST:g}, not {factor:g}.")
+
+
+_HIGHEST = 1e9
+"""Metres that no ground of any body reaches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +168,7 @@ class Data:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if isinstance(self.water, float) and not math.isfinite(self.water):
+        if isinstance(self.water, float) and not abs(self.water) < _HIGHEST:
             raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
         if self.range is not None:
             low, high = _ends(self.range)
@@ -186,10 +190,13 @@ class Theme:
         "variable, band, time, member, value (of several: median, min, max, spread, p90), exceeds (how probably), "
         "layer, geometry (which of several), style "
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
-        "spheres, cones, discs, flags; of lines tubes, curtains), colormap, "
-        "range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
-        "values: 0:5:10), height, above (ATTRIBUTE: metres of points over the "
-        "heights' zero, or over the ground), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        "spheres, cones, discs, flags; of lines tubes, curtains; of tracks tubes, paths; of boreholes columns, logs; "
+        "of volumes curtains, walls), colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: "
+        "0:5:10), height, above, depth (ATTRIBUTE[:km|ft]: metres of points over the heights' zero, or over or below "
+        "the ground; from+to), group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks), level (of "
+        "a volume), vertical (what its levels are: height, above, depth, pressure), along (FILE of lines, or "
+        "LON:LAT:LON:LAT…: where curtains through a volume run), hidden (how what is below the ground shows through "
+        "it), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
         read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     priority: Priority | None = option(
@@ -287,7 +294,7 @@ class Surface:
     detail: Detail | None = option(
         None,
         "Invent detail where samples are coarser than pixels: fractal, as rough as the data, or after fine terrain "
-        "(exemplar=lidar.tif). The samples stay as they are; nothing that is measured has it (CPU).",
+        "(exemplar=lidar.tif). The samples stay as they are; nothing that is measured has it.",
         read=Detail.parse, given=given.detail, metavar="fractal|exemplar=FILE[,seed=N]", shown="none",
     )  # fmt: skip
 
@@ -295,9 +302,10 @@ class Surface:
         object.__setattr__(self, "detail", detail_of(self.detail))
         check(self, CALLED)
         check_exaggeration(self.exaggeration)
-        if self.detail and self.method.partition(",")[0] not in ("auto", AUTO["cpu"]):
+        if self.detail and not _invents(self.method):
             raise UsageError(
-                "`detail` is drawn by rays; a method's mesh is of the terrain itself.",
+                "`detail` is drawn by rays, or by clipmaps as printed: other methods go by errors, and of what is "
+                "invented none is known.",
                 remedy="Leave out the method, or the detail.",
             )
         if self.triangles is not None and self.tolerance is not None:
@@ -376,3 +384,12 @@ def check_options(options: Mapping[str, Any]) -> None:
     """
     for part, values in by_part(options).items():
         PARTS[part](**{name: OPTIONS[name].worded(value) for name, value in values.items()})
+
+
+def _invents(method: str) -> bool:
+    """Whether a method draws detail beyond the data."""
+    name = method.partition(",")[0]
+    if name != "clipmap":
+        return name in ("auto", AUTO["cpu"])
+    choice = chosen(method, "cpu")
+    return not choice.info.conservative(choice.options)

@@ -66,10 +66,15 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     given = made_of("priority", options.get("priority"), terrain)
     aids = made_of("aids", options.get("aids"), terrain)
     if not data and given is None:
-        return Themed(made, _walls(terrain, ()) if aids is not None and aids.walls else None)
+        return Themed(made, _walls(terrain, (), None) if aids is not None and aids.walls else None)
     priority = given or Priority(data=True)
-    found = [_read(one, terrain, max(size), priority) for one in pairs(data)]
-    standing = [one for one in found if isinstance(one, Things)]
+    around = [one for one in data if one.style == "walls"]
+    if len(around) > 1:
+        raise UsageError("Walls show one volume.", remedy="Give one of the data another style: curtains.")
+    inside = tuple(one for one in data if one.style != "walls")
+    stretch = float(options.get("exaggeration") or 1.0)
+    found = [_read(one, terrain, max(size), priority, stretch) for one in pairs(inside)]
+    standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
@@ -77,18 +82,32 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     things = Things.joined(standing) if standing else None
     if things is not None and aids is not None and aids.standing:
         things = _aided(things, aids, terrain)
-    if aids is not None and aids.walls:
-        things = Things.joined([*([things] if things is not None else []), _walls(terrain, flat)])
+    if around or (aids is not None and aids.walls):
+        beside = _walls(terrain, flat, around[0] if around else None)
+        things = Things.joined([*([things] if things is not None else []), beside])
     return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
 
 
+def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things:
+    """Things that know what their values are."""
+    from orograph.geovis.data.standing import Variable
+
+    key = things.legend
+    if key.scales:
+        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),))
+    one = dataset if not isinstance(dataset, tuple) else dataset[0]
+    classes = tuple(name for name, _ in key.classes)
+    alike = one.name or one.variable or ("class" if len(classes) > 1 else "".join(classes))
+    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),))
+
+
 def _read(
-    dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority
+    dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority, stretch: float
 ) -> Shown | Things:
     """What a dataset is shown by: something painted, or things that stand.
 
     Args:
-        pixels: along the longer side of the picture.
+        pixels: along the longer side of the picture. stretch: of its heights.
     """
     from orograph.geovis.data.bivariate import shown_pair
     from orograph.geovis.data.features import has_features, read_features
@@ -96,11 +115,16 @@ def _read(
     from orograph.geovis.data.points import is_table, read_points
     from orograph.geovis.data.shape_painting import shown_shapes
     from orograph.geovis.data.standing import stands, things_of
+    from orograph.geovis.data.standing_columns import STYLES as PROFILES
+    from orograph.geovis.data.standing_columns import things_of_profiles
     from orograph.geovis.data.standing_lines import things_of_lines
+    from orograph.geovis.data.standing_sections import curtains
 
     grid, texels = terrain.grid, int(min(MOST, max(LEAST, FINER * pixels)))
     if isinstance(dataset, tuple):
         return shown_pair(*dataset, grid, texels)
+    if dataset.style in ("tubes", "paths") and (moving := _tracks(dataset, terrain, stretch)) is not None:
+        return moving
     features = read_features(dataset, grid) if has_features(dataset.source) else None
     if dataset.derived and (features is not None or is_table(dataset.source)):
         raise UsageError(
@@ -108,10 +132,10 @@ def _read(
             remedy="Leave them away.",
         )  # fmt: skip
     pointed = is_table(dataset.source) if features is None else features.kind == "points"
-    if not pointed and (dataset.height is not None or dataset.above is not None):
+    if not pointed and dataset.leveled is not None:
         raise UsageError(
-            "height= and above= say how high points float, and these are none.", path=str(dataset.source),
-            remedy="Leave them away; lines float at their own z.",
+            f"{dataset.leveled}= says how high points are, and these are none.", path=str(dataset.source),
+            remedy="Leave it away; lines float at their own z.",
         )  # fmt: skip
     if features is not None and features.kind != "points" and stands(dataset):
         return things_of_lines(dataset, features, grid, priority)
@@ -119,12 +143,42 @@ def _read(
         return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
     if features is not None or is_table(dataset.source):
         points = read_points(dataset, grid, features)
-        if dataset.above is not None and points.level is not None:
-            points = replace(points, level=points.level + _ground_at(terrain, points.x, points.y))
+        if dataset.style in PROFILES:
+            return things_of_profiles(dataset, points, grid, _ground_at(terrain, points.x, points.y))
+        if dataset.leveled in ("above", "depth") and points.level is not None:
+            base = _ground_at(terrain, points.x, points.y).reshape(-1, *[1] * (points.level.ndim - 1))
+            points = replace(points, level=base + points.level * (-1.0 if dataset.depth is not None else 1.0))
         return things_of(dataset, points, grid, priority, dataset.unit or "", "")
+    if dataset.style == "curtains":
+        return curtains(dataset, grid, lambda x, y: _ground_at(terrain, x, y))
     if stands(dataset):
         return _on_lattice(dataset, grid, priority)
     return shown(dataset, grid, texels, priority, lambda over: _heights(terrain, over))
+
+
+def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None:
+    """What stands for tracks; None: a source of lines that say no times.
+
+    Raises:
+        UsageError: their heights are to be times.
+    """
+    from orograph.geovis.data.standing_tracks import things_of_tracks
+    from orograph.geovis.data.times import seconds_of
+    from orograph.geovis.data.tracks import read_tracks, rows_of
+
+    rows = rows_of(dataset, terrain.grid)
+    if rows is None and dataset.style == "tubes":
+        return None
+    if rows is None:
+        raise UsageError("Its lines say no times.", path=str(dataset.source), remedy="Name points with times, or GPX.")
+    moment = None if dataset.time is None else float(seconds_of([dataset.time], "time=", "value")[0])
+    found = read_tracks(dataset.but(time=None), rows, terrain.grid)
+    if dataset.above is not None or dataset.depth is not None:
+        turn = 1.0 if dataset.above is not None else -1.0
+        at = found.at.copy()
+        at[:, 2] = _ground_at(terrain, at[:, 0], at[:, 1]) + turn * at[:, 2]
+        found = found._replace(at=at)
+    return things_of_tracks(dataset, found, terrain.grid, terrain.height_range[1], stretch, moment)
 
 
 def _heights(terrain: Terrain, over: Grid) -> Any:
@@ -161,12 +215,21 @@ def _aided(things: Things, aids: Aids, terrain: Terrain) -> Things:
     return Things.joined(found)
 
 
-def _walls(terrain: Terrain, painted: Sequence[Shown]) -> Things:
-    """Sections on walls around a terrain, in the colours of the uppermost painted data that are numbers everywhere."""
+def _walls(terrain: Terrain, painted: Sequence[Shown], volume: Dataset | None) -> Things:
+    """Sections on walls around a terrain, in the colours of the uppermost painted data that are numbers everywhere,
+    and with a volume's values."""
     from orograph.geovis.data import standing_walls as made
     from orograph.geovis.data.sampling import values_at
+    from orograph.geovis.data.standing_sections import Filling, middle_lines
+
+    def ground(x: Any, y: Any) -> Any:
+        return _ground_at(terrain, x, y)
 
     low, high = terrain.height_range
+    filling = None
+    if volume is not None:
+        filling = Filling(volume, terrain.grid, ground, middle_lines(terrain.grid, made.COLUMNS))
+        low, high = min(low, filling.span[0]), max(high, filling.span[1])
     below = [one for one in painted if one.cover is None and one.classes is None and one.square is None]
 
     def paint(x: Any, y: Any) -> Any:
@@ -178,7 +241,7 @@ def _walls(terrain: Terrain, painted: Sequence[Shown]) -> Things:
         return np.where(np.isfinite(values)[:, None], one.scale.color(values), bare)
 
     step = round_number(max(high - low, 1e-3) / 5)
-    return made.walls(terrain.grid, (low, max(high, low + 1e-3)), step, lambda x, y: _ground_at(terrain, x, y), paint)
+    return made.walls(terrain.grid, (low, max(high, low + 1e-3)), step, ground, paint, filling)
 
 
 def _ground_at(terrain: Terrain, x: Any, y: Any) -> Any:

@@ -11,10 +11,14 @@ from orograph.errors import UsageError
 from orograph.store.bucket import SCHEMES, BucketStorage
 from orograph.store.fsspec_storage import FsspecStorage
 from orograph.store.storage import FolderStorage, Storage
+from orograph.store.versions import folder_of
 
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
-    """The storage of a path, a ``file://`` URL, a bucket's or a web server's, or any other that fsspec knows."""
+    """The storage of a path, a ``file://`` URL, a bucket's or a web server's, or any other that fsspec knows.
+
+    A path ``STORE@2`` is a version of a store (``versions``).
+    """
     if not isinstance(url, str | os.PathLike):
         raise UsageError(
             f"A store is a folder or a URL, not {type(url).__name__}.",
@@ -26,4 +30,4 @@ def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = Non
     scheme, found, _ = text.partition("://")
     if found:
         return (BucketStorage if scheme in SCHEMES else FsspecStorage)(text, options)
-    return FolderStorage(text)
+    return FolderStorage(folder_of(text))

@@ -302,7 +302,9 @@ class ShardedArray:
             return self.window(row0, row1, col0, col1)
         except DamagedChunkError:
             self.watch.explain(self.spec.path)
-            raise
+            if not self.watch.replaced:
+                raise
+        return self.window(row0, row1, col0, col1)  # where the version that was opened is kept now
 
     def prove(self, shard: Spot, whole: bool) -> None:
         """Read a shard, whole or its end alone, which says what all of it must be.

@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from urllib.parse import unquote, urlsplit
 
 from orograph.errors import StoreError, public
+from orograph.servers import WEB, beyond, connected, passing, status_of
 from orograph.store import storage as waiting
-from orograph.store.bucket_client import WEB, beyond, connected, passing, status_of
 from orograph.store.places import PLAN, ROOT
 from orograph.store.ranges import Range, cut, merged
 from orograph.store.storage import Storage
@@ -91,7 +91,9 @@ class BucketStorage(Storage):
                 path=self.url, remedy="Let the environment have the credentials.",
             )  # fmt: skip
         self.prefix = unquote(cut_up.path).strip("/") if self.web else cut_up.path.strip("/")
-        self._client = connected(f"{cut_up.scheme}://{cut_up.netloc}", cut_up.scheme, options, self.url)
+        self._client = connected(
+            f"{cut_up.scheme}://{cut_up.netloc}", cut_up.scheme, options, self.url, waiting.SILENCE
+        )
         self._no_suffixes = cut_up.scheme.startswith(("az", "abfs"))
         self._roots: dict[str, Version | None] = {}
         self._scope = ""

@@ -24,23 +24,26 @@ from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
 from orograph.store.addresses import storage_at
-from orograph.store.chunked import checked_sizes
+from orograph.store.chunked import Kind, checked_kind
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
 from orograph.store.given import source_of
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
-from orograph.store.layout import CHUNK, PARTS, Record, dumps
+from orograph.store.layout import CHUNK, Record, dumps
 from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric
-from orograph.store.places import PLAN, ROOT, begun, is_store, partial, publish
+from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store, partial, publish
 from orograph.store.plan import check_replaceable, compared, plan_for
+from orograph.store.quadtin_kind import checked_quadtin
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
+from orograph.store.versions import check_keep, prune, settle
+from orograph.store.versions import publish as publish_version
 from orograph.store.ways import AtOnce, check_ways, executor_of
 from orograph.store.writer import ShardWriter
 
@@ -68,11 +71,13 @@ def build(
     overwrite: bool = False,
     resume: bool = False,
     update: bool = False,
+    keep: int | None = None,
     max_memory: Amount = MEMORY,
     jobs: int | None = None,
     errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
-    chunked: tuple[int, float] | None = None,
+    chunked: tuple[int, float] | tuple[int, float, bool] | None = None,
+    quadtin: tuple[float, str] | None = None,
     keep_source: bool = True,
     codec: str = CODECS[0],
     max_error: str | float = "lossless",
@@ -99,11 +104,13 @@ def build(
     overwrite: bool = False,
     resume: bool = False,
     update: bool = False,
+    keep: int | None = None,
     max_memory: Amount = MEMORY,
     jobs: int | None = None,
     errors: Sequence[ErrorKind] | str = ("exact",),
     tins: int | None = None,
-    chunked: tuple[int, float] | None = None,
+    chunked: tuple[int, float] | tuple[int, float, bool] | None = None,
+    quadtin: tuple[float, str] | None = None,
     keep_source: bool = True,
     codec: str = CODECS[0],
     max_error: str | float = "lossless",
@@ -127,14 +134,17 @@ def build(
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
         update: make again only what follows of files that were added, changed or removed since (``updating``); begins a
             build if there is none. The store keeps what that takes.
+        keep: versions of an updated store that are left, with the new one (default: 2); older ones are removed.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
             them: several, or a text ("exact,midpoint"); none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``); None: no TINs.
         chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
-            from the terrain ((32, 0) for ``chunked-lod``); None: no such meshes. They follow from ``midpoint`` errors,
-            which are stored, too.
+            from the terrain ((32, 0) for ``chunked-lod``), and whether they are compressed ((32, 0, True)); None: no
+            such meshes. They follow from ``midpoint`` errors, which are stored, too.
+        quadtin: metres within which the finest triangles of a stored QuadTIN are, 0: a sixteenth of the spacing of
+            samples, and which points split triangles ((0, "nearest") for ``quadtin``); None: none is stored.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
@@ -169,13 +179,16 @@ def build(
     if tins is not None and tins not in TIN_LEGS:
         raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
-        chunked = checked_sizes(chunked)
+        chunked = checked_kind(chunked)
         kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # which chunks follow from
+    if quadtin is not None:
+        quadtin = checked_quadtin(quadtin)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
+    versions = check_keep(keep, update, final)
     if update:
         from orograph.store.updating import begin, check_updatable
 
@@ -184,7 +197,7 @@ def build(
     if workers is not None:
         jobs = jobs or 1
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
-    keep = keep_source and bool(lattices_of(raster))
+    keep_lattices = keep_source and bool(lattices_of(raster))
     coding = coding_of(raster, codec, max_error)
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
@@ -192,12 +205,14 @@ def build(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = plan_for(raster, shard, chunk, kinds, tins, chunked, keep, coding)
+    plan = plan_for(raster, shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)
     storage = final if final.remote else FolderStorage(partial(final.url))
     if part is not None:
         build_part(raster, final, storage, plan, coding, part_of(part), jobs, overwrite, progress)
         return None
     with alone(final, "building this store"):
+        if isinstance(final, FolderStorage):
+            settle(final)
         count = parts_begun(final, storage) if finish else 0
         resume = resume or finish
         if update:
@@ -210,6 +225,8 @@ def build(
             plan, complete = compared(final, storage, plan, resume)
             going_on = resume and begun(storage)
         if complete:
+            if update:
+                prune(Path(final.url), versions, progress)
             return open(url, storage_options=storage_options)
         if not going_on and not update:
             if not final.remote or begun(storage) or is_store(final):
@@ -228,7 +245,9 @@ def build(
             storage.remove(each)
         storage.remove(PLAN)
         storage.close()
-        if isinstance(final, FolderStorage):
+        if isinstance(final, FolderStorage) and update:
+            publish_version(Path(storage.url), final.path, versions, progress)
+        elif isinstance(final, FolderStorage):
             publish(Path(storage.url), final.path)
         return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
 
@@ -332,7 +351,9 @@ def _fill(
     if (surface := getattr(raster, "surface", None)) is not None:
         record = put_points(record, surface, writer)
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, executor, progress, plan.get("tins"), plan.get("chunked")))
+        kind = None if plan.get("chunked") is None else Kind(*plan["chunked"])
+        wanted = plan.get("tins"), kind, plan.get("quadtin")
+        record = make(record, Work(kinds, writer, jobs, executor, progress, *wanted))
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
         progress.warn(told)
     if raster.fingerprint() != plan["source"]:

@@ -163,9 +163,10 @@ def _patches(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
 
 
 def _chunks(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.chunked import Kind
     from orograph.store.derived_stages import ChunkStage, known
 
-    return ChunkStage(known(shop.storage), writer, *shop.plan["chunked"])
+    return ChunkStage(known(shop.storage), writer, Kind(*shop.plan["chunked"]))
 
 
 _STAGES: dict[str, Callable[[BuildShop, ShardWriter, int], Stage[Any]]] = {

@@ -48,7 +48,7 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
         StoreReplacedError: the store was replaced meanwhile.
         StoreError: it cannot be read.
     """
-    storage, digests = terrain.storage, terrain.record.digests
+    storage, digests, place = terrain.storage, terrain.record.digests, terrain.url
     specs = array_specs(terrain.record)
     shards = [(spec, (i, j)) for spec in specs for i in range(spec.shards[0]) for j in range(spec.shards[1])]
     found: list[Damage] = []
@@ -59,6 +59,8 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
     found += _others(storage, digests, {spec.path for spec in specs})
     if found and terrain.watch is not None:
         terrain.watch.explain(found[0].key.partition("/c/")[0])
+        if terrain.url != place:  # an update kept this version elsewhere
+            return check(terrain, jobs=jobs, progress=progress)
     return found
 
 

@@ -10,17 +10,17 @@ Of a chunk is kept which triangles were split (``chunked_kernels``), the heights
 they are met, how low its skirt reaches, and the heights of its corners in the mesh of the next coarser level. The rest
 follows: positions, triangles, and the height that each vertex has in that mesh, to which it can move.
 
-*Words* (uint32) of a chunk: numbers of codes and of vertices; codes, 16 a word; heights (float32) of the corners and of
-the vertices; the skirt's lowest heights (float32) at the vertices on its sides, NaN where none hangs; those of the
-corners in the coarser mesh (float32). Of a level, chunk after chunk, row by row; ``lengths`` has how many each takes.
+*Words* (uint32) of a chunk, unless it is compressed (``chunk_code``): numbers of codes and of vertices; codes, 16 a
+word; heights (float32) of the corners and of the vertices; the skirt's lowest heights (float32) at the vertices on its
+sides, NaN where none hangs; those of the corners in the coarser mesh (float32). Of a level, chunk after chunk, row by
+row; ``lengths`` has how many each takes.
 """
 
 from __future__ import annotations
 
 import math
-import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,6 @@ from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
 from orograph.store.arrays import ArraySpec
 from orograph.store.terrain import Shape, exponent
-
-if TYPE_CHECKING:
-    from orograph.store.stored import StoredTerrain
 
 CELLS = 32
 """Cells along a finest chunk's side, unless otherwise asked."""
@@ -45,28 +42,53 @@ APART = 2
 PER_WORD = 16
 """Codes in a word."""
 
+MISSING = -(1 << 31)
+"""Of a height in steps (``chunk_code``): there is none."""
+
+PARTS = 64
+"""Of a step, in which heights in the coarser mesh are told there."""
+
 Words = NDArray[np.uint32]
 Corners = NDArray[np.int64]
 
 
-def checked_sizes(chunked: Any) -> tuple[int, float]:
-    """The cells and the metres of the finest chunks as numbers.
+class Kind(NamedTuple):
+    """What chunks there are to be.
+
+    Attributes:
+        cells, finest: of the finest chunks: cells along a side, and their error in metres, 0: found from the terrain.
+        compressed: in the words of ``chunk_code``, which a GPU decodes.
+    """
+
+    cells: int = CELLS
+    finest: float = 0.0
+    compressed: bool = False
+
+    def __str__(self) -> str:
+        """As `orograph.build` has it."""
+        return f"({self.cells}, {self.finest:g}{', True' if self.compressed else ''})"
+
+
+def checked_kind(chunked: Any) -> Kind:
+    """The kind of chunks that somebody wants, as numbers.
 
     Raises:
         UsageError: they make no sense.
     """
-    pair = tuple(chunked) if isinstance(chunked, (tuple, list)) else ()
+    told = Kind(*chunked) if isinstance(chunked, (tuple, list)) and 2 <= len(chunked) <= 3 else None
     if (
-        len(pair) != 2
-        or pair[0] not in ALL_CELLS
-        or not isinstance(pair[1], (int, float))
-        or not 0 <= pair[1] < math.inf
+        told is None
+        or told.cells not in ALL_CELLS
+        or not isinstance(told.finest, (int, float))
+        or not 0 <= told.finest < math.inf
+        or not isinstance(told.compressed, bool)
     ):
         raise UsageError(
-            f"'chunked' is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, and metres, 0 or more, "
-            f"not {chunked!r}.", remedy="(32, 0) is what chunked-lod takes by itself.",
+            f"'chunked' is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, metres, 0 or more, and whether "
+            f"they are compressed (not, unless it is said), not {chunked!r}.",
+            remedy="(32, 0) is what chunked-lod takes by itself.",
         )  # fmt: skip
-    return int(pair[0]), float(pair[1])
+    return told._replace(cells=int(told.cells), finest=float(told.finest))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,45 +208,3 @@ def with_skirt(
     return Chunk(
         np.concatenate([vertices, down]), np.append(targets, low[tops]), np.concatenate([triangles, hung]), len(hung)
     )
-
-
-class StoredChunks:
-    """The chunks of a store. Safe from any number of threads.
-
-    Attributes:
-        layout: which there are. error: metres, of level 0.
-    """
-
-    def __init__(self, terrain: StoredTerrain, what: dict[str, Any]) -> None:
-        self.terrain, self.layout, self.error = terrain, Layout(terrain.grid.shape, what["cells"]), float(what["error"])
-        self._rows = what["rows"]
-        self._sizes = terrain.record.shard, terrain.record.chunk
-        self._starts: dict[int, NDArray[np.int64]] = {}
-        self._lock = threading.Lock()
-
-    def chunk(self, level: int, i: int, j: int) -> Chunk:
-        """The mesh of chunk (i, j) of a level.
-
-        Raises:
-            DamagedChunkError: as ``terrain.read``.
-        """
-        _, cols = self.layout.chunks(level)
-        starts = self._of(level)
-        begin, end = int(starts[i * cols + j]), int(starts[i * cols + j + 1])
-        wide = self._sizes[1]
-        first = begin // wide
-        array = self.terrain.opened(
-            "chunked/words", level, lambda: words_spec(level, self._rows[level], *self._sizes)
-        )  # fmt: skip
-        read: Words = array.read(first, -(-end // wide), 0, wide).reshape(-1)
-        return unpacked(read[begin - first * wide : end - first * wide], self.layout, level, i, j)
-
-    def _of(self, level: int) -> NDArray[np.int64]:
-        """Where each chunk of a level begins, and the last one ends."""
-        with self._lock:
-            if level not in self._starts:
-                rows, cols = self.layout.chunks(level)
-                spec = lengths_spec(self.layout, level, *self._sizes)
-                lengths = self.terrain.opened("chunked/lengths", level, lambda: spec).read(0, rows, 0, cols)
-                self._starts[level] = np.append(0, np.cumsum(lengths.reshape(-1), dtype=np.int64))
-            return self._starts[level]

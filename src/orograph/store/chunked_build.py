@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from orograph.folders import held
 from orograph.hierarchy import diamonds
-from orograph.store.chunked import APART, PER_WORD, Chunk, Layout, Words, on_sides, unpacked
+from orograph.store.chunk_code import encoded, mesh_of, step_of
+from orograph.store.chunked import APART, PER_WORD, Chunk, Kind, Layout, Words, on_sides
 from orograph.store.chunked_kernels import lowest, middle, write_walk
 from orograph.store.terrain import TILE, Heights, Terrain
 
@@ -39,26 +40,27 @@ class MemoryChunks:
     Some 1.4 bytes a sample are held: of large terrains in a temporary file, of which memory holds what is at work.
 
     Args:
-        terrain: the ground; its ``midpoint`` errors are needed. cells: along a finest chunk's side.
-        finest: metres, the error of level 0; 0: found from the terrain.
+        terrain: the ground; its ``midpoint`` errors are needed. kind: of the chunks.
 
     Attributes:
-        layout: which there are. error: metres, of level 0.
+        layout: which there are. error: metres, of level 0. compressed: whether words are those of ``chunk_code``.
 
     Raises:
         StoreError: a store has no such errors. DamagedChunkError: as ``terrain.read``.
     """
 
-    def __init__(self, terrain: Terrain, cells: int, finest: float = 0.0) -> None:
-        self.terrain, self.layout = terrain, Layout(terrain.grid.shape, cells)
+    def __init__(self, terrain: Terrain, kind: Kind) -> None:
+        self.terrain, self.layout = terrain, Layout(terrain.grid.shape, kind.cells)
+        self.compressed = kind.compressed
         self._table = terrain.derived("diamonds", error="midpoint") if terrain.n else None
-        self.error = finest or self._usual()
+        self.error = kind.finest or self._usual()
+        self._step = step_of(self.error, max(map(abs, terrain.height_range)))
         self._levels, self._places = self._vertices()
         self._corners: dict[tuple[int, int, int], float] = {}
 
     def chunk(self, level: int, i: int, j: int) -> Chunk:
         """As ``StoredChunks.chunk``."""
-        return unpacked(self.words(level, i, j), self.layout, level, i, j)
+        return mesh_of(self.words(level, i, j), self.layout, self.compressed, level, i, j)
 
     def words(self, level: int, i: int, j: int) -> Words:
         """What is kept of a chunk."""
@@ -75,7 +77,8 @@ class MemoryChunks:
         packed = np.bitwise_or.reduce(padded.reshape(-1, PER_WORD) << shifts, axis=1)
         counts = np.array([len(codes), len(places) - 4], np.uint32)
         numbers = np.concatenate([heights, hanging, coarse]).astype(np.float32)
-        return np.concatenate([counts, packed.astype(np.uint32), numbers.view(np.uint32)])
+        words = np.concatenate([counts, packed.astype(np.uint32), numbers.view(np.uint32)])
+        return encoded(words, self.layout, level, i, j, self._step) if self.compressed else words
 
     # ---- which levels have a vertex ----
 

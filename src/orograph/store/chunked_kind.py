@@ -11,7 +11,8 @@ from typing import IO, TYPE_CHECKING, Any
 from orograph.errors import OutputError, StoreError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
-from orograph.store.chunked import Layout, StoredChunks, lengths_spec, words_spec
+from orograph.store.chunked import Kind, Layout, lengths_spec, words_spec
+from orograph.store.chunked_stored import StoredChunks
 from orograph.store.derived import At, Attributes, Derived, Nodes
 
 if TYPE_CHECKING:
@@ -21,18 +22,18 @@ if TYPE_CHECKING:
 
 
 class ChunkedKind(Derived[dict[str, Any]]):
-    """Meshes of chunks. Options: ``cells``; ``finest``, as asked for.
+    """Meshes of chunks. Options: those of ``chunked.Kind``, as asked for.
 
-    A record has both, the ``error`` of level 0 in metres, and of each level the ``rows`` of its words.
+    A record has all, the ``error`` of level 0 in metres, and of each level the ``rows`` of its words.
     """
 
-    name, version, group = "chunked", 1, "chunked"
+    name, version, group = "chunked", 2, "chunked"
 
     def nothing(self) -> dict[str, Any]:
         return {}
 
     def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        return {name: told[name] for name in ("cells", "finest", "error", "rows")}
+        return {name: told[name] for name in (*Kind._fields, "error", "rows")}
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return what
@@ -48,24 +49,23 @@ class ChunkedKind(Derived[dict[str, Any]]):
         from orograph.store.conventions import group
 
         nodes, data = super().groups(what, at)
-        return {**nodes, self.group: group({name: what[name] for name in ("cells", "error")})}, data
+        return {**nodes, self.group: group({name: what[name] for name in ("cells", "error", "compressed")})}, data
 
     def open(self, terrain: StoredTerrain, **options: Any) -> StoredChunks:
-        found = self.of(terrain.record)
-        if any(found.get(name) != options[name] for name in ("cells", "finest")):
+        found, kind = self.of(terrain.record), Kind(**options)
+        if any(found.get(name) != value for name, value in kind._asdict().items()):
             raise StoreError(
-                f"This store has no chunks of {options['cells']} cells"
-                + (f" and {options['finest']:g} m." if options["finest"] else "."),
+                f"This store has no{' compressed' if kind.compressed else ''} chunks of {kind.cells} cells"
+                + (f" and {kind.finest:g} m." if kind.finest else "."),
                 path=terrain.url,
-                remedy=f"Build it with them (`orograph.build(..., chunked=({options['cells']}, {options['finest']:g}))`"
-                "), or have them made.",
+                remedy=f"Build it with them (`orograph.build(..., chunked={kind})`), or have them made.",
             )
         return StoredChunks(terrain, found)
 
     def compute(self, terrain: MemoryTerrain, **options: Any) -> MemoryChunks:
         from orograph.store.chunked_build import MemoryChunks
 
-        return MemoryChunks(terrain, int(options["cells"]), float(options["finest"]))
+        return MemoryChunks(terrain, Kind(**options))
 
 
 CHUNKED = ChunkedKind()

@@ -14,6 +14,7 @@ import itertools
 import os
 import queue
 import signal
+import threading
 import time
 import uuid
 from collections import Counter, defaultdict
@@ -177,12 +178,19 @@ class Cluster:
         client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights and errors.
 
     Attributes:
-        busy: seconds that each worker was at work, by its name.
+        busy: seconds that each worker was at work, by its name. moved: bytes of arrays that workers sent.
     """
 
     def __init__(self, client: Any, recipe: Recipe, levels: int = 0) -> None:
         self.client, self.recipe, self.ident = client, recipe, f"orograph-{uuid.uuid4().hex}"
-        self.levels, self.busy = levels, defaultdict[str, float](float)
+        self.levels, self.busy, self.moved = levels, defaultdict[str, float](float), 0
+        self._counting = threading.Lock()
+
+    def count(self, who: str, seconds: float, moved: int) -> None:
+        """Count what a worker did, and the bytes that it sent; from any thread."""
+        with self._counting:
+            self.busy[who] += seconds
+            self.moved += moved
 
     def imbalance(self) -> float:
         """How much longer the busiest worker was at work than they were on average: 1 if all were as long."""

@@ -13,14 +13,15 @@ from typing import IO
 import numpy as np
 
 from orograph.error import KINDS, ErrorKind
-from orograph.store.chunked import Words, lengths_spec, words_spec
+from orograph.store.chunked import Kind, Words, lengths_spec, words_spec
 from orograph.store.chunked_build import MemoryChunks
 from orograph.store.chunked_kind import rows_of, spooled
 from orograph.store.digests import Spot
 from orograph.store.executing import Found, ShardStage
-from orograph.store.layout import PARTS, Record, dumps
+from orograph.store.layout import Record, dumps
 from orograph.store.parts import pack, unpack
 from orograph.store.patches import LEGS, PatchErrors, spec, stored_levels
+from orograph.store.places import PARTS
 from orograph.store.storage import Storage
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Heights
@@ -104,7 +105,7 @@ class ChunkStage(TerrainStage[list[Words]]):
     all vertices for itself (``MemoryChunks``).
 
     Args:
-        cells, finest: as of ``MemoryChunks``. spool: where chunks wait; None where they are only made.
+        kind: of the chunks. spool: where chunks wait; None where they are only made.
 
     Attributes:
         rows: of words, by level, when it is finished.
@@ -112,11 +113,9 @@ class ChunkStage(TerrainStage[list[Words]]):
 
     name, label = "chunks", "Making chunks"
 
-    def __init__(
-        self, terrain: StoredTerrain, writer: ShardWriter, cells: int, finest: float, spool: IO[bytes] | None = None
-    ) -> None:
+    def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: Kind, spool: IO[bytes] | None = None) -> None:
         super().__init__(terrain, writer)
-        self.chunks, self.spool = MemoryChunks(terrain, cells, finest), spool
+        self.chunks, self.spool = MemoryChunks(terrain, kind), spool
         self.rows: list[int] = []
         self._at: dict[Spot, tuple[int, int]] = {}
         self._lengths = [np.zeros(self._count(level), np.uint32) for level in range(self.chunks.layout.top + 1)]

@@ -8,6 +8,7 @@ from pathlib import Path
 from orograph.errors import ReadError, StoreError
 from orograph.store.addresses import storage_at
 from orograph.store.places import PLAN, ROOT, left_over
+from orograph.store.versions import folder_of
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
@@ -18,7 +19,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
     """
     text = os.fspath(path)
     if "://" not in text:
-        folder = Path(text)
+        folder = Path(folder_of(text))
         return (folder / ROOT).is_file() or (folder / PLAN).is_file() or left_over(folder)
     last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
     if Path(last).suffix not in ("", ".oro", ".zarr"):

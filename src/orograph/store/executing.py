@@ -18,7 +18,8 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from orograph.progress import Progress
 from orograph.store.digests import Spot
-from orograph.store.layout import PARTS, dumps
+from orograph.store.layout import dumps
+from orograph.store.places import PARTS
 from orograph.store.shards import go_through
 from orograph.store.terrain import Shape
 from orograph.store.writer import ShardWriter

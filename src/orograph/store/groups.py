@@ -22,9 +22,10 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import SIZE, Spot
 from orograph.store.executing import ShardStage
-from orograph.store.layout import PARTS, heights_spec, mean_spec
+from orograph.store.layout import heights_spec, mean_spec
 from orograph.store.levels import F64, BoxMeans, Counts
 from orograph.store.parts import pack, unpack
+from orograph.store.places import PARTS
 from orograph.store.pyramid import Above, Facts, Finest, Pyramid, tasks
 from orograph.store.terrain import Heights, Shape, level_count, mean_shape
 from orograph.store.writer import ShardWriter

@@ -2,7 +2,7 @@
 
 Each input has its own state and that of the files beside it (headers, masks, the parts of a VRT): a change of any is a
 change of the input. Its window is what it may decide of the terrain. Paths are absolute; of URLs what may be secret
-(user, password, query) is left out.
+(user, password, query) is left out. Of files on servers a state is known where a manifest has it.
 """
 
 from __future__ import annotations
@@ -49,10 +49,13 @@ def _beside(path: str) -> list[dict[str, Any]]:
 
 
 def _file(path: str) -> dict[str, Any]:
+    from orograph.dem.asking import known
     from orograph.dem.whole.files import absolute, on_disk
 
     file = on_disk(path)
     if not file.is_file():
+        if (told := known(path)) is not None:
+            return {"path": public(path), "size": told.size, "time_ns": told.time_ns, "etag": told.etag}
         return {"path": absolute(path) if file.exists() else public(path), "size": None, "time_ns": None}
     found = file.stat()
     return {"path": absolute(path), "size": found.st_size, "time_ns": found.st_mtime_ns}
@@ -82,15 +85,21 @@ def opened(files: list[str], options: dict[str, Any], progress: Progress = SILEN
 
 def changes(inputs: Mapping[str, Any]) -> list[str]:
     """What became of the files since: a sentence for each that is gone or another."""
+    from orograph.dem.asking import asked
+
     told = []
     files, geoid = inputs["files"], inputs.get("geoid")
     found = [(file, file["path"]) for file in (*files, *([geoid] if geoid else []))]
     for main, beside in zip(files, inputs.get("beside", ())):  # older stores list neither
         found += [(file, f"{file['path']} (of {main['path']})") for file in beside]
     for file, name in found:
-        now = _file(file["path"])
         if file["size"] is None:
             continue
+        now = _file(file["path"])
+        if "etag" in file:
+            if (told_now := asked(file["path"])) is None:
+                continue  # (nothing tells)
+            now = {"path": file["path"], **told_now._asdict()}
         if now["size"] is None:
             told.append(f"{name} is gone.")
         elif now != file:

@@ -66,7 +66,6 @@ KNOWN = frozenset({CODEC})
 """What else a store may need of its reader (``Record.needs``)."""
 
 CHUNK = 256
-PARTS = "parts"
 TABLES = {"minimum": ("float32", math.nan), "maximum": ("float32", math.nan), "error": ("float32", 0.0)}
 TABLES_AND_VALID = {**TABLES, "valid": ("uint8", 0.0)}
 

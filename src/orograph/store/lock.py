@@ -27,9 +27,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from orograph.errors import StoreError
+from orograph.errors import StoreBusyError, StoreError
 from orograph.output import beside, remove
 from orograph.processes import host, running
+from orograph.store.places import sweep
 from orograph.store.storage import FolderStorage, Storage
 
 TRIES = 100
@@ -71,6 +72,7 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
             remedy=f"A lock {path.name} is kept there while it is written.",
         ) from error  # fmt: skip
     try:
+        sweep(real)
         yield
     finally:
         lock.release()
@@ -218,11 +220,11 @@ def _read(fd: int) -> dict[str, Any]:
     return said if isinstance(said, dict) else {}
 
 
-def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> StoreError:
+def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> StoreBusyError:
     doing = said.get("doing", "at work on this store")
     who = f" (process {said['pid']} on {said['host']})" if "pid" in said and "host" in said else ""
     what = f"Another process is {doing}{who}. {why}".strip()
-    return StoreError(what, path=url, remedy=f"Wait until it is done. {remedy}".strip())
+    return StoreBusyError(what, path=url, remedy=f"Wait until it is done. {remedy}".strip())
 
 
 def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:

@@ -6,18 +6,23 @@ Each maker writes the arrays of its kind and gives the record with it, or as it 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
-from orograph.store.chunked_kind import CHUNKED, spooled
+from orograph.store.chunked import Kind
+from orograph.store.chunked_kind import CHUNKED, rows_of, spooled
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
 from orograph.store.executing import Executor
 from orograph.store.layout import Record
 from orograph.store.patches import KAPPA, LEGS, PATCHES
+from orograph.store.quadtin_kind import QUADTIN
+from orograph.store.quadtin_layout import DEPTHS, SIDE, lengths_spec, summary_spec, words_spec
 from orograph.store.stored import CACHE_BYTES, StoredTerrain
 from orograph.store.terrain import diamond_shape, exponent
 from orograph.store.tin_kind import TINS
@@ -34,7 +39,8 @@ class Work(NamedTuple):
         writer: of shards; all heights, means and tables are written.
         jobs: threads. executor: runs what is done by shard. progress: is told of tasks.
         tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
-        chunked: cells and metres of the finest chunks whose meshes are wanted; None: none are.
+        chunked: the kind of chunks whose meshes are wanted; None: none are.
+        quadtin: metres and way of splitting of the QuadTIN that is wanted; None: none is.
     """
 
     errors: tuple[ErrorKind, ...]
@@ -43,7 +49,8 @@ class Work(NamedTuple):
     executor: Executor
     progress: Progress
     tins: int | None = None
-    chunked: tuple[int, float] | None = None
+    chunked: Kind | None = None
+    quadtin: tuple[float, str] | None = None
 
     def terrain(self, record: Record) -> StoredTerrain:
         """What is written by now."""
@@ -103,15 +110,49 @@ def make_chunked(record: Record, work: Work) -> Record:
 
     if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
         return record
-    cells, finest = work.chunked
     with spooled() as spool:
-        stage = ChunkStage(work.terrain(record), work.writer, cells, finest, spool)
+        stage = ChunkStage(work.terrain(record), work.writer, work.chunked, spool)
         work.executor.run(stage, work.progress)
-    return CHUNKED.put(record, {"cells": cells, "finest": finest, "error": stage.chunks.error, "rows": stage.rows})
+    return CHUNKED.put(record, {**work.chunked._asdict(), "error": stage.chunks.error, "rows": stage.rows})
+
+
+def make_quadtin(record: Record, work: Work) -> Record:
+    """The hierarchy of a QuadTIN, from heights or points; its blocks wait in a temporary file."""
+    from orograph.store.quadtin_make import made
+
+    if work.quadtin is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
+        return record
+    finest, split = work.quadtin
+    sizes = record.shard, record.chunk
+    lengths: list[list[int]] = [[] for _ in DEPTHS]
+    rows = []
+    with ExitStack() as stack:
+        files = [stack.enter_context(spooled()) for _ in DEPTHS]
+
+        def keep(part: int, words: NDArray[np.uint32]) -> None:
+            lengths[part].append(len(words))
+            files[part].write(words.tobytes())
+
+        terrain = work.terrain(record)
+        layout, facts, summary = made(terrain, finest, split, keep, jobs=work.jobs, progress=work.progress)
+        for part, (file, counts) in enumerate(zip(files, lengths)):
+            rows.append(rows_of(sum(counts), record.chunk))
+            file.truncate(4 * rows[-1] * record.chunk)  # zeros after the last
+            file.flush()
+            block = np.memmap(file, np.uint32, "r", shape=(rows[-1], record.chunk))
+            per_block = np.array(counts, np.uint32).reshape(layout.across, layout.across)
+            work.writer.array(lengths_spec(layout.across, part, *sizes), per_block)
+            work.writer.array(words_spec(part, rows[-1], *sizes), block)
+    spec = summary_spec(layout.across, *sizes)
+    whole = np.zeros(spec.shape, np.uint32)
+    numbers = np.concatenate([array.reshape(-1) for array in summary]).view(np.uint32)
+    whole.reshape(-1)[: len(numbers)] = numbers
+    work.writer.array(spec, whole)
+    return QUADTIN.put(record, {"asked": [finest, split], "side": SIDE, "rows": rows, **facts._asdict()})
 
 
 MAKERS: dict[str, Callable[[Record, Work], Record]] = {
     DIAMONDS.name: make_diamonds, PATCHES.name: make_patches, TINS.name: make_tins,
-    CHUNKED.name: make_chunked,
+    CHUNKED.name: make_chunked, QUADTIN.name: make_quadtin,
 }  # fmt: skip
 """By name of the kind, each after those that it needs."""

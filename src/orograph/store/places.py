@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 
 from orograph.errors import StoreError
@@ -16,6 +17,10 @@ from orograph.store.storage import FolderStorage, Storage
 
 ROOT = "zarr.json"
 PLAN = "build.json"
+VERSION = re.compile(r"(.+)@([1-9][0-9]*)")
+"""How an older version of a store is named."""
+PARTS = "parts"
+"""Below it lies what tasks of a build found, which an updated store keeps."""
 
 
 def partial(path: str | os.PathLike[str]) -> str:
@@ -42,10 +47,30 @@ def begun(storage: Storage) -> bool:
     return storage.exists(PLAN) or (not storage.remote and storage.exists(ROOT))
 
 
+def sweep(path: Path) -> None:
+    """Remove the store that another has taken the place of, if the process that did it was killed before it could."""
+    old = FolderStorage(replaced(path))
+    if old.path.exists() and is_store(FolderStorage(path)):
+        old.remove()
+
+
+def kept(path: str | os.PathLike[str]) -> list[tuple[int, Path]]:
+    """The older versions beside a store (``versions``), the newest of them first."""
+    folder = Path(path)
+    found = []
+    for one in folder.parent.glob("*@*"):
+        name = VERSION.fullmatch(one.name)
+        if name and name[1] == folder.name and (one / ROOT).is_file():
+            found.append((int(name[2]), one))
+    return sorted(found, reverse=True)
+
+
 def left_over(path: str | os.PathLike[str]) -> bool:
     """Whether builds left folders of a store that is not there itself."""
     if Path(path).exists():
         return False
+    if kept(path):
+        return True
     made, old = Path(partial(path)), Path(replaced(path))
     return (made / PLAN).is_file() or (made / ROOT).is_file() or (old / ROOT).is_file()
 
@@ -56,24 +81,27 @@ def missing(storage: Storage) -> StoreError:
         return _unfinished(storage.url) if storage.exists(PLAN) else _none(storage.url)
     path = storage.path
     made, old = FolderStorage(partial(path)), FolderStorage(replaced(path))
-    complete, kept = is_store(made), is_store(old)
-    if path.exists() and (storage.exists(PLAN) or not (complete or kept)):
+    complete, old_one = is_store(made), is_store(old)
+    if path.exists() and (storage.exists(PLAN) or not (complete or old_one)):
         return _unfinished(storage.url) if storage.exists(PLAN) or begun(made) else _none(storage.url)
     there = []
     if complete:
         there.append(f"{made.path.name} holds the new store, complete")
     elif begun(made):
         there.append(f"{made.path.name} holds an unfinished one")
-    if kept:
+    if old_one:
         there.append(f"{old.path.name} holds the store that was there before, complete")
-    if not complete and not kept:
+    older = kept(path)
+    if older:
+        there.append(f"{older[0][1].name} holds version {older[0][0]}, complete")
+    if not complete and not old_one and not older:
         if begun(made):
             return _unfinished(storage.url, f" It is made in {made.path.name}.")
-        return StoreError("There is no such store.", path=path, remedy=_BUILD)
+        return _no_version(path) or StoreError("There is no such store.", path=path, remedy=_BUILD)
     ways = []
     if begun(made):
         ways.append("run the same `orograph.build(..., resume=True)` to finish")
-    if complete or kept:
+    if complete or old_one or older:
         ways.append(f"rename the folder that you want to {path.name}")
     remedy = " or ".join(ways)
     return StoreError(
@@ -90,6 +118,18 @@ def _unfinished(url: str, where: str = "") -> StoreError:
     return StoreError(
         f"This store is incomplete: its build was interrupted.{where}", path=url,
         remedy="Finish it: the same `orograph.build(..., resume=True)`.",
+    )  # fmt: skip
+
+
+def _no_version(path: Path) -> StoreError | None:
+    """Why a version of a store is not there; None where none is named."""
+    name = VERSION.fullmatch(path.name)
+    if name is None or not (path.with_name(name[1]) / ROOT).is_file():
+        return None
+    there = [one.name for _, one in kept(path.with_name(name[1]))]
+    return StoreError(
+        f"There is no version {name[2]} of {name[1]}.", path=path,
+        remedy=f"There are {', '.join([name[1], *there])}." if there else f"{name[1]} is the only one that is kept.",
     )  # fmt: skip
 
 

@@ -8,11 +8,13 @@ from typing import Any
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
 from orograph.geo.grid import wkt_of
+from orograph.store.chunked import Kind
 from orograph.store.chunked_kind import CHUNKED
 from orograph.store.coding import Coding
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.layout import FORMAT, Record
 from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied
+from orograph.store.quadtin_kind import QUADTIN
 from orograph.store.source import HeightSource
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import read_record
@@ -25,7 +27,8 @@ def plan_for(
     chunk: int,
     kinds: tuple[ErrorKind, ...],
     tins: int | None,
-    chunked: tuple[int, float] | None,
+    chunked: Kind | None,
+    quadtin: tuple[float, str] | None,
     keep_source: bool,
     coding: Coding | None,
 ) -> dict[str, Any]:
@@ -43,6 +46,7 @@ def plan_for(
         "errors": list(kinds),
         "tins": tins,
         "chunked": None if chunked is None else list(chunked),
+        "quadtin": None if quadtin is None else list(quadtin),
         "keep_source": keep_source,
         "codec": None if coding is None else coding.asked(),
     }
@@ -63,7 +67,8 @@ def plan_of(record: Record) -> dict[str, Any]:
         "chunk": record.chunk,
         "errors": list(DIAMONDS.of(record).errors),
         "tins": TINS.of(record).get("legs"),
-        "chunked": [of[name] for name in ("cells", "finest")] if (of := CHUNKED.of(record)) else None,
+        "chunked": [of[name] for name in Kind._fields] if (of := CHUNKED.of(record)) else None,
+        "quadtin": QUADTIN.of(record).get("asked"),
         "keep_source": bool(record.lattices),
         "codec": None if record.coding is None else record.coding.asked(),
     }
@@ -135,7 +140,7 @@ def differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     """What of a plan is not as before, in words; empty if all is."""
     names = {
         "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
-        "chunked": "chunks", "keep_source": "source samples to keep",
+        "chunked": "chunks", "quadtin": "QuadTIN", "keep_source": "source samples to keep",
         "codec": "codec or largest error", "crs": "CRS", "vertical": "vertical datum", "shape": "size",
         "transform": "place",
     }  # fmt: skip

@@ -2,29 +2,34 @@
 
 A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
 folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times, the
-reading options and the errors that it holds: the next picture of it opens that store at once. The folder keeps within a
-size (``store.kept``).
+reading options and the errors that it holds: the next picture of it opens that store at once. One process builds it,
+and others that want it wait. The folder keeps within a size (``store.kept``).
 """
 
 from __future__ import annotations
 
 import hashlib
 import shutil
+import time
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, cast
 
-from orograph.errors import OrographError, StoreError, UsageError
+from orograph.errors import OrographError, StoreBusyError, StoreError, UsageError
 from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
 from orograph.store.build import build, in_memory
 from orograph.store.given import OF_AREAS, points_of, source_of
-from orograph.store.stored import open
+from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from orograph.dem.mosaic import Mosaic
     from orograph.error import ErrorKind
 
+PAUSE = 0.3
+"""Seconds between two looks whether another process has built the store that is wanted."""
 
 BASE = 240 << 20
 """Bytes that the interpreter and its libraries take."""
@@ -136,14 +141,32 @@ def of_mosaic(
             f"The cache folder cannot be made: {error.strerror}.", path=kept.parent,
             remedy="Set OROGRAPH_CACHE to a folder with room, or use `orograph.build` and render the store.",
         ) from error  # fmt: skip
-    memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
-    kinds: tuple[ErrorKind, ...] = ("exact", *more)
-    terrain = build(mosaic, kept, resume=True, errors=kinds, keep_source=False, jobs=jobs, progress=progress, **memory)
+    terrain = _built(mosaic, kept, ("exact", *more), max_memory, jobs, progress)
     terrain.use = Use(kept)
     make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
     return _told(mosaic, terrain, progress)
+
+
+def _built(
+    mosaic: Mosaic, kept: Path, errors: tuple[ErrorKind, ...], max_memory: int | None, jobs: int | None,
+    progress: Progress,
+) -> StoredTerrain:  # fmt: skip
+    """The store of a mosaic, built here, or by another process that is at it already."""
+    memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
+    waits = False
+    while True:
+        try:
+            made: StoredTerrain = build(
+                mosaic, kept, resume=True, errors=errors, keep_source=False, jobs=jobs, progress=progress, **memory
+            )
+            return made
+        except StoreBusyError as error:
+            if not waits:
+                progress.note(f"{error.what} It is waited for.")
+            waits = True
+            time.sleep(PAUSE)
 
 
 def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:

@@ -26,7 +26,7 @@ from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.executing import ShardStage
-from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
+from orograph.store.layout import TABLES_AND_VALID, heights_spec, mean_spec, table_spec
 from orograph.store.levels import (
     BoxMeans,
     divide,
@@ -39,6 +39,7 @@ from orograph.store.levels import (
     tile_errors,
 )
 from orograph.store.parts import pack, unpack
+from orograph.store.places import PARTS
 from orograph.store.progressive import closed, coarse_of, known
 from orograph.store.smallest import compressed, decompressed
 from orograph.store.source import HeightSource

@@ -12,10 +12,11 @@ from orograph.store.diamond_table import DIAMONDS
 from orograph.store.layers import LAYERS
 from orograph.store.patches import PATCHES
 from orograph.store.points import POINTS
+from orograph.store.quadtin_kind import QUADTIN
 from orograph.store.tin_kind import TINS
 
 KINDS: dict[str, Derived[Any]] = {
-    kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, CHUNKED, POINTS, COLORS, LAYERS)
+    kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, CHUNKED, POINTS, QUADTIN, COLORS, LAYERS)
 }
 """By name, each after those that it needs."""
 

@@ -22,6 +22,7 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
+from orograph.store.chunked import Kind
 from orograph.store.chunked_kind import CHUNKED
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
@@ -33,6 +34,7 @@ from orograph.store.lock import alone
 from orograph.store.makers import MAKERS, Work
 from orograph.store.places import ROOT
 from orograph.store.pyramid import Finest, Pyramid, tasks
+from orograph.store.quadtin_kind import QUADTIN
 from orograph.store.registry import KINDS
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
@@ -157,9 +159,11 @@ class _Repair:
                 errors = tuple(DIAMONDS.of(self.record).errors)
                 tins = TINS.of(self.record).get("legs")
                 found = CHUNKED.of(self.record)
-                chunked = (found["cells"], found["finest"]) if found else None
+                chunked = Kind(*(found[name] for name in Kind._fields)) if found else None
+                asked = QUADTIN.of(self.record).get("asked")
+                quadtin = (asked[0], asked[1]) if asked else None
                 threads = Threads(self.jobs, False)
-                make(self.record, Work(errors, self.mender, self.jobs, threads, self.progress, tins, chunked))
+                make(self.record, Work(errors, self.mender, self.jobs, threads, self.progress, tins, chunked, quadtin))
         self._prove()
         if self.mender.damaged:
             raise self._left()

@@ -28,8 +28,9 @@ from orograph.store.coding import Coding
 from orograph.store.digests import Spot
 from orograph.store.executing import Executor, ShardStage
 from orograph.store.lattices import LatticeRecord, StoredLattice
-from orograph.store.layout import PARTS, heights_spec
+from orograph.store.layout import heights_spec
 from orograph.store.parts import pack, unpack
+from orograph.store.places import PARTS
 from orograph.store.pyramid import tasks
 from orograph.store.terrain import Heights, Resampled
 from orograph.store.writer import ShardWriter

@@ -24,11 +24,11 @@ from typing import Any
 from orograph.errors import StoreError
 from orograph.output import remove
 from orograph.processes import host
+from orograph.servers import SILENCE as SILENCE
 from orograph.store.ranges import Range
 
 OPEN_FILES = 128
 WRITING = ".writing"  # how the names of files end that are not complete
-SILENCE = 10.0  # seconds that a web server may let pass without a byte
 AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
 LONGER = (2.0, 4.0, 8.0, 16.0)  # and then of a bucket
 
@@ -103,12 +103,16 @@ class FolderStorage(Storage):
         path: of the folder.
         many: whether several processes may write the same objects (of the same bytes) at once. What one that is killed
             leaves beside them is only removed by ``sweep``, then.
+
+    Attributes:
+        home: the folder it was made for, also when it has moved (``follow``).
     """
 
     remote = False
 
     def __init__(self, path: str | os.PathLike[str], many: bool = False) -> None:
         self.path, self.many = Path(path), many
+        self.home = self.path
         self.url = str(self.path)
         self._lock = threading.Lock()
         self._open: OrderedDict[str, _File] = OrderedDict()
@@ -209,7 +213,13 @@ class FolderStorage(Storage):
         return found.st_ino, found.st_mtime_ns, found.st_size
 
     def anew(self) -> Storage:
-        return FolderStorage(self.path)
+        return FolderStorage(self.home)
+
+    def follow(self, path: Path) -> None:
+        """Go on reading in another folder, to which what was read so far has moved."""
+        with self._lock:
+            self.path, self.url = path, str(path)
+            self._open.clear()
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
         return str(self.path.absolute()), None
@@ -234,7 +244,7 @@ class FolderStorage(Storage):
         return StoreError(
             f"{key or 'The folder'} could not be {what}: {error.strerror or error}.",
             path=self.path,
-            remedy="Make room, then run it again with `resume=True`." if full else "",
+            remedy="Make room, and run it again: a build with `resume=True`, an update as it is." if full else "",
         )
 
 

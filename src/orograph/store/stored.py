@@ -26,11 +26,12 @@ from orograph.store.layout import (
     rebuild,
     table_spec,
 )
-from orograph.store.places import ROOT, missing
+from orograph.store.places import ROOT, kept, missing
 from orograph.store.points import POINTS, StoredPoints
 from orograph.store.registry import kind_of
-from orograph.store.storage import Storage
+from orograph.store.storage import FolderStorage, Storage
 from orograph.store.terrain import Heights, Terrain, TileTable
+from orograph.store.versions import number
 from orograph.store.watch import Watch
 
 Key = tuple[str, tuple[tuple[str, Any], ...]]
@@ -49,6 +50,7 @@ class StoredTerrain(Terrain):
         cache_bytes: budget of decoded chunks.
         jobs: threads for large windows.
         watch: whether the store is still the same; None: nobody replaces it.
+        version: which of the store's versions it is; None where nobody counts them.
 
     Attributes:
         supplied: derived data that the store lacks and that were made in memory (``supply``), by name and options.
@@ -58,9 +60,10 @@ class StoredTerrain(Terrain):
     """What keeps it in the cache folder while it is read (``kept.Use``)."""
 
     def __init__(
-        self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None, watch: Watch | None = None
-    ) -> None:
-        self.storage, self.record, self.watch = storage, record, watch
+        self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None, watch: Watch | None = None,
+        version: int | None = None,
+    ) -> None:  # fmt: skip
+        self.storage, self.record, self.watch, self.version = storage, record, watch, version
         self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
         self.attribution = record.attribution
         self.remote = storage.remote
@@ -104,7 +107,9 @@ class StoredTerrain(Terrain):
     def _kept(self) -> list[Row]:
         rows = [("layers", ", ".join(self.layers))] if self.layers else []
         size = None if self.remote else self.size_bytes  # (which is not worth a network's time)
-        return [*rows, ("store", self.url + ("" if size is None else f", {amount(size)}"))]
+        version = "" if self.version is None else f", version {self.version}"
+        newest = ", not the newest" if version and self.watch is not None and self.watch.replaced else ""
+        return [*rows, ("store", self.url + version + newest + ("" if size is None else f", {amount(size)}"))]
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("heights", level)
@@ -237,7 +242,8 @@ def open(
     """Open a store for reading.
 
     Args:
-        url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads).
+        url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads). Of a
+            store in a folder that is updated, ``STORE@2`` is its second version.
         cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
         jobs: threads for large windows (default: all processors).
         storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
@@ -251,19 +257,26 @@ def open(
 
 
 def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain:
-    # Before the record: if it is replaced in between, the first read notices. (At a URL it compares records.)
-    stamp = None if storage.remote else storage.stamp(ROOT)
-    record = read_record(storage)
-    return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record))
+    while True:
+        # Before the record: if it is replaced in between, the first read notices. (At a URL it compares records.)
+        stamp = None if storage.remote else storage.stamp(ROOT)
+        record, version = read_record(storage), number(storage)
+        if storage.remote or storage.stamp(ROOT) == stamp:
+            break
+    return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record), version)
 
 
 def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int | None, source: str) -> StoredTerrain:
-    """A store that another process has opened.
+    """A store that another process has opened, or the version of it that was kept since.
 
     Raises:
         StoreError: there is another here, or none.
     """
-    found = _open(storage_at(*named), cache_bytes, jobs)
+    storage = storage_at(*named)
+    found = _open(storage, cache_bytes, jobs)
+    older = [] if storage.remote else kept(storage.url)
+    while found.record.source != source and older:
+        found = _open(FolderStorage(older.pop(0)[1]), cache_bytes, jobs)
     if found.record.source != source:
         raise StoreError(
             "A worker finds another store there than the process that began.", path=found.url,

@@ -26,9 +26,10 @@ from orograph.store.diamond_table import diamond_spec
 from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
 from orograph.store.digests import Spot
 from orograph.store.executing import ShardStage
-from orograph.store.layout import PARTS, heights_spec
+from orograph.store.layout import heights_spec
 from orograph.store.levels import subsample
 from orograph.store.parts import pack, unpack
+from orograph.store.places import PARTS
 from orograph.store.pyramid import spans, tasks
 from orograph.store.terrain import Heights, Shape, TileTable, diamond_shape, exponent, level_count, level_shape
 from orograph.store.writer import Canvas, ShardWriter

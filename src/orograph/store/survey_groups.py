@@ -23,8 +23,8 @@ from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import place
 from orograph.store.digests import SIZE, Spot
 from orograph.store.executing import ShardStage
-from orograph.store.layout import PARTS
 from orograph.store.parts import pack, unpack
+from orograph.store.places import PARTS
 from orograph.store.pyramid import spans, tasks
 from orograph.store.survey import Codes, Errors, Surveyed
 from orograph.store.terrain import diamond_shape

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line, relief
 from orograph.errors import StoreError, UsageError
+from orograph.geo.chart import AffineChart
 from orograph.geo.grid import Grid
 
 if TYPE_CHECKING:
@@ -163,6 +164,11 @@ class Terrain(ABC):
     @abstractmethod
     def valid_fraction(self) -> float:
         """The part of all samples that is valid, 0 to 1."""
+
+    @property
+    def chart(self) -> AffineChart:
+        """How its samples lie in the world: flat terrain has one chart, affine."""
+        return AffineChart(self.grid)
 
     @property
     def n(self) -> int:

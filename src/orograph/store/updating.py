@@ -34,8 +34,8 @@ from orograph.store.digests import Spot
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layers import LAYERS
-from orograph.store.layout import PARTS, Record, dumps, heights_spec
-from orograph.store.places import PLAN, ROOT, begun, is_store
+from orograph.store.layout import Record, dumps, heights_spec
+from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store
 from orograph.store.plan import compared, differing, plan_of
 from orograph.store.pyramid import part_key, tasks
 from orograph.store.resampling import look_key
@@ -192,7 +192,7 @@ def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window]
     if [path for path in old if path in new] != [path for path in new if path in old]:
         return "its files have another order"
     if any(state[0]["size"] is None for state in (*old.values(), *new.values())):
-        return "of files at URLs it cannot be told whether they changed"
+        return "of files at URLs it is not known whether they changed (orograph manifest finds out)"
     same = {path for path in old.keys() & new.keys() if old[path] == new[path]}
     return [state[2] for states in (old, new) for path, state in states.items() if path not in same]
 

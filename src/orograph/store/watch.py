@@ -2,9 +2,10 @@
 
 A store may be replaced while a reader has it open. What the reader gets is always of the store that it opened: the
 digests in that store's record see to it (``digests``). The watch tells it soon: before a read, but not oftener than
-every ``EVERY`` seconds, it looks whether the root is still the same file, and reads it if not. A bake that changes
-layers only is no replacement. At a URL the look is a request: there it is taken every ``EVERY_REMOTE`` seconds at most,
-and a shard that is not what it was tells sooner.
+every ``EVERY`` seconds, it looks whether the root is still the same file, and reads it if not. Where an update has kept
+the version that was opened (``versions``), reading goes on there. A bake that changes layers only is no replacement.
+At a URL the look is a request: there it is taken every ``EVERY_REMOTE`` seconds at most, and a shard that is not what
+it was tells sooner.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 
 from orograph.errors import StoreError, StoreReplacedError
 from orograph.store.layout import Record
-from orograph.store.places import ROOT, left_over, missing
+from orograph.store.places import ROOT, kept, left_over, missing
 from orograph.store.registry import KINDS
 from orograph.store.storage import FolderStorage, Storage
 
@@ -33,7 +34,8 @@ class Watch:
         read: reads the record.
 
     Attributes:
-        replaced: whether it was found that the store is another by now.
+        replaced: whether it was found that the store is another by now; where reading goes on, it is of a version that
+            is kept.
     """
 
     def __init__(self, storage: Storage, record: Record, stamp: Any, read: Callable[[Storage], Record]) -> None:
@@ -63,20 +65,43 @@ class Watch:
 
     def _look(self) -> None:
         if isinstance(self.storage, FolderStorage) and not self.storage.path.exists():
+            if self._follows():
+                return
+            if self.replaced:  # nor is the version kept any more
+                raise self._replaced()
             if left_over(self.storage.path):
                 raise missing(self.storage)
             self.storage.must_stand()
         if self.storage.remote and not self.storage.exists(ROOT):  # it is built in place, and the root comes last
             raise self._replaced()
-        if _ground(self._read(self.storage)) != _ground(self.record):
+        if _ground(self._read(self.storage)) != _ground(self.record) and not self._follows():
             raise self._replaced()
+
+    def _follows(self) -> bool:
+        """Go on with the version that was opened, if it is kept beside the store."""
+        if not isinstance(self.storage, FolderStorage):
+            return False
+        for _, path in kept(self.storage.home):
+            try:
+                same = _ground(self._read(FolderStorage(path))) == _ground(self.record)
+            except StoreError:  # (it is being removed)
+                continue
+            if same:
+                self.storage.follow(path)
+                self.replaced = True
+                return True
+        return False
 
     def explain(self, path: str) -> None:
         """Raise StoreReplacedError if an array is not what it was because the store, or the layer, was replaced."""
         try:
             now = self._read(self.storage)
         except StoreError as error:
+            if self._follows():
+                return
             raise self._replaced() from error
+        if _ground(now) != _ground(self.record) and self._follows():
+            return
         if now.digests.listed.get(path) != self.record.digests.listed.get(path):
             raise self._replaced()
 

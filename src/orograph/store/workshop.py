@@ -72,11 +72,17 @@ class _Open:
         self._lock = threading.Lock()
         self._shop: Shop | None = None
 
-    def stage(self, name: str, number: int) -> Stage[Any]:
+    def shop(self) -> Shop:
+        """What this process has for the tasks."""
         with self._lock:
             if self._shop is None:
                 self._shop = self.recipe.open()
-            return self._shop.stage(name, number)
+            return self._shop
+
+    def stage(self, name: str, number: int) -> Stage[Any]:
+        shop = self.shop()
+        with self._lock:
+            return shop.stage(name, number)
 
 
 _open: dict[str, _Open] = {}
@@ -89,6 +95,11 @@ def learn(ident: str, recipe: Recipe, limit: int = 0) -> None:
         ident: what tasks call it. limit: bytes of memory that the process may take; 0: any.
     """
     _open[ident] = _Open(recipe, limit)
+
+
+def opened(ident: str) -> Shop:
+    """What this process has for work that it was told of."""
+    return _open[ident].shop()
 
 
 def forget(ident: str) -> None:

@@ -8,23 +8,29 @@ that nobody has measured. Pictures read it, and nothing else does.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.progress import SILENT, Progress
 from orograph.raycast.select import distances, tile_boxes
 from orograph.store.given import source_of
+from orograph.store.patches import stored_levels
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable, tile_shape
+from orograph.synthesis.detailed_diamonds import DiamondsOfData, Shifted
 from orograph.synthesis.exemplar import Exemplar
-from orograph.synthesis.refining import Data, Doubled, Fractal, Lattice
-from orograph.synthesis.steered import Steered, Steering
+from orograph.synthesis.refining import Data, Doubled, Fractal, Lattice, Residual, metres
+from orograph.synthesis.steered import Steering
 from orograph.synthesis.terrain import example
 from orograph.synthesis.windows import Range
 from orograph.viewpoint import View
+
+if TYPE_CHECKING:
+    from orograph.gpu.device import Device
 
 MOST = 10
 """Doublings, at most."""
@@ -45,23 +51,30 @@ class Detailed(Terrain):
     Args:
         terrain: the data. doublings: how many, at least 1. seed: another number, another detail.
         steering: detail by example; None: fractal. What is finer than the example is fractal, too.
+        device: that makes it; None: the CPU does. It is the same.
     """
 
-    def __init__(self, terrain: Terrain, doublings: int, seed: int = 1, steering: Steering | None = None) -> None:
+    def __init__(
+        self, terrain: Terrain, doublings: int, seed: int = 1, steering: Steering | None = None,
+        device: Device | None = None,
+    ) -> None:  # fmt: skip
         self.data, self.doublings = terrain, doublings
         rows, cols = terrain.grid.shape
         scale = 2.0**-doublings
-        finer = Affine.translation(0.5, 0.5) @ Affine.scale(scale) @ Affine.translation(-0.5, -0.5)
+        middle = Affine.translation(0.5, 0.5)
+        transform = compose(terrain.grid.transform, middle, Affine.scale(scale), ~middle)
         shape = ((rows - 1) << doublings) + 1, ((cols - 1) << doublings) + 1
-        self.grid = Grid(shape, terrain.grid.transform @ finer, terrain.grid.crs)
+        self.grid = Grid(shape, transform, terrain.grid.crs)
         self.name, self.vertical, self.attribution = terrain.name, terrain.vertical, terrain.attribution
         self._lattices: list[Lattice] = [Data(terrain)]
         known = 0 if steering is None else steering.doublings
         for n in range(1, doublings + 1):
+            residual: Residual
             if steering is not None and n <= known:
-                self._lattices.append(Doubled(self._lattices[-1], Steered(steering, n)))
+                residual = steering.residual(n)
             else:
-                self._lattices.append(Doubled(self._lattices[-1], Fractal(self._lattices[known], n - known, n, seed)))
+                residual = _fractal(self._lattices[known], n - known, n, seed, device)
+            self._lattices.append(Doubled(self._lattices[-1], residual))
         self._largest = _largest(terrain)
 
     @property
@@ -80,9 +93,16 @@ class Detailed(Terrain):
             return np.zeros((row1 - row0, col1 - col0), np.float32)
         # The last sample of a level repeats the raster's last one where it falls beyond it.
         step, (rows, cols) = 1 << level, self.grid.shape
-        lattice = self._lattices[self.doublings - level]
+        lattice, finer = self._lattices[self.doublings - level], self.doublings - level
         inner = Range(row0, min(row1, (rows - 1) // step + 1), col0, min(col1, (cols - 1) // step + 1))
-        heights = lattice.read(inner).astype(np.float32)
+        heights = metres(lattice.read(inner), lattice.quantum).astype(np.float32)
+        # The data's own samples are not rounded to quanta.
+        first, last = (tuple(-(-at >> finer) for at in ends) for ends in ((inner.row0, inner.col0),
+                                                                            (inner.row1, inner.col1)))  # fmt: skip
+        if first[0] < last[0] and first[1] < last[1]:
+            own = self.data.read(0, first[0], last[0], first[1], last[1])
+            times = 1 << finer
+            heights[-inner.row0 % times :: times, -inner.col0 % times :: times] = own
         return np.pad(heights, ((0, row1 - inner.row1), (0, col1 - inner.col1)), mode="edge")
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
@@ -106,6 +126,18 @@ class Detailed(Terrain):
             wide = np.where(np.isnan(a) | np.isnan(b), np.where(np.isnan(a), b, a), a + np.float32(t) * (b - a))
         return np.asarray(wide, np.float32)
 
+    def has(self, name: str, **options: Any) -> bool:
+        return name == "patches" or self.data.has(name, **options)
+
+    def derived(self, name: str, **options: Any) -> Any:
+        """Diamonds, and patches of them: those of the data (``detailed_diamonds``)."""
+        if name == "diamonds":
+            return DiamondsOfData(self, self.data, self.doublings, **options)
+        if name == "patches":
+            own, first = self.data.derived(name, **options), stored_levels(self.data.grid.shape, options["legs"])[0]
+            return Shifted(self, self.data, self.doublings, own.read, first, 0.0)
+        return super().derived(name, **options)
+
     def tiles(self, level: int) -> TileTable:
         """Estimates: the terrain's own tables, and what detail may add."""
         own = max(level - self.doublings, 0)
@@ -126,6 +158,14 @@ class Detailed(Terrain):
         return TileTable(low, high, np.full((rows, cols), rest, np.float32), valid.astype(np.uint8))
 
 
+def _fractal(base: Lattice, doublings: int, level: int, seed: int, device: Device | None) -> Fractal:
+    if device is None:
+        return Fractal(base, doublings, level, seed)
+    from orograph.synthesis.detail_gpu import FractalOnGpu
+
+    return FractalOnGpu(device, base, doublings, level, seed)
+
+
 def _largest(terrain: Terrain) -> float:
     """How far samples lie from the coarser level's surface: a high percentile of the tiles' errors, metres."""
     level = min(1, terrain.levels - 1)
@@ -139,17 +179,25 @@ def _largest(terrain: Terrain) -> float:
     return float(np.nanmax(rest)) if np.isfinite(rest).any() else 0.0
 
 
-def doublings_for(terrain: Terrain, view: View, exaggeration: float) -> int:
-    """How many doublings make samples about as fine as pixels where the ground is nearest to the eye."""
+def doublings_for(terrain: Terrain, view: View, exaggeration: float, most: int = TILES) -> int:
+    """How many doublings make samples about as fine as pixels where the ground is nearest to the eye.
+
+    Args:
+        most: tiles of the finest level.
+    """
     spacing = max(terrain.grid.spacing)
     if view.projection == "plan":
         pixel = view.pixel_metres
     else:
         pixel = view.pixel_slope * max(_nearest(terrain, view, exaggeration), view.near, 1e-3)
     wanted = math.ceil(math.log2(spacing / pixel)) if spacing > pixel else 0
+    return min(wanted, room_for(terrain, most))
+
+
+def room_for(terrain: Terrain, most: int = TILES) -> int:
+    """How many doublings there may be, so that there are at most so many tiles of the finest level."""
     tiles = math.prod(tile_shape(terrain.grid.shape, 0))
-    room = (TILES // tiles).bit_length() // 2
-    return max(0, min(wanted, MOST, room))
+    return min(max((most // tiles).bit_length() - 1, 0) // 2, MOST)
 
 
 def _nearest(terrain: Terrain, view: View, exaggeration: float) -> float:
@@ -172,11 +220,13 @@ def _nearest(terrain: Terrain, view: View, exaggeration: float) -> float:
     return least if math.isinf(best) else best
 
 
-def steering_of(terrain: Terrain, given: object, seed: int, progress: Progress = SILENT) -> tuple[Steering, str]:
+def steering_of(
+    terrain: Terrain, given: object, seed: int, progress: Progress = SILENT, device: Device | None = None
+) -> tuple[Steering, str]:
     """Detail by example for a terrain, and what the example is called.
 
     Args:
-        given: the example, whatever ``orograph.terrain`` takes.
+        given: the example, whatever ``orograph.terrain`` takes. device: that makes it; None: the CPU does.
 
     Raises:
         UsageError: it is no example (``Exemplar.of``), or not finer than the terrain.
@@ -194,4 +244,9 @@ def steering_of(terrain: Terrain, given: object, seed: int, progress: Progress =
     exemplar = Exemplar.of(example(source), source.name, None, progress)
     # Of coarser terrain, what is coarser than the example's own levels is its shape at its coarsest.
     doublings = min(doublings, exemplar.top)
-    return Steering(exemplar, Data(terrain), doublings, spacing / (own * 2.0**doublings), seed), source.name
+    numbers = doublings, spacing / (own * 2.0**doublings), seed
+    if device is None:
+        return Steering(exemplar, Data(terrain), *numbers), source.name
+    from orograph.synthesis.detail_gpu import SteeringOnGpu
+
+    return SteeringOnGpu(device, exemplar, Data(terrain), *numbers), source.name

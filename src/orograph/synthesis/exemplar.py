@@ -55,9 +55,12 @@ class Exemplar:
     @classmethod
     def of(
         cls, heights: NDArray[np.floating], name: str = "the exemplar", jobs: int | None = None,
-        progress: Progress = SILENT,
+        progress: Progress = SILENT, *, relative: bool = True,
     ) -> Exemplar:  # fmt: skip
         """Prepare heights, (rows, cols) in metres.
+
+        Args:
+            relative: compare heights above coarser levels; else as they are, which suits colours.
 
         Raises:
             UsageError: they are too few or too many, some are missing, or all are equal.
@@ -70,7 +73,7 @@ class Exemplar:
         top = max(1, math.floor(math.log2(min(heights.shape) / 2)))
         for level in range(top, 0, -1):
             stack.insert(0, smoothed(stack[0], 1 << (top - level)))
-        features = tuple(_features(stack, level) for level in range(top + 1))
+        features = tuple(_features(stack, level, OCTAVES if relative else top) for level in range(top + 1))
         similar = []
         with progress.task(f"Looking for what is alike in {name}", total=top + 1) as task:
             work = map_ordered(lambda level: _similar(features[level], 1 << (top - level)), range(top + 1), jobs)
@@ -139,9 +142,10 @@ def smoothed(heights: Integers, step: int) -> Integers:
     return heights
 
 
-def _features(stack: list[Integers], level: int) -> Features:
+def _features(stack: list[Integers], level: int, octaves: int) -> Features:
+    """How far places lie above the level so many octaves coarser; above the mean where that is all there are."""
     fine = stack[level].astype(np.int64)
-    band = fine - (stack[max(level - OCTAVES, 0)] if level else fine.sum() // fine.size)
+    band = fine - (stack[max(level - octaves, 0)] if level and octaves < len(stack) - 1 else fine.sum() // fine.size)
     spread = max(1, math.isqrt(int((band * band).sum()) // band.size))
     return np.asarray(np.clip(band * 341 // spread, -1023, 1023), np.int16)
 

@@ -11,18 +11,25 @@ three agree in every bit, which is why there is no division and no floating poin
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.dem.noise import hashed
 
 PASSES = 2
-"""Corrections of a level, each in four ordered sub-passes (§3.3)."""
+"""Corrections of a level, at most, each in four ordered sub-passes (§3.3)."""
 
 MARGIN = 2 * 4 * PASSES
 """Places around a window that correction reads: two for each sub-pass."""
 
 ORDER = np.array([[0, 0], [1, 1], [1, 0], [0, 1], [1, 1], [0, 0], [0, 1], [1, 0]], np.int32)
 """(row, column) parities of the places that each sub-pass corrects; the second pass goes another way round."""
+
+
+def order(passes: int) -> NDArray[np.int32]:
+    """The parities of so many passes, one after the other."""
+    return ORDER[: 4 * passes]
+
 
 COHERENT, STRADDLING = 4, 4
 """A candidate's distance times 4 if it continues a neighbour, times 4 + kappa if it is only like what would; times 4
@@ -59,9 +66,10 @@ def upsampled(parent, row0, col0, top, left, step, reach, level, seed, rows, col
             c = left + j
             x = parent[(r >> 1) - row0, (c >> 1) - col0, 0] + step * (c & 1)
             y = parent[(r >> 1) - row0, (c >> 1) - col0, 1] + step * (r & 1)
-            h = hashed(c, r, seed + 7919 * level)
-            x += (step * reach * ((h & 0x1FFF) - 4096) + 0x80000) >> 20
-            y += (step * reach * (((h >> 16) & 0x1FFF) - 4096) + 0x80000) >> 20
+            if reach:
+                h = hashed(c, r, seed + 7919 * level)
+                x += (step * reach * ((h & 0x1FFF) - 4096) + 0x80000) >> 20
+                y += (step * reach * (((h >> 16) & 0x1FFF) - 4096) + 0x80000) >> 20
             out[i, j, 0] = x % (2 * cols)
             out[i, j, 1] = y % (2 * rows)
 
@@ -70,6 +78,17 @@ def upsampled(parent, row0, col0, top, left, step, reach, level, seed, rows, col
 def straddles(x, size, reach):
     """Whether places up to ``reach`` from a place of the exemplar lie across its border."""
     return x < reach or x >= size - reach
+
+
+@inlined
+def of_one_piece(places, i, j, step):
+    """Whether the 5 × 5 places around one continue it: its neighbourhood is that of the exemplar."""
+    x, y = places[i, j, 0], places[i, j, 1]
+    for di in range(-2, 3):
+        for dj in range(-2, 3):
+            if places[i + di, j + dj, 0] != x + step * dj or places[i + di, j + dj, 1] != y + step * di:
+                return False
+    return True
 
 
 @kernel
@@ -85,7 +104,7 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
         similar: (rows, cols, 2) int16, for each place of the exemplar another one that looks like it.
         kappa: 0 or 1; see ``COHERENT``.
         guide: (h, w, g) int16, what the terrain is like at each place; guides: (rows, cols, g), the exemplar. g may be
-            0; with three, their mirror signs are those of slopes along x and y, and of a curvature.
+            0; the first and second change their signs with mirrored columns and rows, as slopes along x and y do.
         even_row, even_col: the index of the first row and column that are corrected: 0 or 1.
     """
     height, width = before.shape[:2]
@@ -99,6 +118,8 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
             out[i, j, 0], out[i, j, 1] = before[i, j, 0], before[i, j, 1]
     for i in range(inset + ((inset + even_row) & 1), height - inset, 2):
         for j in range(inset + ((inset + even_col) & 1), width - inset, 2):
+            if steered == 0 and of_one_piece(before, i, j, step):
+                continue  # nothing is nearer than the place itself
             for di in range(5):
                 for dj in range(5):
                     x, y = before[i + di - 2, j + dj - 2, 0], before[i + di - 2, j + dj - 2, 1]
@@ -123,24 +144,36 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
                         continue
                     tried[count, 0], tried[count, 1] = x, y
                     count += 1
+                    fx, fy = folded(x, cols), folded(y, rows)
+                    across = straddles(fx, cols, 2 * step) or straddles(fy, rows, 2 * step)
                     weight = COHERENT + k * kappa
-                    if straddles(folded(x, cols), cols, reach) or straddles(folded(y, rows), rows, reach):
+                    if across and (straddles(fx, cols, reach) or straddles(fy, rows, reach)):
                         weight *= STRADDLING
                     d = np.int64(0)
                     for g in range(steered):
-                        there = np.int64(guides[folded(y, rows), folded(x, cols), g])
+                        there = np.int64(guides[fy, fx, g])
                         if (g == 0 and x >= cols) or (g == 1 and y >= rows):
                             there = -there
                         d += 8 * (guide[i, j, g] - there) * (guide[i, j, g] - there)
-                    for dj in range(5):
-                        beside[dj] = folded(x + step * (dj - 2), cols)
-                    for di in range(5):
-                        if d * weight >= best:
-                            break
-                        fy = folded(y + step * (di - 2), rows)
+                    if across:
                         for dj in range(5):
-                            e = around[5 * di + dj] - features[fy, beside[dj]]
-                            d += e * e
+                            beside[dj] = folded(x + step * (dj - 2), cols)
+                        for di in range(5):
+                            if d * weight >= best:
+                                break
+                            fy = folded(y + step * (di - 2), rows)
+                            for dj in range(5):
+                                e = around[5 * di + dj] - features[fy, beside[dj]]
+                                d += e * e
+                    else:
+                        right, down = step if x < cols else -step, step if y < rows else -step
+                        fx, fy = fx - 2 * right, fy - 2 * down
+                        for di in range(5):
+                            if d * weight >= best:
+                                break
+                            for dj in range(5):
+                                e = around[5 * di + dj] - features[fy + di * down, fx + dj * right]
+                                d += e * e
                     if d * weight < best:
                         best = d * weight
                         out[i, j, 0], out[i, j, 1] = x, y

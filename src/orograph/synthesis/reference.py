@@ -40,8 +40,9 @@ def at(table: Integers, places: Integers) -> Integers:
 
 
 def coordinates(
-    exemplar: Any, seed: int, reach: list[int], kappa: int, window: tuple[int, int, int, int], level: int
-) -> Integers:
+    exemplar: Any, seed: int, reach: list[int], kappa: int, passes: list[int], window: tuple[int, int, int, int],
+    level: int,
+) -> Integers:  # fmt: skip
     """(rows, cols, 2): x, y of a window (row0, row1, col0, col1) of a level; ``reach``: jitter in 1/256 of a step."""
     row0, row1, col0, col1 = window
     size = np.array(exemplar.shape[::-1])
@@ -51,13 +52,15 @@ def coordinates(
     here = step * np.stack([c & 1, r & 1], -1).astype(np.int64)
     if level:
         above = (wide[0] // 2, wide[1] // 2 + 1, wide[2] // 2, wide[3] // 2 + 1)
-        here += coordinates(exemplar, seed, reach, kappa, above, level - 1)[r // 2 - above[0], c // 2 - above[2]]
+        here += coordinates(exemplar, seed, reach, kappa, passes, above, level - 1)[
+            r // 2 - above[0], c // 2 - above[2]
+        ]
     h = hashed(c, r, seed + 7919 * level)
     shake = np.stack([(h & 0x1FFF) - 4096, (h >> 16 & 0x1FFF) - 4096], -1)
     here = (here + (step * (reach[level] if level else 256) * shake + (1 << 19) >> 20)) % (2 * size)
     if level == 0:
         return np.asarray(here)
-    for row, col in PARITIES:
+    for row, col in PARITIES[: 4 * passes[level]]:
         here = here.copy()
         turn = slice((row + wide[0]) % 2, None, 2), slice((col + wide[2]) % 2, None, 2)
         here[turn] = best(exemplar, level, kappa, here, turn)
@@ -98,15 +101,16 @@ def best(exemplar: Any, level: int, kappa: int, here: Integers, turn: tuple[slic
 
 
 def heights(
-    exemplar: Any, seed: int, reach: list[int], kappa: int, window: tuple[int, int, int, int], level: int
-) -> Integers:
+    exemplar: Any, seed: int, reach: list[int], kappa: int, passes: list[int], window: tuple[int, int, int, int],
+    level: int,
+) -> Integers:  # fmt: skip
     """(rows, cols): heights of a window of a level, in the exemplar's quanta above its base."""
-    chosen = coordinates(exemplar, seed, reach, kappa, window, level).astype(np.int64)
+    chosen = coordinates(exemplar, seed, reach, kappa, passes, window, level).astype(np.int64)
     if level == 0:
         return at(exemplar.stack[0], chosen)
     row0, row1, col0, col1 = window
     above = (row0 // 2 - 2, row1 // 2 + 3, col0 // 2 - 2, col1 // 2 + 3)
-    coarse = heights(exemplar, seed, reach, kappa, above, level - 1)
+    coarse = heights(exemplar, seed, reach, kappa, passes, above, level - 1)
     r, c = np.meshgrid(np.arange(row0, row1), np.arange(col0, col1), indexing="ij")
     step, smooth, own = exemplar.step(level), np.zeros_like(r), np.zeros_like(r)
     # The B-spline's 1 4 6 4 1: sample 2i of the doubled row is 1 6 1 of i − 1, i, i + 1; sample 2i + 1 is 4 4.

@@ -8,16 +8,19 @@ So lattices nest, as a terrain's levels do, and the data's own samples stay as t
   of every second sample) and by how that falls from level to level: rough ground stays rough, level ground stays level;
 - ``steered.Steered``: what an exemplar has beyond its own doubling.
 
-Any window is the same to the bit wherever it begins. A sample beyond the raster is NaN; next to one the 4-point rule
-goes on in a straight line, and between a height and a void there is none. Units: samples of a lattice, metres.
+Heights are whole numbers of the terrain's ``quantum``, and a doubling is made of integers of 32 bits alone, by NumPy or
+on a GPU (``detail_on_gpu``, ``shaders/refining.wgsl``): both make the same, to the bit, wherever a window begins. A
+sample beyond the raster is ``MISSING``; next to one the 4-point rule goes on in a straight line, and between a height
+and a void there is none. Units: samples of a lattice, quanta.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +30,19 @@ from orograph.synthesis.reference import hashed
 from orograph.synthesis.windows import Range
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int32]
+
+MISSING = -(1 << 31)
+"""In place of a height where there is none."""
+
+HIGHEST = 27
+"""Bits of the largest height: sums of a few of them fit 32 bits."""
+
+NOISE = math.sqrt(21845.0)
+"""The standard deviation of the noise of ``Fractal``: its variance is 4 · (256² − 1)/12."""
+
+ROUGHEST = 1 << 20
+"""A scale of noise, at most: with ten bits of a place between samples it fits 32 bits."""
 
 SIDE = 256
 """Samples of a side of the tiles that are kept."""
@@ -39,17 +55,27 @@ HURST = 0.5, 1.5
 
 
 class Lattice(Protocol):
-    """Heights on a square lattice, metres; NaN beyond it."""
+    """Heights on a square lattice.
 
-    def read(self, r: Range) -> Floats:
-        """(rows, cols) float64 of half-open ranges, which may reach beyond."""
+    Attributes:
+        quantum: metres, a power of two.
+    """
+
+    quantum: float
+
+    def read(self, r: Range) -> Integers:
+        """(rows, cols) int32 of half-open ranges, which may reach beyond: ``MISSING`` there."""
 
 
 class Residual(Protocol):
-    """What a doubling adds."""
+    """A doubling."""
 
-    def read(self, r: Range) -> Floats:
-        """(rows, cols) float64 metres of the doubled lattice, 0 at its even samples."""
+    def refined(self, coarse: Integers, above: Range, r: Range) -> Integers:
+        """Ranges of the doubled lattice.
+
+        Args:
+            coarse: the ranges ``above`` of the coarser one, which are ``parents_of(r)``.
+        """
 
 
 class Tiled:
@@ -96,40 +122,99 @@ class Data:
 
     def __init__(self, terrain: Terrain) -> None:
         self.terrain = terrain
+        highest = float(np.nanmax(np.abs(terrain.height_range), initial=1e-9))
+        self.quantum = 2.0 ** (math.ceil(math.log2(highest)) - HIGHEST)
 
-    def read(self, r: Range) -> Floats:
+    def read(self, r: Range) -> Integers:
         rows, cols = self.terrain.grid.shape
         inner = Range(max(r.row0, 0), min(r.row1, rows), max(r.col0, 0), min(r.col1, cols))
-        out = np.full(r.shape, np.nan)
+        out = np.full(r.shape, MISSING, np.int32)
         if inner.row0 < inner.row1 and inner.col0 < inner.col1:
-            out[inner.within(r)] = self.terrain.read(0, *inner)
+            heights = self.terrain.read(0, *inner).astype(np.float64)
+            known = np.rint(np.nan_to_num(heights) / self.quantum).astype(np.int32)
+            out[inner.within(r)] = np.where(np.isnan(heights), np.int32(MISSING), known)
         return out
+
+
+def metres(heights: Integers, quantum: float) -> Floats:
+    """Heights of a lattice in metres, NaN where there is none."""
+    return np.where(heights == MISSING, np.nan, heights * quantum)
 
 
 class Doubled:
     """A lattice twice as fine: sample 2i is sample i of the coarser one."""
 
     def __init__(self, coarser: Lattice, residual: Residual) -> None:
-        tiles = Tiled(lambda r: doubled(coarser, r) + residual.read(r))
-        self.read: Callable[[Range], Floats] = tiles.read
+        self.quantum = coarser.quantum
+
+        def made(r: Range) -> Integers:
+            above = parents_of(r)
+            return residual.refined(coarser.read(above), above, r)
+
+        self.read: Callable[[Range], Integers] = Tiled(made).read
 
 
-def doubled(coarser: Lattice, r: Range) -> Floats:
-    """Ranges of the lattice that doubles another by the 4-point rule."""
+def parents_of(r: Range) -> Range:
+    """What of the coarser lattice the 4-point rule needs."""
+    return Range((r.row0 >> 1) - 1, ((r.row1 - 1) >> 1) + 3, (r.col0 >> 1) - 1, ((r.col1 - 1) >> 1) + 3)
+
+
+def doubled(coarse: Integers, above: Range, r: Range) -> Integers:
+    """The 4-point rule: see ``Residual.refined``."""
     a, b, c, d = r
-    above = Range((a >> 1) - 1, ((b - 1) >> 1) + 3, (c >> 1) - 1, ((d - 1) >> 1) + 3)
-    wide = _between(coarser.read(above).T)[c - 2 * above.col0 - 2 : d - 2 * above.col0 - 2].T
+    wide = _between(coarse.T)[c - 2 * above.col0 - 2 : d - 2 * above.col0 - 2].T
     return np.ascontiguousarray(_between(wide)[a - 2 * above.row0 - 2 : b - 2 * above.row0 - 2])
 
 
-def _between(rows: Floats) -> Floats:
+def _between(rows: Integers) -> Integers:
     """Rows 1 to n − 2 of an array and the ones between them: 2(n − 3) rows."""
     a, b, c, d = rows[:-3], rows[1:-2], rows[2:-1], rows[3:]
-    a = np.where(np.isnan(a), 2 * b - c, a)
-    d = np.where(np.isnan(d), 2 * c - b, d)
-    out = np.empty((2 * len(b), *rows.shape[1:]))
-    out[::2], out[1::2] = b, (9 * (b + c) - (a + d)) / 16
+    with np.errstate(over="ignore"):  # of what is missing
+        a = np.where(a == MISSING, 2 * b - c, a)
+        d = np.where(d == MISSING, 2 * c - b, d)
+        # (9 (b + c) − (a + d) + 8) >> 4, in 32 bits
+        near, far = b + c, a + d
+        middle = (near >> 1) + (8 * (near & 1) + near - far + 8 >> 4)
+    out = np.empty((2 * len(b), *rows.shape[1:]), np.int32)
+    out[::2], out[1::2] = b, np.where((b == MISSING) | (c == MISSING), np.int32(MISSING), middle)
     return out
+
+
+class Smooth:
+    """The residual of smooth interpolation: none."""
+
+    def refined(self, coarse: Integers, above: Range, r: Range) -> Integers:
+        return doubled(coarse, above, r)
+
+
+class Spread(NamedTuple):
+    """Whole numbers at samples of a lattice, bilinear between them, on one that is ``doublings`` finer.
+
+    Attributes:
+        values: (rows, cols[, any]) int32, at most ``ROUGHEST``. own: their ranges.
+    """
+
+    values: Integers
+    own: Range
+    doublings: int
+
+    def at(self, r: Range) -> Integers:
+        """The numbers at ranges of the finer lattice."""
+        values, n = self.values.astype(np.int32), self.doublings
+        half = 1 << n >> 1
+        for axis, (index, first) in enumerate(zip((np.arange(*r[:2]), np.arange(*r[2:])), self.own[::2])):
+            base = (index >> n) - first
+            t = (index & ((1 << n) - 1)).astype(np.int32)
+            t = t.reshape([-1 if k == axis else 1 for k in range(values.ndim)])
+            far = np.take(values, np.minimum(base + 1, values.shape[axis] - 1), axis)
+            values = np.take(values, base, axis) * ((1 << n) - t) + far * t + half >> n
+        return np.asarray(values, np.int32)
+
+
+def around(r: Range, doublings: int) -> Range:
+    """The ranges of the coarser lattice between which those of the finer one lie."""
+    return Range(r.row0 >> doublings, ((r.row1 - 1) >> doublings) + 2, r.col0 >> doublings,
+                 ((r.col1 - 1) >> doublings) + 2)  # fmt: skip
 
 
 class Fractal:
@@ -143,19 +228,29 @@ class Fractal:
     def __init__(self, base: Lattice, doublings: int, level: int, seed: int) -> None:
         self.base, self.doublings = base, doublings
         self.salt = (seed & 0x7FFFFFFF) + 7919 * level
+        # Scales fall with each doubling by √2 at least.
+        self.shift = 3 + doublings // 2
 
-    def read(self, r: Range) -> Floats:
-        n = self.doublings
-        own = Range(r.row0 >> n, ((r.row1 - 1) >> n) + 2, r.col0 >> n, ((r.col1 - 1) >> n) + 2)
+    def scale(self, r: Range) -> Spread:
+        """How large the noise is around a range, before ``shift`` halvings."""
+        own = around(r, self.doublings)
         sigma, hurst = roughness(self.base, own)
-        at, shape = (np.arange(r.row0, r.row1), np.arange(r.col0, r.col1)), r.shape
-        scale = spread(sigma * 2.0 ** (-n * hurst), at, own, n)
-        col, row = np.broadcast_arrays(at[1][None, :], at[0][:, None])
+        scale = sigma * 2.0 ** (-self.doublings * hurst) * (2.0**self.shift / NOISE / self.base.quantum)
+        return Spread(np.rint(np.minimum(scale, ROUGHEST)).astype(np.int32), own, self.doublings)
+
+    def refined(self, coarse: Integers, above: Range, r: Range) -> Integers:
+        row, col = np.meshgrid(np.arange(*r[:2]), np.arange(*r[2:]), indexing="ij")
         h = hashed(col, row, self.salt)
-        # Four bytes of a hash: nearly a normal distribution, mean 510, variance 4 · (256² − 1)/12.
-        noise = ((h & 255) + (h >> 8 & 255) + (h >> 16 & 255) + (h >> 24) - 510) / np.sqrt(21845.0)
-        noise[(at[0] % 2 == 0)[:, None] & (at[1] % 2 == 0)[None, :]] = 0
-        return np.asarray(noise * scale).reshape(shape)
+        # Four bytes of a hash: nearly a normal distribution, of mean 510.
+        noise = ((h & 255) + (h >> 8 & 255) + (h >> 16 & 255) + (h >> 24) - 510).astype(np.int32)
+        scaled = noise * self.scale(r).at(r) + (1 << self.shift - 1) >> self.shift
+        return added(doubled(coarse, above, r), scaled, r)
+
+
+def added(heights: Integers, residual: Integers, r: Range) -> Integers:
+    """Doubled heights with what is added to the new ones."""
+    old = (np.arange(*r[:2]) % 2 == 0)[:, None] & (np.arange(*r[2:]) % 2 == 0)[None, :]
+    return np.where(old | (heights == MISSING), heights, heights + residual).astype(np.int32)
 
 
 def roughness(lattice: Lattice, r: Range) -> tuple[Floats, Floats]:
@@ -165,12 +260,12 @@ def roughness(lattice: Lattice, r: Range) -> tuple[Floats, Floats]:
     likewise, from every fourth. Weights are the binomial filter's, some ten samples wide. Level ground has none.
     """
     wide = Range((r.row0 - REACH) & ~3, r.row1 + REACH, (r.col0 - REACH) & ~3, r.col1 + REACH)
-    heights = lattice.read(wide)
+    heights = metres(lattice.read(wide), lattice.quantum)
     fine = _variance(heights)
     coarse = _variance(heights[::2, ::2])
     half = Range(wide.row0 >> 1, (wide.row0 >> 1) + coarse.shape[0], wide.col0 >> 1, (wide.col0 >> 1) + coarse.shape[1])
     at = np.arange(r.row0, r.row1), np.arange(r.col0, r.col1)
-    here, above = fine[r.within(wide)], spread(coarse, at, half, 1)
+    here, above = fine[r.within(wide)], _spread(coarse, at, half, 1)
     # Water is level though its shores are rough.
     around = heights[r.wider(1).within(wide)]
     rows, cols = r.shape
@@ -186,13 +281,23 @@ def _variance(heights: Floats) -> Floats:
     rows, cols = heights.shape
     even = heights[::2, ::2]
     wide = np.pad(even, ((1, 2), (1, 2)), constant_values=np.nan)
-    rest = heights - _between(_between(wide.T).T)[:rows, :cols]
+    rest = heights - _middles(_middles(wide.T).T)[:rows, :cols]
     known = ~np.isnan(rest)
     known[::2, ::2] = False
     weight, square = known.astype(float), np.where(known, rest, 0) ** 2
     for step in (1, 2):
         weight, square = _blurred(weight, step), _blurred(square, step)
     return np.where(weight > 1e-3, square / np.maximum(weight, 1e-3), 0)
+
+
+def _middles(rows: Floats) -> Floats:
+    """``_between`` of metres."""
+    a, b, c, d = rows[:-3], rows[1:-2], rows[2:-1], rows[3:]
+    a = np.where(np.isnan(a), 2 * b - c, a)
+    d = np.where(np.isnan(d), 2 * c - b, d)
+    out = np.empty((2 * len(b), *rows.shape[1:]))
+    out[::2], out[1::2] = b, (9 * (b + c) - (a + d)) / 16
+    return out
 
 
 def _blurred(values: Floats, step: int) -> Floats:
@@ -204,7 +309,7 @@ def _blurred(values: Floats, step: int) -> Floats:
     return values
 
 
-def spread(values: Floats, at: tuple[NDArray[np.int64], NDArray[np.int64]], own: Range, doublings: int) -> Floats:
+def _spread(values: Floats, at: tuple[NDArray[np.int64], NDArray[np.int64]], own: Range, doublings: int) -> Floats:
     """Values of a coarser lattice, which begin at ``own``, bilinear at rows and columns of a finer one."""
     for axis, (index, first) in enumerate(zip(at, (own.row0, own.col0))):
         base = (index >> doublings) - first

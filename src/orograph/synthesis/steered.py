@@ -9,20 +9,38 @@ neighbours come from one piece its own forms come out.
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.synthesis.exemplar import Exemplar
+from orograph.synthesis.exemplar import Exemplar, smoothed
 from orograph.synthesis.kernels import MARGIN, ORDER, corrected, upsampled
 from orograph.synthesis.reference import folded, hashed
-from orograph.synthesis.refining import Floats, Lattice, Tiled, roughness, spread
+from orograph.synthesis.refining import (
+    Floats,
+    Integers,
+    Lattice,
+    Spread,
+    Tiled,
+    added,
+    around,
+    doubled,
+    metres,
+    roughness,
+)  # fmt: skip
 from orograph.synthesis.windows import Range
 
 TRIES = 64
 """Places of the exemplar that each sample of the data begins with."""
+
+GAIN = 12
+"""Bits of a gain, at most: the quanta of the data in one of the exemplar, times ``Steering.shift`` halvings."""
+
+GROUND = 2.0**-10
+"""Metres that the ground under an exemplar is rounded to before it is smoothed."""
 
 Guide = NDArray[np.int16]
 
@@ -33,14 +51,27 @@ class Steering:
     Args:
         doublings: by which the data's spacing becomes the exemplar's, at least 1, at most ``exemplar.top``.
         stretch: heights of the data in heights of the exemplar: by how much its spacing is larger than the exemplar's.
+        ground: heights under the exemplar, metres, by which it is chosen; None: it is the ground itself.
     """
 
-    def __init__(self, exemplar: Exemplar, data: Lattice, doublings: int, stretch: float, seed: int) -> None:
+    def __init__(
+        self, exemplar: Exemplar, data: Lattice, doublings: int, stretch: float, seed: int,
+        ground: Floats | None = None,
+    ) -> None:  # fmt: skip
         self.exemplar, self.data, self.doublings, self.seed = exemplar, data, doublings, seed & 0x7FFFFFFF
         self.metres = exemplar.quantum * stretch
+        ratio = self.metres / data.quantum
+        self.shift = min(max(GAIN - 1 - math.floor(math.log2(ratio)), 1), 30)
+        self._gain = min(ratio * 2.0**self.shift, 2.0**GAIN)
         step = 1 << doublings
-        self.smooth = np.asarray(exemplar.stack[exemplar.top - doublings] * self.metres, np.float64)
-        shape = _shape(self.smooth, step, "symmetric")
+        if ground is None:
+            smooth = exemplar.stack[exemplar.top - doublings] * self.metres
+        else:
+            level = np.rint(ground / GROUND).astype(np.int32)
+            for n in range(doublings):
+                level = smoothed(level, 1 << n)
+            smooth = level * (GROUND * stretch)
+        shape = _shape(np.asarray(smooth, np.float64), step, "symmetric")
         self._scale = np.array([341 / max(np.sqrt((one**2).mean()), 1e-12)
                                 for one in (np.stack(shape[:2]), np.stack(shape[:2]), shape[2])])  # fmt: skip
         self.guides = self._guide(shape)
@@ -55,8 +86,7 @@ class Steering:
 
     def guide(self, r: Range) -> Guide:
         """What the data are like at places of their lattice: slopes along columns and rows, and curvature."""
-        heights = self.data.read(r.wider(2))
-        smooth = heights
+        smooth = metres(self.data.read(r.wider(2)), self.data.quantum)
         for axis in (0, 1):
             a, b, c = (np.take(smooth, range(k, smooth.shape[axis] - 2 + k), axis) for k in range(3))
             smooth = (a + 2 * b + c) / 4
@@ -68,36 +98,50 @@ class Steering:
         return found
 
     def _made(self, level: int, r: Range) -> NDArray[np.int32]:
-        e, wide = self.exemplar, r.wider(MARGIN)
-        rows, cols = e.shape
+        wide = r.wider(MARGIN)
         if level == 0:
             guide = self.guide(wide)
             chosen = self._begun(wide, guide)
         else:
-            parents = wide.parents()
-            chosen = np.empty((*wide.shape, 2), np.int32)
-            upsampled(
-                self.coordinates(level - 1, parents), parents.row0, parents.col0, wide.row0, wide.col0,
-                1 << (self.doublings - level), 0, level, self.seed, rows, cols, chosen,
-            )  # fmt: skip
-            own = Range(wide.row0 >> level, ((wide.row1 - 1) >> level) + 2, wide.col0 >> level,
-                        ((wide.col1 - 1) >> level) + 2)  # fmt: skip
-            at, coarse = (np.arange(*wide[:2]), np.arange(*wide[2:])), self.guide(own).astype(float)
-            guide = np.stack([np.rint(spread(coarse[..., n], at, own, level)) for n in range(3)], -1).astype(np.int16)
-        other, n = np.empty_like(chosen), e.top - self.doublings + level
+            own = around(wide, level)
+            guide = Spread(self.guide(own).astype(np.int32), own, level).at(wide).astype(np.int16)
+            chosen = self._upsampled(level, wide)
+        return np.ascontiguousarray(self._corrected(level, wide, chosen, guide)[r.within(wide)])
+
+    def _upsampled(self, level: int, wide: Range) -> Any:
+        """The coordinates of a level as those of the coarser one continue."""
+        parents, (rows, cols) = wide.parents(), self.exemplar.shape
+        chosen = np.empty((*wide.shape, 2), np.int32)
+        upsampled(
+            self.coordinates(level - 1, parents), parents.row0, parents.col0, wide.row0, wide.col0,
+            1 << (self.doublings - level), 0, level, self.seed, rows, cols, chosen,
+        )  # fmt: skip
+        return chosen
+
+    def _corrected(self, level: int, wide: Range, chosen: Any, guide: Guide) -> NDArray[np.int32]:
+        """The coordinates of a level, corrected but for its margin."""
+        e, other, n = self.exemplar, np.empty_like(chosen), self.at(level)
         for k, (row, col) in enumerate(ORDER):
             corrected(
                 chosen, e.features[n], e.similar[n], e.step(n), 1, guide, self.guides, (row + wide.row0) & 1,
                 (col + wide.col0) & 1, 2 * (k + 1), other,
             )  # fmt: skip
             chosen, other = other, chosen
-        return np.ascontiguousarray(chosen[r.within(wide)])
+        return np.asarray(chosen)
 
-    def _begun(self, r: Range, guide: Guide) -> NDArray[np.int32]:
+    def residual(self, level: int) -> Steered:
+        """Of the doubling that is ``level`` doublings finer than the data."""
+        return Steered(self, level)
+
+    def at(self, level: int) -> int:
+        """The exemplar's level that is ``level`` doublings finer than the data."""
+        return self.exemplar.top - self.doublings + level
+
+    def _begun(self, r: Range, guide: Guide) -> Any:
         """For each place the best of some random places of the exemplar's plane."""
         rows, cols = self.exemplar.shape
         row, col = (a.ravel() for a in np.meshgrid(np.arange(*r[:2]), np.arange(*r[2:]), indexing="ij"))
-        wanted = guide.reshape(-1, 3).astype(np.int64)
+        wanted = guide.reshape(-1, guide.shape[-1]).astype(np.int64)
         best, least = np.zeros((len(row), 2), np.int32), np.full(len(row), 1 << 40)
         for n in range(TRIES):
             h = hashed(col, row, self.seed + 104729 * (n + 1))
@@ -110,12 +154,13 @@ class Steering:
             least[better], best[better, 0], best[better, 1] = far[better], x[better], y[better]
         return best.reshape(*r.shape, 2)
 
-    def gate(self, r: Range, level: int) -> Floats:
-        """From 1 to 0 where the data are much smoother than the exemplar: level ground, such as water, stays level."""
-        own = Range(r.row0 >> level, ((r.row1 - 1) >> level) + 2, r.col0 >> level, ((r.col1 - 1) >> level) + 2)
+    def gain(self, r: Range, level: int) -> Spread:
+        """By how much to multiply what the exemplar has, before ``shift`` halvings: down to 0 where the data are much
+        smoother than the exemplar, so that level ground, such as water, stays level."""
+        own = around(r, level)
         sigma, _ = roughness(self.data, own)
-        at = np.arange(r.row0, r.row1), np.arange(r.col0, r.col1)
-        return spread(np.clip(8 * sigma / max(self.rough, 1e-12), 0, 1), at, own, level)
+        gate = np.clip(8 * sigma / max(self.rough, 1e-12), 0, 1)
+        return Spread(np.rint(gate * self._gain).astype(np.int32), own, level)
 
 
 class Steered:
@@ -124,33 +169,34 @@ class Steered:
     def __init__(self, steering: Steering, level: int) -> None:
         self.steering, self.level = steering, level
 
-    def read(self, r: Range) -> Floats:
+    def refined(self, coarse: Integers, above: Range, r: Range) -> Integers:
+        """See ``refining.Residual``."""
         s = self.steering
         chosen = s.coordinates(self.level, r).astype(np.int64)
         step, fine = 1 << (s.doublings - self.level), s.exemplar.stack[-1]
-        out = np.zeros(r.shape)
+        rest = np.zeros(r.shape, np.int64)
         rows, cols = fine.shape
 
-        def at(part: NDArray[np.int64], dx: int, dy: int) -> NDArray[Any]:
-            found: NDArray[Any] = (
-                fine[folded(part[..., 1] + dy * step, rows), folded(part[..., 0] + dx * step, cols)] * 1.0
-            )
-            return found
+        def at(part: NDArray[np.int64], dx: int, dy: int) -> NDArray[np.int64]:
+            return fine[folded(part[..., 1] + dy * step, rows), folded(part[..., 0] + dx * step, cols)].astype(np.int64)
 
-        def between(part: NDArray[np.int64], odd: bool, dy: int) -> NDArray[Any]:
+        def between(part: NDArray[np.int64], odd: bool, dy: int) -> NDArray[np.int64]:
+            """Sixteen times the row of the exemplar at ``dy`` steps."""
             if not odd:
-                return at(part, 0, dy)
-            return np.asarray(9 * (at(part, -1, dy) + at(part, 1, dy)) - at(part, -3, dy) - at(part, 3, dy)) / 16
+                return 16 * at(part, 0, dy)
+            return 9 * (at(part, -1, dy) + at(part, 1, dy)) - at(part, -3, dy) - at(part, 3, dy)
 
         for down, across in ((0, 1), (1, 0), (1, 1)):
             turn = slice((down + r.row0) & 1, None, 2), slice((across + r.col0) & 1, None, 2)
             part = chosen[turn]
-            own = between(part, bool(across), 0)
             if down:
                 near = between(part, bool(across), -1) + between(part, bool(across), 1)
-                own = (9 * near - between(part, bool(across), -3) - between(part, bool(across), 3)) / 16
-            out[turn] = (at(part, 0, 0) - own) * s.metres
-        return out * s.gate(r, self.level)
+                own = 9 * near - between(part, bool(across), -3) - between(part, bool(across), 3)
+            else:
+                own = 16 * between(part, True, 0)
+            rest[turn] = at(part, 0, 0) - (own + 128 >> 8)
+        scaled = rest * s.gain(r, self.level).at(r) + (1 << s.shift - 1) >> s.shift
+        return added(doubled(coarse, above, r), scaled.astype(np.int32), r)
 
 
 def _shape(heights: Floats, step: int, mode: str | None) -> tuple[Floats, Floats, Floats]:

@@ -1,7 +1,9 @@
-"""A terrain of any size by example, as a raster that is read by windows: what ``orograph synth --exemplar`` writes."""
+"""A terrain of any size by example, as a raster that is read by windows: what ``orograph synth --exemplar`` writes,
+or builds a store of."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,7 +34,7 @@ class ByExample:
             missing.
         shape: (rows, cols), each at least 2. seed: any integer; another seed is another terrain.
         crs: a projected CRS; None: the example's.
-        jitter: see ``windows.Endless``.
+        jitter, passes: see ``windows.Endless``.
         jobs: threads. progress: hears of the preparation, some 15 s for a million samples.
 
     Raises:
@@ -48,12 +50,14 @@ class ByExample:
         *,
         crs: CRS | None = None,
         jitter: float | Sequence[float] | None = None,
+        passes: float | Sequence[float] | None = None,
         jobs: int | None = None,
         progress: Progress = SILENT,
     ) -> None:
         source = source_of(exemplar, progress, called="synth")
         heights = example(source)
-        self.endless = Endless(Exemplar.of(heights, source.name, jobs, progress), seed, jitter=jitter)
+        self.endless = Endless(Exemplar.of(heights, source.name, jobs, progress), seed, jitter=jitter, passes=passes)
+        self._digest = hashlib.sha256(np.ascontiguousarray(heights, np.float32).view(np.uint8).data).hexdigest()[:32]
         a, b, _, d, e, _ = source.grid.transform[:6]
         self.grid = Grid(shape, Affine(a, b, ORIGIN[0], d, e, ORIGIN[1]), crs or source.grid.crs)
         self.name, self.vertical = f"after {source.name} {seed}", None
@@ -62,6 +66,11 @@ class ByExample:
     def read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
         """Heights of a half-open window, float32 metres. Safe from any thread."""
         return self.endless.metres(self.endless.heights(Range(row0, row1, col0, col1)))
+
+    def fingerprint(self) -> str:
+        """The example's heights and the numbers: they make it what it is."""
+        e = self.endless
+        return f"after {self._digest} {self.grid.shape} {tuple(self.grid.transform)} {e.seed} {e.reach} {e.passes}"
 
     @property
     def tags(self) -> dict[str, str]:

@@ -15,10 +15,14 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.synthesis.exemplar import Exemplar, Integers
-from orograph.synthesis.kernels import MARGIN, ORDER, corrected, raised, upsampled
+from orograph.synthesis.kernels import MARGIN, PASSES, corrected, order, raised, upsampled
 
 JITTER = 0.5
 """Of a level's step, on the coarser levels; the finest three have none: see ``Endless``."""
+
+UNCORRECTED = 2
+"""The finest levels that are not corrected, unless ``passes`` says otherwise: nine tenths of the work, which would only
+smooth them."""
 
 UNSTEERED = np.zeros((1, 1, 0), np.int16)
 
@@ -56,31 +60,46 @@ class Endless:
             coarsest first, of which the last is repeated; each 0 to 1. More is more variety, less is longer coherent
             pieces of the exemplar. The default moves all but the three finest levels, where it would only roughen.
         kappa: 0 or 1: whether a place that continues its neighbours is preferred to one that only looks alike.
+        passes: of correction, 0 to 2: one number, or one for each level, as ``jitter``. The default corrects twice, and
+            the finest two levels not at all, which are nine tenths of the work: there correction only smooths.
     """
 
     def __init__(
-        self, exemplar: Exemplar, seed: int = 1, *, jitter: float | Sequence[float] | None = None, kappa: int = 1
-    ) -> None:
+        self, exemplar: Exemplar, seed: int = 1, *, jitter: float | Sequence[float] | None = None, kappa: int = 1,
+        passes: float | Sequence[float] | None = None,
+    ) -> None:  # fmt: skip
         levels = exemplar.top + 1
         if jitter is None:
             jitter = [JITTER] * max(1, levels - 3) + [0.0]
-        given = [jitter] if isinstance(jitter, int | float) else list(jitter)
-        if not given or len(given) > levels or not all(0 <= r <= 1 for r in given):
+        shaken = _of_levels(jitter, levels)
+        if shaken is None or not all(0 <= r <= 1 for r in shaken):
             raise UsageError(
                 f"The jitter is a number from 0 to 1, or up to {levels} of them, one for each level, not {jitter!r}."
+            )
+        if passes is None:
+            passes = [PASSES] * max(1, levels - UNCORRECTED) + [0]
+        turns = _of_levels(passes, levels)
+        if turns is None or not all(n in range(PASSES + 1) for n in turns):
+            raise UsageError(
+                f"The passes are a number from 0 to {PASSES}, or up to {levels} of them, one for each level, not "
+                f"{passes!r}."
             )
         if kappa not in (0, 1):
             raise UsageError(f"kappa is 0 or 1, not {kappa!r}.")
         self.exemplar, self.kappa = exemplar, kappa
         self.seed = seed & 0x7FFFFFFF
-        self.reach = [round(256 * given[min(n, len(given) - 1)]) for n in range(levels)]
+        self.reach, self.passes = [round(256 * r) for r in shaken], [int(n) for n in turns]
 
     def ranges(self, window: Range, level: int) -> list[Range]:
         """What is needed of each level, coarsest first, for a window of ``level``."""
         found = [window]
-        for _ in range(level):
-            found.insert(0, found[0].wider(MARGIN).parents())
+        for n in range(level, 0, -1):
+            found.insert(0, found[0].wider(self.margin(n)).parents())
         return found
+
+    def margin(self, level: int) -> int:
+        """Places around a window of a level that are made with it: what correction and doubled heights read."""
+        return max(MARGIN // PASSES * self.passes[level], 2)
 
     def coordinates(self, window: Range, level: int | None = None) -> NDArray[np.int32]:
         """(rows, cols, 2) int32: x, y in the exemplar's plane of each place of a window of a level (None: the
@@ -125,14 +144,14 @@ class Endless:
         found = [self.first(self.ranges(window, level)[0])]
         ranges = self.ranges(window, level)
         for n in range(1, level + 1):
-            wide, above, step = ranges[n].wider(MARGIN), ranges[n - 1], e.step(n)
+            wide, above, step = ranges[n].wider(self.margin(n)), ranges[n - 1], e.step(n)
             chosen = np.empty((*wide.shape, 2), np.int32)
             upsampled(
                 found[-1], above.row0, above.col0, wide.row0, wide.col0, step, self.reach[n], n, self.seed, rows,
                 cols, chosen,
             )  # fmt: skip
             other = np.empty_like(chosen)
-            for k, (row, col) in enumerate(ORDER):
+            for k, (row, col) in enumerate(order(self.passes[n])):
                 corrected(
                     chosen, e.features[n], e.similar[n], step, self.kappa, UNSTEERED, UNSTEERED,
                     (row + wide.row0) & 1, (col + wide.col0) & 1, 2 * (k + 1), other,
@@ -152,6 +171,12 @@ class Endless:
             cols, out,
         )  # fmt: skip
         return out
+
+
+def _of_levels(given: float | Sequence[float], levels: int) -> list[float] | None:
+    """One number for each level of a number, or of some, the last of which is repeated; None of too many, or none."""
+    some = [given] if isinstance(given, int | float) else list(given)
+    return some + some[-1:] * (levels - len(some)) if 0 < len(some) <= levels else None
 
 
 def _folded(x: NDArray[np.int32], size: int) -> NDArray[np.int32]:

@@ -287,8 +287,7 @@ class Search:
         towards, target = np.array(sun.direction), self.target
         if towards[2] <= 0.0:
             return np.full(len(self._points), AMBIENT)
-        a, b, _, d, e, _ = terrain.grid.samples[:6]
-        step = np.linalg.solve([[a, b], [d, e]], shade[:2]) / 2**self.ground.level
+        step = np.linalg.solve(terrain.grid.linear, shade[:2]) / 2**self.ground.level
         out = np.empty(len(self._points))
         lit(*self._surface, self._at, self._heights, step, float(shade[2]), out)
         facing = np.where(target.kind == AREA, np.maximum(target.axis @ towards, 0.0), 1.0)

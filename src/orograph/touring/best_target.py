@@ -239,8 +239,7 @@ def _ground(terrain: Terrain, places: Array) -> tuple[Array, Array]:
     on = (col >= 0) & (col <= cols - 1) & (row >= 0) & (row <= rows - 1)
     found = facets(terrain, np.where(on, col, 0.0), np.where(on, row, 0.0))
     heights = np.where(on, found.heights(np.where(on, col, 0.0), np.where(on, row, 0.0)), np.nan)
-    a, b, _, d, e, _ = terrain.grid.samples[:6]
-    back = np.linalg.inv([[a, b], [d, e]])  # metres to samples
+    back = np.linalg.inv(terrain.grid.linear)  # metres to samples
     return heights, np.column_stack([found.p, found.q]) @ back
 
 

@@ -7,6 +7,7 @@ the cameras that are allowed, and the search.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,17 @@ import numpy as np
 
 from orograph.documents import write
 from orograph.errors import UsageError
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import Terrain
 from orograph.touring.best_cameras import Cameras
 from orograph.touring.best_search import Found, Search
 from orograph.touring.best_target import Target
 from orograph.touring.keys import Key
 from orograph.touring.tour import Tour
 from orograph.viewpoint import View
+
+PIECES, AZIMUTHS, APART = 1000, 72, 20.0
+"""What ``orograph.best_view`` takes where nothing is said: pieces of a target, sides, degrees between views."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +100,28 @@ class BestViews:
             raise UsageError("A tour takes some seconds from view to view, and stays some seconds, at least 0.")
         keys = [Key(one.view, i * (seconds + hold), hold=hold, path="orbit") for i, one in enumerate(self.views)]
         return Tour(tuple(keys), above_ground=2.0)
+
+
+def search(
+    ground: Terrain, target: Any, k: int, *, size: tuple[int, int], azimuths: int | Sequence[float] = AZIMUTHS,
+    pitches: Sequence[float] | None = None, heights: Sequence[float] = (), distances: Sequence[float] = (),
+    fovs: Sequence[float] = (40.0,), clearance: float = 2.0, target_height: float = 0.0, sun: Any = None,
+    apart: float = APART, pieces: int = PIECES, jobs: int | None = None, progress: Progress = SILENT,
+) -> BestViews:  # fmt: skip
+    """The best views of a target on a terrain, none where no camera sees any of it; see ``orograph.best_view``."""
+    from orograph.lighting.sun import sun_of
+    from orograph.touring.best_cameras import PITCHES, cameras
+    from orograph.touring.best_target import read_target
+
+    pieces_of = read_target(ground, target, pieces, progress)
+    pitched = pitches if pitches is not None else () if heights else PITCHES
+    cams = cameras(
+        ground, pieces_of, size, azimuths=azimuths, pitches=pitched, above=heights, distances=distances, fovs=fovs,
+        clearance=clearance,
+    )  # fmt: skip
+    light = None if sun is None else sun_of(sun, ground.grid)
+    made = Search(ground, pieces_of, cams, lift=target_height, sun=light, jobs=jobs, progress=progress)
+    return gathered(made, made.views(k, apart), cams, pieces_of)
 
 
 def singles(path: str | os.PathLike[str], count: int) -> list[str]:

@@ -33,6 +33,9 @@ CODECS = {
 }  # fmt: skip
 """Endings of video files: FFmpeg's names of the codec and of the format."""
 
+GIF_FPS = 100
+"""Its delays are whole hundredths of a second (GIF89a, section 23)."""
+
 QUALITY = {"libx264": 18, "libvpx-vp9": 28}
 """Constant rate factors that leave nothing to see: see ``--crf``."""
 
@@ -143,6 +146,10 @@ class Video:
         self.attribution = attribution
         self.path, self.size, self.fps = Path(path), size, Fraction(fps).limit_denominator(1001)
         self.codec, self.format = CODECS[self.path.suffix.lower()]
+        if self.codec == "gif" and fps > GIF_FPS:
+            raise UsageError(
+                f"A .gif has at most {GIF_FPS} frames a second, not {fps:g}.", remedy="Give fewer, or make an .mp4."
+            )
         self.crf, self.jobs = QUALITY.get(self.codec) if crf is None else crf, jobs
         self.beside = Beside(self.path)
         self.count = 0

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from affine import Affine
+
+from orograph.folders import temporary
 
 SIDE = 300
 """Samples of the hill along a side: more than one tile."""
@@ -81,7 +82,7 @@ def compile_verbs() -> None:
     """Compile the kernels of the usual verbs; what an extra lacks is left out."""
     if hasattr(os, "nice"):
         os.nice(19)
-    with tempfile.TemporaryDirectory(prefix="orograph-") as folder:
+    with temporary() as folder:
         for step in steps(Path(folder)):
             with contextlib.suppress(Exception):  # nobody looks at this: the verb itself will say what is wrong
                 step()

@@ -74,33 +74,24 @@ def best_view(
     max_memory = bytes_of(max_memory)
     check_best_view(k, target_height, apart, pieces)
     ground = opened(terrain, progress, max_memory=max_memory, jobs=jobs, called="best_view", **reading)
-    from orograph.lighting.sun import sun_of
     from orograph.scene.sizes import size_of
-    from orograph.touring.best_cameras import PITCHES, cameras
-    from orograph.touring.best_search import Search
-    from orograph.touring.best_target import read_target
-    from orograph.touring.best_view import gathered
+    from orograph.touring.best_view import search
 
-    size = size_of(size)
     told = reporting(progress)
-    pieces_of = read_target(ground, target, pieces, told)
-    above, fovs = numbers(heights, "heights"), numbers(fov, "fov")
-    pitched = numbers(pitches, "pitches") if pitches is not None else () if above else PITCHES
-    cams = cameras(
-        ground, pieces_of, size, azimuths=azimuths, pitches=pitched, above=above,
-        distances=numbers(distances, "distances"), fovs=fovs, clearance=clearance,
+    found = search(
+        ground, target, k, size=size_of(size), azimuths=azimuths,
+        pitches=None if pitches is None else numbers(pitches, "pitches"), heights=numbers(heights, "heights"),
+        distances=numbers(distances, "distances"), fovs=numbers(fov, "fov"), clearance=clearance,
+        target_height=target_height, sun=sun, apart=apart, pieces=pieces, jobs=jobs, progress=told,
     )  # fmt: skip
-    light = None if sun is None else sun_of(sun, ground.grid)
-    search = Search(ground, pieces_of, cams, lift=target_height, sun=light, jobs=jobs, progress=told)
-    found = search.views(k, apart)
-    if not found:
+    if not found.views:
         raise UsageError(
-            f"None of the {len(cams)} cameras sees anything of the target.",
+            f"None of the {found.cameras} cameras sees anything of the target.",
             remedy="Allow steeper `pitches`, or other `distances`.",
         )
     if len(found) < k:
         told.warn(f"Only {len(found)} of {k} views: no other camera is {apart:g}° apart from these and sees any of it.")
-    return gathered(search, found, cams, pieces_of)
+    return found
 
 
 def check_best_view(k: int, target_height: float, apart: float, pieces: int) -> None:

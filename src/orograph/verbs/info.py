@@ -3,12 +3,13 @@
 The keys are fixed: kind ("dem", "store", "terrain" or "points"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], points (how many a file of points holds), bounds [west, south, east, north] (of such a
 file, in its CRS), spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype,
-nodata, vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a store
-has), colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its source
-was brought to another grid, metres: rms, largest, summit_loss, highest, highest_loss), codec (how a store that is not
-lossless keeps its heights: name, step, max_error, and largest and rms, how far they are off, metres), keeps_source
-(whether the source's samples are in it), layers (those baked into it), parts (what of a store takes how many bytes),
-size_bytes, warnings. What is unknown or absent, and every number that is not finite, is null.
+nodata, vertical_datum, attribution (whom its makers want to be named), version (of a store that is updated), versions
+(older ones that are kept beside it), levels, side, errors (the kinds that a store has), colors (what its color errors
+are of: drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres:
+rms, largest, summit_loss, highest, highest_loss), codec (how a store that is not lossless keeps its heights: name,
+step, max_error, and largest and rms, how far they are off, metres), keeps_source (whether the source's samples are in
+it), layers (those baked into it), parts (what of a store takes how many bytes), size_bytes, warnings. What is unknown
+or absent, and every number that is not finite, is null.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
 
 KEYS = (
     "kind", "path", "crs", "transform", "shape", "points", "bounds", "spacing_m", "height_range", "height_range_exact",
-    "valid_fraction", "dtype", "nodata", "vertical_datum", "attribution", "levels", "side", "errors", "colors",
-    "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes", "warnings",
+    "valid_fraction", "dtype", "nodata", "vertical_datum", "attribution", "version", "versions", "levels", "side",
+    "errors", "colors", "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes", "warnings",
 )  # fmt: skip
 """The keys, in their order."""
 
@@ -78,8 +79,8 @@ def info(
         from orograph.verbs.info_points import facts_of_points
 
         found = facts_of_points(files[0], heard, reading)
-        return Facts({**dict.fromkeys(KEYS), "errors": [], "layers": [], "attribution": [], "path": files[0],
-                      "size_bytes": _size(files[0]), **found})  # fmt: skip
+        empty: dict[str, Any] = {name: [] for name in ("errors", "versions", "layers", "attribution")}
+        return Facts({**dict.fromkeys(KEYS), **empty, "path": files[0], "size_bytes": _size(files[0]), **found})
     return _store_facts(files[0]) if store else _dem_facts(files[0], heard, exact, area, jobs, reading)
 
 
@@ -127,6 +128,8 @@ def _dem_facts(
             "nodata": _finite(source.nodata),
             "vertical_datum": source.vertical,
             "attribution": list(source.attribution),
+            "version": None,
+            "versions": [],
             "levels": level_count(source.grid.shape),
             "side": (1 << exponent(source.grid.shape)) + 1,
             "errors": [],
@@ -155,6 +158,7 @@ def _store_facts(path: str) -> Facts:
     from orograph import store
     from orograph.store.colors import COLORS
     from orograph.store.layers import LAYERS
+    from orograph.store.places import kept
 
     with store.open(path) as terrain:
         found = _terrain_facts(terrain)
@@ -162,12 +166,14 @@ def _store_facts(path: str) -> Facts:
             **found,
             "kind": "store",
             "path": path,
+            "version": terrain.version,
+            "versions": [] if terrain.remote else [number for number, _ in kept(terrain.url)],
             "errors": list(terrain.errors),
             "colors": COLORS.of(terrain.record) or None,
             "codec": None if terrain.record.coding is None else terrain.record.coding.to_json(),
             "keeps_source": terrain.samples is not None,
-            "parts": _parts(path, terrain.errors, tuple(terrain.layers)),
-            "size_bytes": _size(path),
+            "parts": _parts(terrain.url, terrain.errors, tuple(terrain.layers)),
+            "size_bytes": _size(terrain.url),
             "_resampled": terrain.resampled,
             "_codec": terrain.record.coding,
             "_layers": LAYERS.of(terrain.record),
@@ -195,6 +201,8 @@ def _terrain_facts(terrain: Terrain) -> Facts:
         "nodata": None,
         "vertical_datum": terrain.vertical,
         "attribution": list(terrain.attribution),
+        "version": None,
+        "versions": [],
         "levels": terrain.levels,
         "side": terrain.side,
         "errors": [],
@@ -242,6 +250,8 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
         parts["TINs"] = _files(folder / "tins")
     if (folder / "chunked").is_dir():
         parts["chunks"] = _files(folder / "chunked")
+    if (folder / "quadtin").is_dir():
+        parts["QuadTIN"] = _files(folder / "quadtin")
     if (folder / "colors").is_dir():
         parts["color errors"] = _files(folder / "colors")
     for name in layers:
@@ -292,6 +302,9 @@ def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: C
         "terrain", f"{facts['levels']} level{'s' if facts['levels'] > 1 else ''} in a square of {facts['side']} samples"
     )
     if facts["kind"] == "store":
+        if facts["version"] is not None:
+            older = ", ".join(f"@{number}" for number in facts["versions"])
+            line("version", f"{facts['version']}" + (f"; kept beside it: {older}" if older else ""))
         if facts["_resampled"] is not None:
             kept = "its samples are kept" if facts["keeps_source"] else "its samples are not kept"
             line("source", f"resampled: {facts['_resampled']}; {kept}")

@@ -24,7 +24,7 @@ from orograph.store.opening import terrain as opened
 from orograph.touring import Tour
 from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
-from orograph.verbs.filming import By, shoot_by
+from orograph.verbs.filming import MEMORY, By, Shot, shoot_by
 from orograph.verbs.ways import WAY, check_tour, chosen, said_of, tour_of
 
 
@@ -44,6 +44,7 @@ def movie(
     progress: Progress | bool | None = None,
     workers: int | None = None,
     dask: Any = None,
+    sort_last: bool = False,
     part: str | tuple[int, int] | None = None,
     finish: bool = False,
     **options: Any,
@@ -63,6 +64,7 @@ def movie(
         progress: hears of it; False: nothing is said.
         workers: draw in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
+        sort_last: workers have a part of the terrain each, and draw every frame together (``rendering.sort_last``).
         part: draw only this part of the frames, "3/64" or (3, 64), for job arrays. finish: make the film of its parts.
         options: of the scene, as for ``orograph.render``: they hold for the whole film, whatever the tour says.
 
@@ -87,6 +89,10 @@ def movie(
         way["orbit"] = True
     check_tour(way)
     by = By.of(workers, dask, part, finish)
+    if sort_last and backend != "cpu":
+        raise UsageError("`sort_last` is drawn by the CPU.", remedy="Leave out `backend`.")
+    if sort_last and workers is None and dask is None:
+        raise UsageError("`sort_last` is for workers.", remedy="Give `workers` or `dask`.")
     path = os.fspath(output)
     size = None if size is None else size_of(size)
     check_movie(path, size, crf)
@@ -107,6 +113,10 @@ def movie(
     film = Film(keys, scene, draw=draw, fps=fps, first=begin, last=end, progress=heard)
     if by is None:
         shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
+    elif sort_last:
+        shoot_by_parts(
+            by, film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, max_memory=max_memory, progress=heard
+        )
     else:
         shoot_by(by, film, path, pixels, backend=backend, crf=crf, overwrite=overwrite, jobs=jobs,
                  max_memory=max_memory, progress=heard)  # fmt: skip
@@ -158,3 +168,20 @@ def shoot(
             )
         raise
     return drawn
+
+
+def shoot_by_parts(
+    by: By, film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
+    max_memory: int | None, progress: Progress, dpi: float | None = None,
+) -> Shot:  # fmt: skip
+    """Draw the frames of a film, one after the other, each by all workers, sort-last. Arguments and errors as of
+    ``shoot_by``."""
+    from orograph.rendering.sort_last import by_parts
+
+    memory = max_memory or MEMORY * (by.workers or 1)
+    with by_parts(
+        film.base, workers=by.workers, dask=by.dask, jobs=jobs, max_memory=memory, what="A film"
+    ) as (draw, cluster):  # fmt: skip
+        film.draw = draw
+        drawn = shoot(film, path, size, crf=crf, overwrite=overwrite, jobs=jobs, progress=progress, dpi=dpi)
+        return Shot(drawn, cluster.imbalance())

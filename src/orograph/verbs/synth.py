@@ -1,12 +1,13 @@
-"""``orograph.synth``: a fractal terrain, or one by example, of any size, in memory or in a file."""
+"""``orograph.synth``: a fractal terrain, or one by example, of any size, in memory, in a file or as a store."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph.dem.header import copyright_tags
 from orograph.dem.raster import Dem
 from orograph.dem.synth import Synth, parse_size, write_windows
 from orograph.dem.target import parse_crs
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 SPACING, CRS, ROUGHNESS = 30.0, "EPSG:32633", 1.0
 """Of a fractal terrain; an example says them itself."""
 
+STORE = ".oro"
+"""What the name of a store ends in."""
+
 
 def synth(
     output: str | os.PathLike[str] | None = None,
@@ -32,17 +36,21 @@ def synth(
     roughness: float | None = None,
     exemplar: Any = None,
     jitter: float | Sequence[float] | None = None,
+    passes: float | Sequence[float] | None = None,
+    over: Any = None,
+    ground: Any = None,
     compress: str = "zstd",
     overwrite: bool = False,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | Path:
-    """Make a fractal terrain: plains, and ranges carved by rivers; or one that takes after an example.
+    """Make a fractal terrain: plains, and ranges carved by rivers; or one that takes after an example; or colours.
 
     The same seed and size give the same heights.
 
     Args:
-        output: the GeoTIFF to write, in blocks, so that any size works; None: the terrain is returned.
+        output: the GeoTIFF to write, or the store to build if it ends in ``.oro``, in blocks, so that any size works;
+            None: the terrain is returned.
         size: samples of a side, or (rows, columns). seed: another number, another world.
         spacing: metres between samples; None: 30. crs: a projected CRS; None: EPSG:32633, or the example's.
         relief: metres from the lowest to the highest place; None: 6 % of the side, at most 2500.
@@ -51,6 +59,10 @@ def synth(
             million samples, none missing. It says the spacing, the relief and the roughness itself.
         jitter: with an exemplar, how much its pieces vary, 0 to 1; one number, or one for each level from the coarsest
             on. None: 0.5, and 0 on the three finest.
+        passes: with an exemplar, how often places are corrected, 0 to 2; likewise. None: 2, and 0 on the two finest.
+        over: a terrain to make colours for, which is what ``orograph.terrain`` takes: ``exemplar`` is a photo then, and
+            the file an image, a layer for pictures (``layers=``).
+        ground: with ``over``, the heights of what the photo shows.
         compress: of the file: "zstd", "deflate" or "none". overwrite: replace one that is there.
         jobs: threads; None: all processors. progress: hears of it; False: nothing is said.
 
@@ -65,9 +77,13 @@ def synth(
     if path is not None and path.exists() and not overwrite:
         raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
     heard = reporting(progress)
-    made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, heard)
+    if over is not None or ground is not None:
+        said = {"spacing": spacing, "crs": crs, "relief": relief, "roughness": roughness, "jitter": jitter,
+                "passes": passes}  # fmt: skip
+        return colours(over, exemplar, ground, path, seed, said, compress=compress, jobs=jobs, progress=heard)
+    made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, heard, passes=passes)
     if path is not None:
-        write(made, path, compress=compress, jobs=jobs, progress=heard)
+        write(made, path, compress=compress, overwrite=overwrite, jobs=jobs, progress=heard)
         return path
     rows, cols = made.grid.shape
     if isinstance(made, Synth):
@@ -78,7 +94,7 @@ def synth(
 def maker(
     size: int | str | tuple[int, int], seed: int, spacing: float | None, crs: Any, relief: float | None,
     roughness: float | None, exemplar: Any, jitter: float | Sequence[float] | None, jobs: int | None,
-    progress: Progress,
+    progress: Progress, *, passes: float | Sequence[float] | None = None,
 ) -> Synth | ByExample:  # fmt: skip
     """What makes the terrain that these arguments of ``synth`` ask for.
 
@@ -89,8 +105,9 @@ def maker(
         raise UsageError(f"The size is a number of samples, or (rows, columns), not {size!r}.")
     rows, cols = int(shape[0]), int(shape[1])
     if exemplar is None:
-        if jitter is not None:
-            raise UsageError("The jitter is that of an example's pieces.", remedy="Give an exemplar, too.")
+        for name, value in (("jitter", jitter), ("passes", passes)):
+            if value is not None:
+                raise UsageError(f"The {name} are for an example's pieces.", remedy="Give an exemplar, too.")
         return Synth(
             (rows, cols), seed, spacing=SPACING if spacing is None else spacing, crs=parse_crs(crs or CRS),
             relief=relief, roughness=ROUGHNESS if roughness is None else roughness,
@@ -103,16 +120,53 @@ def maker(
     from orograph.synthesis.terrain import ByExample
 
     projected = None if crs is None else parse_crs(crs)
-    return ByExample(exemplar, (rows, cols), seed, crs=projected, jitter=jitter, jobs=jobs, progress=progress)
+    return ByExample(
+        exemplar, (rows, cols), seed, crs=projected, jitter=jitter, passes=passes, jobs=jobs, progress=progress
+    )
 
 
-def write(made: Synth | ByExample, path: Path, *, compress: str, jobs: int | None, progress: Progress) -> None:
-    """Write a terrain as a GeoTIFF.
+def colours(
+    over: Any, photo: Any, ground: Any, path: Path | None, seed: int, said: Mapping[str, Any], *, compress: str,
+    jobs: int | None, progress: Progress,
+) -> Path:  # fmt: skip
+    """Write colours for a terrain by example.
+
+    Args:
+        said: the arguments of ``synth`` that make no sense for colours.
+
+    Raises: as ``synth``.
+    """
+    from orograph.dem.synth import write_windows
+    from orograph.synthesis.colours import ColoursByExample
+
+    if wrong := [name for name, value in said.items() if value is not None]:
+        raise UsageError(f"The {' and the '.join(wrong)} of colours cannot be said.", remedy="Leave it out.")
+    if over is None or photo is None or ground is None or path is None or path.suffix.lower() not in (".tif", ".tiff"):
+        raise UsageError(
+            "Colours by example take a photo (`exemplar`), the heights of what it shows (`ground`), the terrain that "
+            "they are for (`over`), and a GeoTIFF to be written."
+        )
+    made = ColoursByExample(photo, ground, over, seed, jobs=jobs, progress=progress)
+    tags = copyright_tags(made.attribution)
+    write_windows(made, path, compress=compress, jobs=jobs, progress=progress, tags=tags)
+    return path
+
+
+def write(
+    made: Synth | ByExample, path: Path, *, compress: str, overwrite: bool, jobs: int | None, progress: Progress
+) -> None:
+    """Write a terrain as a GeoTIFF, or build a store of it (``.oro``).
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError, StoreError: it cannot be written.
     """
-    if isinstance(made, Synth):
+    if path.suffix.lower() == STORE:
+        from orograph.store.build import build
+
+        if isinstance(made, Synth):
+            made.prepare(progress)
+        build(made, path, overwrite=overwrite, jobs=jobs, progress=progress).close()
+    elif isinstance(made, Synth):
         made.write(path, compress=compress, jobs=jobs, progress=progress)
     else:
         write_windows(made, path, compress=compress, jobs=jobs, progress=progress, tags=made.tags)

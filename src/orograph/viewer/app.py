@@ -179,10 +179,11 @@ def renderer_of(
     """What makes the renderer of a window."""
 
     def make(device: Device, terrain: Terrain) -> Drawer:
+        from orograph.rendering.gpu.detail_renderer import DetailRenderer
         from orograph.rendering.gpu.renderer import Renderer
 
         budget = {k: v for k, v in (("gpu_memory", gpu_memory), ("memory", memory)) if v is not None}
-        return Renderer(device, terrain, jobs=jobs, **budget)
+        return DetailRenderer(device, terrain, lambda ground: Renderer(device, ground, jobs=jobs, **budget))
 
     return make
 

@@ -11,20 +11,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orograph.errors import UsageError
+from orograph.errors import ReadError, UsageError
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import read_data
+from orograph.geovis.data.features import has_features
+from orograph.geovis.data.listing import times_in
+from orograph.geovis.data.points import is_table
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import read, times_in
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.scales import PERCENTILES
+from orograph.geovis.data.standing import stands
+from orograph.geovis.data.times import neighbours, seconds_of, written
+from orograph.geovis.data.tracks import span_of
 
 if TYPE_CHECKING:
+    from orograph.geo.grid import Grid
     from orograph.geovis.data.painting import Shown
     from orograph.geovis.data.standing import Things
     from orograph.store.terrain import Terrain
 
 LOOKED_AT = 12
 """Times, evenly from all, whose values make the scale of a series."""
+
+
+WHOLE_MINUTES = 7200.0
+"""Seconds of a span above which moments are whole minutes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,38 +62,98 @@ class ShownData:
     """The data of a window.
 
     Args:
-        data: as given. priority: of terrain, data and uncertainty.
+        data: as given. priority: of terrain, data and uncertainty. grid: the terrain's.
 
     Attributes:
-        times: of the data that have any, ISO 8601 in UTC, in order. time: the one that is shown; "": as given.
+        times: of the data that have any, ISO 8601 in UTC, in order. span: the first and the last moment of them and of
+            tracks, seconds since 1970; None: no time is known. time: the one that is shown; "": as given.
+        playing: whether time passes. exceeds: instead of the first raster's values, how probably they are above this
+            one is shown; None: its values are.
         painted: what is painted, bottom to top. things: what stands, or None.
     """
 
-    def __init__(self, data: tuple[Dataset, ...], priority: Priority) -> None:
+    def __init__(self, data: tuple[Dataset, ...], priority: Priority, grid: Grid | None = None) -> None:
         self.data, self.priority = data, priority
         self.times = sorted({time for one in data for time in times_in(one)})
-        self.time = ""
+        moving = [span for one in data if grid is not None and (span := span_of(one, grid)) is not None]
+        ends = [end for span in moving for end in span] + seconds_of(self.times[:1] + self.times[-1:], "", "").tolist()
+        self.span = (min(ends), max(ends)) if len(self.times) > 1 or moving else None
+        self.time, self.playing = "", False
+        self.exceeds: float | None = None
         self.painted: tuple[Shown, ...] = ()
         self.things: Things | None = None
         self._spans: dict[int, tuple[float, float]] = {}
 
     def choose(self, time: str) -> None:
-        """Choose the time that is shown; "": as given.
+        """Choose the time that is shown, one of the data's or a moment between them; "": as given.
 
         Raises:
             UsageError: there is no such time.
         """
-        if time and time not in self.times:
+        if time and time not in self.times and not self._within(time):
             told = f"from {self.times[0]} to {self.times[-1]}" if self.times else "none"
             raise UsageError(f"There is no time {time!r} of these data; there are {told}.")
         self.time = time
 
+    def _within(self, time: str) -> bool:
+        try:
+            second = seconds_of([time], "", "")[0]
+        except ReadError:
+            return False
+        return self.span is not None and bool(self.span[0] - 60 <= second <= self.span[1] + 60)
+
+    def at_part(self, part: float) -> str:
+        """The moment at a part (0 to 1) of the span, ISO 8601 in UTC: to the minute where it is long enough."""
+        if self.span is None:
+            return ""
+        first, last = self.span
+        second = first + part * (last - first)
+        return written(round(second / 60) * 60 if last - first > WHOLE_MINUTES else second)
+
+    @property
+    def part(self) -> float:
+        """How far the chosen time is along the span; 0 where none is chosen."""
+        if self.span is None or not self.time:
+            return 0.0
+        first, last = self.span
+        return float(np.clip((seconds_of([self.time], "", "")[0] - first) / max(last - first, 1e-9), 0, 1))
+
+    @property
+    def told(self) -> str:
+        """The chosen time in words, and how values between two times are found."""
+        if not self.time:
+            return "as given"
+        around = neighbours(self.times, self.time)
+        between = "" if around is None else f", linear between {_clock(around[0])} and {_clock(around[1])}"
+        return self.time.replace("T", " ") + between
+
     def current(self, terrain: Terrain) -> tuple[Dataset, ...]:
         """The data of the chosen time. How members differ is not known of a series' single time."""
-        return tuple(self._at_time(k, one, terrain) for k, one in enumerate(self.data))
+        made = [self._at_time(k, one, terrain) for k, one in enumerate(self.data)]
+        k = self.doubtful
+        if self.exceeds is not None and k is not None:
+            doubt = made[k].uncertainty
+            own = None if doubt is None or doubt.of_members else doubt
+            made[k] = made[k].but(exceeds=self.exceeds, value=None, range=None, uncertainty=own)
+        return tuple(made)
+
+    @property
+    def doubtful(self) -> int | None:
+        """The number of the first data of which it can be asked how probably they exceed a value: a raster with an
+        uncertainty, or such a probability; None: there are none."""
+        for k, one in enumerate(self.data):
+            raster = not (has_features(one.source) or is_table(one.source) or stands(one))
+            if raster and (one.uncertainty is not None or one.exceeds is not None):
+                return k
+        return None
 
     def _at_time(self, k: int, one: Dataset, terrain: Terrain) -> Dataset:
-        if not self.time or self.time not in times_in(one):
+        if not self.time:
+            return one
+        times = times_in(one)
+        if not times and span_of(one, terrain.grid) is not None:
+            return one.but(time=self.time)
+        if self.time not in times and neighbours(times, self.time) is None:
             return one
         doubt = None if one.uncertainty is not None and one.uncertainty.of_members else one.uncertainty
         bare = one.but(time=self.time, uncertainty=doubt)
@@ -94,7 +165,6 @@ class ShownData:
         if bare.range is not None or "+" in str(one.variable or one.band or ""):
             return bare
         if k not in self._spans:
-            times = times_in(one)
             some = {times[round(i)] for i in np.linspace(0, len(times) - 1, LOOKED_AT)}
             values = np.concatenate(
                 [read_data(bare.but(time=time, uncertainty=None), terrain.grid).shown.ravel() for time in sorted(some)]
@@ -124,6 +194,15 @@ class ShownData:
         """What a thing that stands shows, by its number."""
         if self.things is None or not 0 <= number < len(self.things) or not np.isfinite(self.things.values[number]):
             return ()
-        scales = self.things.legend.scales
-        name, unit = (scales[0].label, scales[0].unit) if len(scales) == 1 else ("value", "")
-        return (Found(name, float(self.things.values[number]), None, unit),)
+        which = int(self.things.shown[number])
+        if which < 0:
+            return ()
+        name, unit, classes = self.things.shows[which]
+        value = float(self.things.values[number])
+        return (Found(name, classes[int(value)] if classes else value, None, unit),)
+
+
+def _clock(time: str) -> str:
+    """A time in short words: its hour, or its day where that is midnight."""
+    day, _, hour = time.partition("T")
+    return hour if hour != "00:00" else day

@@ -95,14 +95,14 @@ def view(
         return Still(_cpu(scene), f"the widget needs {error.name}: pip install 'orograph[notebook]'")
     try:
         from orograph.gpu.device import open_device
+        from orograph.rendering.gpu.detail_renderer import DetailRenderer
         from orograph.rendering.gpu.draw import draw
-        from orograph.rendering.gpu.renderer import Renderer
 
         device = open_device()
         again = renderer_of(gpu_memory)
         made = again(device, terrain)
-        assert isinstance(made, Renderer)
-        still, first = draw(scene, SILENT, device=device, renderer=made), [made]
+        assert isinstance(made, DetailRenderer)
+        still, first = draw(scene, SILENT, device=device, renderer=made.plain), [made]
         canvas = make_canvas(size, title="", update_mode="ondemand", max_fps=30)
         clipboard = Clipboard(canvas)
         window = Window(

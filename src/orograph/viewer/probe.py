@@ -76,8 +76,7 @@ class Probe:
     def ground(self, x: float, y: float) -> float:
         """Height of the ground at (easting, northing); NaN where there is none. Never waits."""
         rows, cols = self.terrain.grid.shape
-        a, b, c, d, e, f = self._to_samples
-        col, row = a * x + b * y + c, d * x + e * y + f
+        col, row, _ = self.terrain.chart.from_world((x, y, 0.0)).tolist()
         if not (0 <= col <= cols - 1 and 0 <= row <= rows - 1):
             return math.nan
         if self.level == 0:
@@ -92,12 +91,6 @@ class Probe:
             return _surface(tile, col - key[1] * TILE, row - key[0] * TILE)
         scale = 2.0**self.level
         return _surface(self.coarse, col / scale, row / scale)
-
-    @property
-    def _to_samples(self) -> tuple[float, ...]:
-        if not hasattr(self, "_affine"):
-            self._affine: tuple[float, ...] = tuple((~self.terrain.grid.samples)[:6])
-        return self._affine
 
     def _read_tile(self, key: tuple[int, int]) -> None:
         rows, cols = self.terrain.grid.shape
@@ -142,10 +135,9 @@ class Probe:
         if self._caster is None:
             self._caster = Caster.of(self.coarse, 1)
         origin, direction = _ray(view, x, y, exaggeration)
-        a, b, c, d, e, f = self._to_samples
         scale = np.array([2.0**self.level, 2.0**self.level, 1.0])
-        o = np.array([a * origin[0] + b * origin[1] + c, d * origin[0] + e * origin[1] + f, origin[2]]) / scale
-        v = np.array([a * direction[0] + b * direction[1], d * direction[0] + e * direction[1], direction[2]]) / scale
+        o = self.terrain.chart.from_world(origin) / scale
+        v = self.terrain.chart.vectors_from_world(direction) / scale
         t = float(self._caster.cast(o[None], v[None], view.near, min(view.far, 1e12))[0][0])
         return None if math.isnan(t) else _point(origin + t * direction)
 

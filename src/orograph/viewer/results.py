@@ -102,7 +102,7 @@ def rows(kind: Kind, result: Any) -> list[tuple[str, str]]:
     shed, values, _ = result
     known = np.isfinite(values)
     seen = float((values[known] > 0.5).mean()) if known.any() else 0.0
-    cell = abs(shed.grid.transform.determinant)
+    cell = shed.grid.cell_area
     return [
         ("seen", f"{seen:.1%} within {metres(shed.radius)}"),
         ("", square(float((values[known] > 0.5).sum()) * cell)),

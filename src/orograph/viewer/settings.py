@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.priority import Priority
+from orograph.geovis.data.standing import Things
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
@@ -32,6 +34,8 @@ DAY = 86_400.0
 HAZE = 1.5
 PAINTED = (1920, 1080)
 """Pixels of a window that painted data suit."""
+PLAYED = (640, 360)
+"""The same while time passes, and data are painted again and again."""
 THEMED = ("layers", "data", "priority")
 """Options that a theme is made of."""
 PLAY = 3600.0
@@ -136,7 +140,8 @@ class Settings:
 
     Attributes:
         sun: see ``SunSetting``. layers: a list. lamps, discs: shine where ``light`` knows them.
-        painted: a layer above all others for as long as a tool shows its result, or None.
+        painted: a layer above all others for as long as a tool shows its result, or None. veil: over what is not
+            selected, or None. seen: gives what stands, as it is to be seen; None: as it is.
         wireframe, levels, normals: as in ``rendering.gpu.frame.Overlay``. occlusion: strength of what screen space
             darkens.
         budget: triangles to keep near instead of a tolerance, or None.
@@ -152,6 +157,8 @@ class Settings:
     def __init__(self, terrain: Terrain, **options: Any) -> None:
         self.sun = SunSetting.over(terrain, options.pop("sun", None))
         self.painted: Layer | None = None
+        self.veil: Layer | None = None
+        self.seen: Callable[[], Things | None] | None = None
         self.budget: int | None = None
         self.wireframe = self.levels = False
         self.occlusion = 0.0
@@ -176,7 +183,7 @@ class Settings:
         data, first = self.options["data"], self.options["priority"]
         self.options |= {"data": (), "priority": None}
         if data or first is not None:
-            self.shown = ShownData(data, first or Priority(data=True))
+            self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
             self.show(terrain)
         if options.get("normals") == "auto":
             self.normals = "computed"
@@ -205,7 +212,8 @@ class Settings:
             for name, (old, new) in self._replaced.items():
                 if base[name] is new:
                     base[name] = old
-            theme = themed({**base, "data": shown.current(terrain), "priority": shown.priority}, terrain, PAINTED)
+            size = PLAYED if shown.playing else PAINTED
+            theme = themed({**base, "data": shown.current(terrain), "priority": shown.priority}, terrain, size)
         except Exception:
             shown.priority, shown.time = before
             raise
@@ -247,7 +255,7 @@ class Settings:
         if self.light not in SHINING:
             changed |= {"lamps": (), "discs": ()}
         scene = Scene.of(terrain, view, **{**self.options, **changed})
-        things = None if self.shown is None else self.shown.things
+        things = None if self.shown is None else self.seen() if self.seen is not None else self.shown.things
         return scene if things is None else replace(scene, theme=replace(scene.theme, things=things))
 
     def renew(self, terrain: Terrain, before: Grid) -> list[str]:
@@ -256,7 +264,7 @@ class Settings:
         self.sun.place, self.sun.trouble = there.place, there.trouble
         if self.sun.place is None and self.sun.mode == "moment":
             self.sun.mode, self.sun.playing = "placed", False
-        self.frozen = self.painted = None
+        self.frozen = self.painted = self.veil = None
         self.show(terrain)
         if self.options["lamps"] and before.crs != terrain.grid.crs:
             self.options["lamps"] = ()
@@ -272,7 +280,7 @@ class Settings:
     @property
     def stack(self) -> tuple[Layer, ...]:
         """All layers, bottom to top."""
-        return tuple(self.layers) if self.painted is None else (*self.layers, self.painted)
+        return (*self.layers, *(one for one in (self.veil, self.painted) if one is not None))
 
     def overlay(self) -> Any:
         """What the renderer shows besides (``rendering.gpu.frame.Overlay``)."""

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from orograph import measuring
 from orograph.errors import OrographError
+from orograph.folders import temporary
 from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
 from orograph.viewer.panels.tips import CLAMPED, beside
@@ -213,7 +214,7 @@ class Tools:
         settings = self.window.session.settings
         if settings.painted is not None and self._shown is self.result:
             return
-        self._folder = self._folder or tempfile.TemporaryDirectory(prefix="orograph-", ignore_cleanup_errors=True)
+        self._folder = self._folder or temporary()
         path = Path(self._folder.name) / f"viewshed-{self._asked}.tif"
         save_rgba(path, pixels, shed.grid)
         settings.painted = Layer(str(path), name="viewshed")

@@ -16,8 +16,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
 from traitlets import Any as Anything
+from traitlets import Dict, HasTraits, Instance, TraitError, Tuple, Unicode, observe, validate
 from traitlets import Float as Number
-from traitlets import HasTraits, Instance, TraitError, Tuple, Unicode, observe, validate
 
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.data.priority import Priority
@@ -41,7 +41,10 @@ class Widget(HasTraits):
         light: "relief", "ao", "aperture", "raytraced" or "none".
         layers: over the ground, bottom to top, as ``orograph.render`` takes them.
         priority: of terrain, data and uncertainty, "T+D+U-"; "" without data.
-        time: of a series, "2019-03-01T12:00"; "": as the data were given.
+        time: of a series, "2019-03-01T12:00", or a moment between two of its times (values are linear); "": as the data
+            were given. times: all times of the data.
+        selection: of data and ground, {"ranges": {"Height": (500, 900)}, "area": ((easting, northing), …)}: what is
+            brushed in the panel Plot; set it to select. {}: all is.
         found: what data say under the pointer, each (name, value, sigma, unit).
         measure: what clicks measure: "pick", "profile"…; "" while they do not.
         picked: the points that were clicked, each (easting, northing, height); set them to have them measured.
@@ -56,6 +59,8 @@ class Widget(HasTraits):
     layers = Anything(())
     priority = Unicode("")
     time = Unicode("")
+    times = Tuple(read_only=True)
+    selection = Dict()
     found = Tuple(read_only=True)
     measure = Unicode("")
     picked = Tuple()
@@ -111,9 +116,13 @@ class Widget(HasTraits):
         self.layers = tuple(settings.layers)
         shown = settings.shown
         self.priority, self.time = ("", "") if shown is None else (str(shown.priority), shown.time)
+        times = () if shown is None else tuple(shown.times)
+        if self.times != times:
+            self.set_trait("times", times)
         found = tuple((one.name, one.value, one.sigma, one.unit) for one in self.window.found())
         if self.found != found:
             self.set_trait("found", found)
+        self.selection = _selected(self.window.brush)
         self.measure = tools.kind if tools.active else ""
         self.picked = tuple(tuple(point) for point in tools.points)
         if self.measured is not tools.result:
@@ -152,6 +161,23 @@ class Widget(HasTraits):
         self.window.refresh()
         return str(shown.priority) if name == "priority" else value
 
+    @validate("selection")
+    def _of_places(self, proposal: Any) -> dict[str, Any]:
+        value = dict(proposal["value"])
+        if self._telling:
+            return value
+        if unknown := set(value) - {"ranges", "area"}:
+            raise TraitError(f"A selection has ranges and area, not {', '.join(sorted(unknown))}.")
+        session, brush = self.window.session, self.window.brush
+        try:
+            brush.choose(value.get("ranges", {}), value.get("area", ()))
+            brush.apply(session.terrain, session.settings.shown)
+        except OrographError as error:
+            raise TraitError(str(error)) from error
+        session.settings.veil = brush.veil
+        self.window.refresh()
+        return _selected(brush)
+
     @observe("camera", "exaggeration", "azimuth", "altitude", "light", "layers", "measure", "picked")
     def _set(self, change: Any) -> None:
         if self._telling:
@@ -176,6 +202,11 @@ class Widget(HasTraits):
             tools.active, tools.points = True, list(value)
             tools.measure()
         self.window.refresh()
+
+
+def _selected(brush: Any) -> dict[str, Any]:
+    """What a brush has selected, as the trait has it."""
+    return {} if brush.empty else {"ranges": dict(brush.ranges), "area": brush.area}
 
 
 def _exaggeration(value: float) -> float:

@@ -18,11 +18,14 @@ from imgui_bundle import imgui
 from orograph.gpu.device import Device, open_device
 from orograph.store.terrain import Terrain
 from orograph.viewer import overlay, panels
+from orograph.viewer.brushing import Brush
 from orograph.viewer.cover import Cover
 from orograph.viewer.data import Found
 from orograph.viewer.drawing import Drawer, Drawing
 from orograph.viewer.events import Events
+from orograph.viewer.finding import Finder
 from orograph.viewer.opening import Opened, open_canvas
+from orograph.viewer.panels.plot import Plotted
 from orograph.viewer.pictures import Pictures
 from orograph.viewer.plan import Plan
 from orograph.viewer.replacing import Move, Renewal
@@ -60,6 +63,8 @@ class Window:
     Attributes:
         drawing: the terrain's picture; pictures: what saves it; plan, tools: the map inset and the measuring tool.
         renewal: what sees to it that the store is still the same.
+        brush: what is selected; finder: finds the best view of it. plotted, dragged: the plot that is shown, and where
+            in it dragging began.
         touring: the tour that is being made or played. cover: what layers hide of the colours of heights.
         area: where the terrain is: (x, y, width, height), logical pixels.
         pointer: where the mouse is over the terrain, pixels of the view, or None.
@@ -88,6 +93,10 @@ class Window:
         self.plan = Plan(self)
         self.tools = Tools(self)
         self.touring = Touring(session)
+        self.brush, self.finder = Brush(), Finder(self)
+        session.settings.seen = lambda: self.brush.seen(session.terrain, session.settings.shown)
+        self.plotted: Plotted | None = None
+        self.dragged: tuple[float, float] | None = None
         self.cover = Cover(session)
         self.pictures = Pictures(self)
         self.area: Area = (0.0, 0.0, *canvas.get_logical_size())
@@ -203,6 +212,10 @@ class Window:
         gone = min(passed, 0.25) if self._was_moving else 1 / 60
         session.advance(gone)
         self.touring.advance(gone)
+        playing = panels.data.advance(self, min(passed, 0.5))
+        self.finder.take()
+        if self.brush.stale(session.terrain, session.settings.shown):
+            panels.plot.select(self)
         moving = session.moving or self.touring.playing
         if moving or session.view != self._viewed:
             if self._was_moving:
@@ -232,7 +245,7 @@ class Window:
             hook(self)
         if self.pictures.asked is not None and self._pending == 0:
             self.pictures.save()
-        self._go_on(moving or not settled)
+        self._go_on(moving or not settled or playing)
 
     def _ask(self, now: float, moving: bool) -> None:
         """Ask what is under a pointer that rests while the camera moves."""

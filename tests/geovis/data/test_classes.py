@@ -80,3 +80,88 @@ def test_what_has_no_classes_is_refused(ground):
     several = np.zeros((2, 8, 10), np.float32)
     with pytest.raises(UsageError, match="no mean"):
         shown(Dataset(several, band="all", style="classes"), ground.grid, 50, Priority())
+
+
+def plain(path, values):
+    """A raster that says nothing of its classes."""
+    with rasterio.open(
+        path, "w", driver="GTiff", count=1, height=values.shape[0], width=values.shape[1], dtype="uint8", crs=UTM,
+        transform=from_origin(500_000, 5_600_000, 500.0, 500.0),
+    ) as file:  # fmt: skip
+        file.write(values.astype(np.uint8), 1)
+    return str(path)
+
+
+def note(fields, rows, more=""):
+    """A note as GDAL writes it (frmts/gdal_pam): fields (name, type, usage)."""
+    told = "".join(
+        f'<FieldDefn index="{k}"><Name>{name}</Name><Type>{kind}</Type><Usage>{use}</Usage></FieldDefn>'
+        for k, (name, kind, use) in enumerate(fields)
+    )
+    lines = "".join(f'<Row index="{k}">{"".join(f"<F>{v}</F>" for v in row)}</Row>' for k, row in enumerate(rows))
+    table = f'<GDALRasterAttributeTable tableType="thematic"{more}>{told}{lines}</GDALRasterAttributeTable>'
+    return f'<PAMDataset><PAMRasterBand band="1">{table}</PAMRasterBand></PAMDataset>'
+
+
+RGB = [("r", 0, 6), ("g", 0, 7), ("b", 0, 8)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "rows", "more", "names", "first"),
+    [
+        ([("Value", 0, 5), ("Class", 2, 2), *RGB],
+         [(11, "Open water", 1, 2, 3), (41, "Forest", 4, 5, 6), (82, "Crops", 7, 8, 9)], "",
+         ("Open water", "Forest", "Crops"), (1, 2, 3)),
+        # Without usages, as some programs write it; the names are in the column that is called so.
+        ([("VALUE", 0, 0), ("COUNT", 0, 1), ("LABEL", 2, 0)], [(11, 5, "w"), (41, 5, "f"), (82, 5, "c")], "",
+         ("w", "f", "c"), None),
+        # Ranges, and colours from 0 to 1 (Erdas Imagine).
+        ([("low", 0, 3), ("high", 0, 4), ("n", 2, 2), ("r", 1, 6), ("g", 1, 7), ("b", 1, 8)],
+         [(0, 40, "low", 0.5, 0, 1), (41, 99, "high", 0, 0.25, 0)], "",
+         ("low", "high (41)", "high (82)"), (128, 0, 255)),
+        # Counted rows.
+        ([("n", 2, 2)], [("a",), ("b",), ("c",)], ' Row0Min="11" BinSize="30"', ("a", "b", "82"), None),
+    ],
+)  # fmt: skip
+def test_names_and_colors_of_an_attribute_table(tmp_path, ground, fields, rows, more, names, first):
+    values = np.random.default_rng(0).choice([11, 41, 82], (8, 10))
+    path = plain(tmp_path / "c.tif", values)
+    bare = shown(Dataset(path), ground.grid, 200, Priority())
+    assert bare.classes is None
+    (tmp_path / "c.tif.aux.xml").write_text(note(fields, rows, more))
+    found = shown(Dataset(path), ground.grid, 200, Priority())
+    assert found.classes == names
+    np.testing.assert_array_equal(found.values, np.kron(np.searchsorted([11, 41, 82], values), np.ones((20, 20))))
+    if first is not None:
+        np.testing.assert_array_equal(painted(found).key.classes[0][1][0, 0], first)
+
+
+def test_category_names_of_a_note_and_of_a_vrt(tmp_path, ground):
+    values = np.random.default_rng(0).choice([0, 1, 2], (8, 10))
+    path = plain(tmp_path / "c.tif", values)
+    words = "<CategoryNames><Category>sea</Category><Category/><Category>land</Category></CategoryNames>"
+    (tmp_path / "c.tif.aux.xml").write_text(f'<PAMDataset><PAMRasterBand band="1">{words}</PAMRasterBand></PAMDataset>')
+    assert shown(Dataset(path), ground.grid, 200, Priority()).classes == ("sea", "1", "land")
+    (tmp_path / "c.tif.aux.xml").unlink()
+    vrt = tmp_path / "c.vrt"
+    vrt.write_text(
+        f'<VRTDataset rasterXSize="10" rasterYSize="8"><SRS>{UTM}</SRS><GeoTransform>500000,500,0,5600000,0,-500'
+        f'</GeoTransform><VRTRasterBand dataType="Byte" band="1">{words}<SimpleSource>'
+        '<SourceFilename relativeToVRT="1">'
+        "c.tif</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    assert shown(Dataset(str(vrt)), ground.grid, 200, Priority()).classes == ("sea", "1", "land")
+
+
+def test_broken_notes_are_refused_and_histograms_are_no_classes(tmp_path, ground):
+    values = np.random.default_rng(0).choice([11, 41], (8, 10))
+    path = plain(tmp_path / "c.tif", values)
+    beside = tmp_path / "c.tif.aux.xml"
+    beside.write_text(note([("Value", 0, 5), ("Count", 0, 1)], [(11, 7)]))
+    assert shown(Dataset(path), ground.grid, 200, Priority()).classes is None
+    beside.write_text(note([("Value", 0, 5), ("Class", 2, 2)], [("eleven", "w")]))
+    with pytest.raises(ReadError, match="no number"):
+        shown(Dataset(path), ground.grid, 200, Priority())
+    beside.write_text("<PAM")
+    with pytest.raises(ReadError):
+        shown(Dataset(path), ground.grid, 200, Priority())

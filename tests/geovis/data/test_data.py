@@ -19,9 +19,10 @@ from orograph.geovis.data import patterns, signs
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.painting import painted, shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
-from orograph.geovis.data.reading import matches, read
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions, bilinear
 from orograph.geovis.data.scales import ColorScale, class_breaks, suppressed
+from orograph.geovis.data.times import matches
 
 UTM = "EPSG:32630"
 
@@ -333,3 +334,26 @@ def test_a_picture_shows_data_and_says_what_they_are(tmp_path):
 def test_what_makes_no_sense_is_refused(text, what):
     with pytest.raises(UsageError, match=what):
         Dataset.parse(text)
+
+
+def test_between_two_times_values_are_linear_and_classes_those_of_the_nearer(tmp_path):
+    xr = pytest.importorskip("xarray")
+    land = terrain_of()
+    x, y = (500_050 + 100.0 * np.arange(50)), (5_599_950 - 100.0 * np.arange(40))
+    when = np.array(["2020-01-01T00", "2020-01-01T06", "2020-01-02T00"], "M8[ns]")
+    cube = np.array([1.0, 3.0, 9.0])[:, None, None] + np.zeros((1, 40, 50))
+    about = {"crs": UTM}
+    made = xr.DataArray(cube, coords={"time": when, "y": y, "x": x}, dims=("time", "y", "x"), attrs=about)
+    for time, value in (("2020-01-01T03:00", 2.0), ("2020-01-01T15:00", 6.0), ("2020-01-01T06:00", 3.0)):
+        found = read(Dataset(made, time=time), land.grid)
+        assert found.values.min() == found.values.max() == pytest.approx(value)
+    assert (
+        "linear between 2020-01-01 06:00 and 2020-01-02 00:00"
+        in read(Dataset(made, time="2020-01-01T15:00"), land.grid).chosen
+    )
+    named = read(Dataset(made, time="2020-01-01T02:59", style="classes"), land.grid)
+    assert named.values.max() == 1.0 and "nearest" in named.chosen
+    with pytest.raises(UsageError, match="times go from"):
+        read(Dataset(made, time="2020-01-02T00:30"), land.grid)
+    # An hour of all days is no moment.
+    assert read(Dataset(made, time="T06"), land.grid).values.max() == 3.0

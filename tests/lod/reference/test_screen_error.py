@@ -11,7 +11,8 @@ import pytest
 from orograph._numba import kernel
 from orograph.error import screen
 from orograph.lod.reference import screen_error
-from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.camera import Camera as ReferenceCamera
+from orograph.viewpoint import Camera
 
 
 def cases(seed: int, count: int):
@@ -23,7 +24,7 @@ def cases(seed: int, count: int):
         col, row = rng.uniform(0, 100, 2)
         east, north = (float(v) for v in t.grid.xy(col, row))
         e, r = 10 ** rng.uniform(-3, 1.5), rng.choice([0.0, 10 ** rng.uniform(0, 2.5)])
-        yield t, view, Camera.of(view), (col, row, rng.uniform(-50, 50)), (east, north), float(e), float(r)
+        yield t, view, ReferenceCamera.of(view), (col, row, rng.uniform(-50, 50)), (east, north), float(e), float(r)
 
 
 def test_displacement_is_what_the_projection_moves():
@@ -56,7 +57,7 @@ def bound(camera, metric, col, row, z, e, r):
 def test_bounds_are_those_of_the_kernels(function, metric):
     finite = 0
     for t, view, camera, (col, row, z), place, e, r in cases(metric, 400):
-        expected = bound(screen.camera_parameters(view, t.grid), metric, col, row, z, e, r)
+        expected = bound(screen.camera_parameters(Camera.over(t.grid, view)), metric, col, row, z, e, r)
         found = function(camera, camera.to_camera((*place, z)), e, r)
         assert found == pytest.approx(expected, rel=1e-7)
         assert function(camera, camera.to_camera((*place, z)), 0.0, r) == 0.0
@@ -70,13 +71,14 @@ def test_the_factor_of_the_lecture_is_too_small():
     for t, view, camera, (col, row, z), place, e, r in cases(9, 300):
         p = camera.to_camera((*place, z))
         cosine = abs(np.dot(camera.vertical, p)) / np.linalg.norm(p)
-        printed = bound(screen.camera_parameters(view, t.grid), screen.ANISOTROPIC_PUBLISHED, col, row, z, e, r)
+        parameters = screen.camera_parameters(Camera.over(t.grid, view))
+        printed = bound(parameters, screen.ANISOTROPIC_PUBLISHED, col, row, z, e, r)
         found = screen_error.anisotropic_printed(camera, p, e, r)
         if math.isfinite(printed):
             assert found == pytest.approx(printed * math.sqrt(1 - cosine**2) / (1 - cosine), rel=1e-6)
     tilt = math.radians(10)  # from straight down, on the axis of view: what moves is told by the sine
     view = plain.View((0, 0, 1000), (1000 * math.tan(tilt), 0, 0))
-    camera = Camera.of(view)
+    camera = ReferenceCamera.of(view)
     p = camera.to_camera((1000 * math.tan(tilt), 0.0, 0.0))
     truth = screen_error.displacement(camera, p, 1e-3)
     assert screen_error.anisotropic_printed(camera, p, 1e-3, 0.0) == pytest.approx(truth, rel=1e-5)
@@ -85,7 +87,7 @@ def test_the_factor_of_the_lecture_is_too_small():
 
 def test_distance_is_right_on_the_axis_only():
     """At 45° a flat screen stretches 1/cos² = 2 times; the bound that divides by depths has it."""
-    camera = Camera.of(plain.View((0, 0, 0), (1, 0, 0), fov_y=120))
+    camera = ReferenceCamera.of(plain.View((0, 0, 0), (1, 0, 0), fov_y=120))
     for angle in (0.0, 45.0):  # above the axis; a short vertical, turned across the ray, would be stretched 1/cos²
         w = 1000.0
         p = (0.0, w * math.tan(math.radians(angle)), w)
@@ -131,7 +133,8 @@ def test_wedgies():
         places = np.stack([*t.grid.xy(vertices[:, 0], vertices[:, 1]), vertices[:, 2]], 1)
         points = [camera.to_camera(tuple(p)) for p in places.tolist()]
         found = screen_error.wedgie(camera, points, e)
-        assert found == pytest.approx(of_triangle(screen.camera_parameters(view, t.grid), *vertices, e), rel=1e-7)
+        expected = of_triangle(screen.camera_parameters(Camera.over(t.grid, view)), *vertices, e)
+        assert found == pytest.approx(expected, rel=1e-7)
         printed = screen_error.wedgie_printed(camera, points, e)
         if math.isfinite(printed):
             # Both faces of the wedgie at a corner, by projecting them: the thickness there is no larger.

@@ -63,6 +63,7 @@ def views() -> dict[str, View]:
         "seamless-patches",
         "cdlod",
         "chunked-lod,cells=16",
+        "chunked-lod,cells=16,compressed=yes",
         "bdam",
         "clipmap,n=63",
         "cbt",

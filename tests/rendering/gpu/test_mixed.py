@@ -149,7 +149,7 @@ def test_no_vertex_lies_outside_of_its_patchs_footprint(device: Device) -> None:
             for _, view, tolerance, exaggeration in views(terrain, 8, seed=6):
                 patches = it.chosen(view, tolerance, exaggeration).patches
                 _, boxes = it.boxes(view, exaggeration, patches)
-                lens = Projection.of(view, terrain.grid, exaggeration)
+                lens = Projection.of(Camera.over(terrain.grid, view, exaggeration))
                 e = STEPS[patches.instances["omega"]].astype(np.int64) << patches.instances["step"][:, None, None]
                 at = np.stack([patches.instances["row"], patches.instances["col"]], -1)[:, None] + lattice @ e
                 at = np.minimum(at, [rows - 1, cols - 1])

@@ -28,6 +28,7 @@ from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
+from orograph.synthesis.detailed import Detailed
 from orograph.synthesis.exemplar import Exemplar
 from orograph.synthesis.gpu import EndlessOnGpu
 from orograph.synthesis.windows import Endless, Range
@@ -56,7 +57,7 @@ def ground() -> Terrain:
 def seen(terrain: Terrain, **how: Any) -> Scene:
     x, y = (float(v) for v in terrain.grid.xy(64, 70))
     view = View((x, y - 2500, 1800.0), (x, y, 400.0), width=SIZE[0], height=SIZE[1])
-    return Scene.of(terrain, view, sun=Sun(290, 20), tolerance=1.0, samples=1, **how)
+    return Scene.of(terrain, view, sun=Sun(290, 20), tolerance=1.0, **{"samples": 1, **how})
 
 
 LIGHTS: dict[str, Any] = {
@@ -69,8 +70,10 @@ SCENES: dict[str, dict[str, Any]] = {
     "rays": {"light": "raytraced", "rays": 4, **LIGHTS},
     "mesh": {"method": "soar", "wireframe": True},
     "tree": {"method": "cbt", "wireframe": True},
+    "chunks": {"method": "chunked-lod,cells=16,compressed=yes", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
+    "cast at breaks": {"method": "raycast,antialias=breaks", "samples": 2},
     "both": {"method": "hybrid,shares=turns,block=32", "normals": "faces"},
 }
 
@@ -110,6 +113,7 @@ def test_every_shader_is_used_within_the_limits(portable: Device) -> None:
     field = RayField.of([HeightWindow(0, 0, 0, heights)], heights.shape, np.diag([30.0, -30.0]))
     blocked(field, np.array([[2.0, 2.0, 900.0]]), np.array([[0.0, 0.0, 1.0]]))
     EndlessOnGpu(Endless(Exemplar.of(heights, jobs=1), 1), portable).heights(Range(0, 4, 0, 4))
+    Detailed(scene.terrain, 2, 1, device=portable).read(0, 0, 9, 0, 9)
 
     used: set[str] = set()
     for key in portable._modules:

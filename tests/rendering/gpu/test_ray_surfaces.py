@@ -19,7 +19,7 @@ from orograph.scene.methods import mesh_choice
 from orograph.store.prepare import prepare
 from orograph.store.terrain import Terrain
 from orograph.verify.depth import judge_depth
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 OTHERS = ("bilinear", "constant")
 
@@ -65,7 +65,7 @@ def places(device: Device, terrain: Terrain, view: View, surface: str, tolerance
     both = casting(device, terrain, surface)
     depth = both.on_gpu(view, both.selected(view, tolerance))
     y, x = np.nonzero(np.isfinite(depth))
-    return Projection.of(view, terrain.grid).place(x + 0.5, y + 0.5, depth[y, x].astype(np.float64))
+    return Projection.of(Camera.over(terrain.grid, view)).place(x + 0.5, y + 0.5, depth[y, x].astype(np.float64))
 
 
 def test_bilinear_cells_are_bilinear(device: Device) -> None:

@@ -356,6 +356,34 @@ def test_lakes_beyond_the_last_map_are_unknown(bench, monkeypatch: pytest.Monkey
     assert settled(there) < 20
 
 
+def test_ground_below_a_level_is_water_before_any_map_of_it(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Water up to a height needs no search: it is there in the first frame, and beyond the last map, with its shore."""
+    drawn, quick = threading.Event(), following.quick_maps
+
+    def held_back(*args: object, **how: object) -> object:
+        drawn.wait(60)
+        return quick(*args, **how)  # type: ignore[arg-type]
+
+    row, col = np.mgrid[:400, :400]
+    terrain = make((0.002 * ((row - 200.0) ** 2 + (col - 200.0) ** 2)).astype(np.float32))
+    b = bench(terrain)
+    scene = Scene.of(terrain, above(terrain), tolerance=1.0, water=20.0, light="none")
+    monkeypatch.setattr(following, "quick_maps", held_back)
+    try:
+        for _ in range(200):  # tiles come
+            b.draw(scene)
+            if not b.renderer.tiles.waiting:
+                break
+            time.sleep(0.02)
+        first = b.pixels().astype(int)
+    finally:
+        drawn.set()
+    b.draw(scene, wait=True, samples=1)
+    known = b.pixels().astype(int)
+    assert np.abs(first - known).max(-1)[SIZE[1] // 2, SIZE[0] // 2] < 4
+    assert (np.abs(first - known).max(-1) > 24).mean() < 0.01  # the shore is a map's there
+
+
 def test_screen_space_occlusion_darkens_hollows_and_not_plains(bench) -> None:
     heights = np.zeros((400, 400), np.float32)
     heights[150:250, 150:250] = -400.0  # a shaft of two kilometres

@@ -103,7 +103,7 @@ class Both:
 
     def on_cpu(self, view: View, windows: CastWindows, exaggeration: float = 1.0) -> RaySurface:
         caster = Caster(load(self.terrain, windows.windows), self.terrain.grid.shape)
-        return RaySurface(caster, Projection.of(view, self.terrain.grid, exaggeration))
+        return RaySurface(caster, Projection.of(Camera.over(self.terrain.grid, view, exaggeration)))
 
     def compared(self, view: View, tolerance: float, exaggeration: float = 1.0) -> Compared:
         windows = self.selected(view, tolerance, exaggeration)

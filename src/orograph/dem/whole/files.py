@@ -6,7 +6,6 @@ import gzip
 import re
 import shutil
 import tarfile
-import tempfile
 import threading
 import warnings
 import zipfile
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from orograph.errors import ReadError
+from orograph.folders import temporary
 
 DAMAGED = "The file is damaged or was cut short: fetch it again, or restore it from a copy."
 
@@ -264,7 +264,7 @@ def local_file(dataset: Any) -> Iterator[str | None]:
     if not name.startswith("/vsi"):
         yield name if Path(name).is_file() else None
         return
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary() as folder:
         out = Path(folder) / Path(name).name
         if archived(name):
             for part in dataset.files:  # headers and samples beside it count, too

@@ -1,8 +1,8 @@
 """Rasters of classes (land cover): whole numbers that name things, between which nothing lies.
 
 Each texel of an image has the class of the sample nearest to it; where samples are smaller than texels, the class that
-most of a lattice of places in it have (the mode). Names are those of CF's ``flag_values`` and ``flag_meanings``,
-colours those of a file's colour table.
+most of a lattice of places in it have (the mode). Names and colours are those of a raster attribute table or of
+GDAL's categories, else names those of CF's ``flag_values`` and ``flag_meanings``, colours those of a colour table.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from affine import Affine
 
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid, compose
+from orograph.geovis.data.attribute_table import Named
 from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import DISTINCT
@@ -36,13 +37,15 @@ class ClassTable:
     colors: Mapping[int, str]
 
     @classmethod
-    def of_tags(cls, tags: Mapping[str, Any], palette: Mapping[int, Any] | None = None) -> ClassTable:
-        """Of CF attributes, and a colour table of numbers from 0 to 255."""
+    def of_tags(
+        cls, tags: Mapping[str, Any], palette: Mapping[int, Any] | None = None, named: Named | None = None
+    ) -> ClassTable:  # fmt: skip
+        """Of CF attributes, a colour table of numbers from 0 to 255, and what a file beside the raster says."""
         values = [int(float(v)) for v in re.findall(r"-?\d+(?:\.\d+)?", _listed(tags.get("flag_values", "")))]
         words = str(tags.get("flag_meanings", "")).split()
         names = {k: word.replace("_", " ") for k, word in zip(values, words)}
         colors = {k: "#{:02x}{:02x}{:02x}".format(*rgb[:3]) for k, rgb in (palette or {}).items()}
-        return cls(names, colors)
+        return cls(names, colors) if named is None else cls(names | {**named.names}, colors | {**named.colors})
 
 
 def _listed(told: Any) -> str:
@@ -50,8 +53,10 @@ def _listed(told: Any) -> str:
 
 
 def says_classes(field: Field) -> bool:
-    """Whether a source says by itself that its numbers are classes: by a colour table, or CF's flags."""
-    return len(field.values) == 1 and (field.palette is not None or "flag_meanings" in field.tags)
+    """Whether a source says by itself that its numbers are classes: by a colour table, CF's flags, or a table or names
+    beside it."""
+    said = field.palette is not None or field.named is not None or "flag_meanings" in field.tags
+    return len(field.values) == 1 and said
 
 
 def classes_over(field: Field, over: Grid) -> Values:

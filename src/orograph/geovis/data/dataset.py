@@ -23,13 +23,24 @@ Style = Literal[
 ]  # fmt: skip
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
-Standing = Literal["bars", "spheres", "cones", "discs", "flags", "tubes", "curtains"]
-"""Ways of showing values at places by things that stand on the ground (A³)."""
+Standing = Literal[
+    "bars", "spheres", "cones", "discs", "flags", "tubes", "paths", "curtains", "columns", "logs", "walls"
+]  # fmt: skip
+"""Ways of showing values at places by things that stand on the ground (A³), or in it."""
+
+Vertical = Literal["height", "above", "depth", "pressure"]
+"""What a vertical dimension counts: metres above the heights' zero, above or below the ground, or hPa."""
 
 Sign = Literal[
     "transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching", "errorbars", "none"
 ]  # fmt: skip
 """Ways of showing uncertainty; the first six are intrinsic."""
+
+LEVELS = ("height", "above", "depth")
+"""Options that say how high points are."""
+
+BELOW = 0.65
+"""With which opacity what is below the ground is seen through it, where nothing is said."""
 
 INTRINSIC = ("transparency", "noise", "blur", "saturation", "whiteness", "palette")
 
@@ -52,7 +63,7 @@ class Uncertainty:
     Attributes:
         source: "spread" or "ci90", of the data's own members; else one standard deviation in the data's unit: a raster,
             or an array, or for points the name of an attribute.
-        variable, band, time, member: as of a ``Dataset``.
+        variable, band, time, member, level: as of a ``Dataset``.
         style: see ``Sign``; None: what the priority says.
         range: the uncertainties at the ends of its scale; None: from 0 to the 98th percentile.
 
@@ -65,6 +76,7 @@ class Uncertainty:
     band: str | int | None = None
     time: str | None = None
     member: str | int | None = None
+    level: str | float | None = None
     style: Sign | None = None
     range: tuple[float, float] | None = None
 
@@ -102,17 +114,28 @@ class Dataset:
             Where several are chosen their mean is shown.
         value: what is shown of several members or times instead of their mean: "median", "min", "max", "spread", or a
             quantile, "p90". exceeds: instead of values, how probably they are above this one: the part of the members,
-            or by the normal law where the uncertainty is a raster of standard deviations.
+            by the normal law where the uncertainty is a raster of standard deviations.
+        level: of a variable with a vertical dimension, the one that is meant ("850"); curtains and walls show all.
+        vertical: what its vertical dimension is, where the source does not say it: see ``Vertical``.
+        along: where curtains through a volume run: a file of lines (or GeoJSON), or "lon:lat:lon:lat…" (x:y in a
+            terrain without a CRS); None: along the row and the column through the terrain's middle.
         layer: of a file of features with several. geometry: "points", "lines" or "polygons", where it mixes them.
         style: see ``Style`` and ``Standing``; None: what the priority says, of points spheres.
         colormap: any name of the cmap catalogue; of classes colours by name, {"Water": "#56b4e9"}.
         range: the values at its ends; None: the 2nd and the 98th percentile.
         classes, breaks: of segments: how many (2 to 12), and where they begin: quantiles, equal steps, Jenks' natural
             breaks, or the values themselves.
-        height, above: of points, the attribute that says how high they float, in metres above the heights' zero, or
-            above the ground ("z": the height of a feature's own place).
+        height, above, depth: of points, the attribute that says how high they are, in metres above the heights' zero,
+            or above or below the ground ("z": the height of a feature's own place; "z:km", "z:ft" in other units); of
+            columns and logs also two, the ends of an interval ("from+to").
+        group: of columns, logs, tubes and paths, the attribute that says which borehole, ascent or track a row belongs
+            to. None: rows of a borehole are at one place; all are one track.
+        when: of tracks, the attribute that says when; None: time, timestamp, datetime or date.
+        hidden: with which opacity (0 to 1) what the ground hides is seen through it. None: 0.65 of what has a depth,
+            else 0.
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
-            end of the range. None: what suits the terrain.
+            end of the range; of columns their diameter, of logs the height of the deepest. None: what suits the
+            terrain.
         width: of lines, and of the outlines of polygons: pixels of a picture that shows the whole terrain, or metres
             on the ground ("30m"). None: 3 pixels, outlines 1; 0: no outlines.
         opacity: 0 to 1. unit, name: what the legend says instead of what the source says.
@@ -129,6 +152,9 @@ class Dataset:
     member: str | int | None = None
     value: str | None = None
     exceeds: float | None = None
+    level: str | float | None = None
+    vertical: Vertical | None = None
+    along: Any = None
     layer: str | None = None
     geometry: Geometry | None = None
     style: Style | Standing | None = None
@@ -138,6 +164,10 @@ class Dataset:
     breaks: Breaks | tuple[float, ...] = "quantiles"
     height: str | None = None
     above: str | None = None
+    depth: str | None = None
+    group: str | None = None
+    when: str | None = None
+    hidden: float | None = None
     size: float | None = None
     width: float | str | None = None
     opacity: float = 1.0
@@ -168,14 +198,17 @@ class Dataset:
             raise UsageError(f"Breaks are at least three values, each above the last, not {self.breaks}.")
         if self.size is not None and not 0 < self.size < math.inf:
             raise UsageError(f"A size is in metres, above 0, not {self.size}.")
-        if not 0 <= self.opacity <= 1:
-            raise UsageError(f"An opacity is a number from 0 to 1, not {self.opacity:g}.")
+        for opacity in (self.opacity, 0.0 if self.hidden is None else self.hidden):
+            if not 0 <= opacity <= 1:
+                raise UsageError(f"An opacity is a number from 0 to 1, not {opacity:g}.")
+        _check_choice("vertical dimension", self.vertical, get_args(Vertical))
         _check_choice("kind of geometry", self.geometry, get_args(Geometry))
         if self.width is not None:
             object.__setattr__(self, "width", _width(self.width))
         self._check_derived()
-        if self.height is not None and self.above is not None:
-            raise UsageError("height= and above= both say how high points float.", remedy="Give one of the two.")
+        given = [f"{name}=" for name in LEVELS if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise UsageError(f"{' and '.join(given)} all say how high points are.", remedy="Give one of them.")
         doubt: Any = self.uncertainty
         if doubt is not None and not isinstance(doubt, Uncertainty):
             object.__setattr__(self, "uncertainty", Uncertainty(doubt))
@@ -189,7 +222,7 @@ class Dataset:
         """
         return _parsed(
             cls, text, {"range": _range, "classes": _whole, "breaks": _breaks, "size": _number, "opacity": _number,
-                         "exceeds": _number},
+                         "exceeds": _number, "hidden": _number},
             without=("uncertainty",),
         )  # fmt: skip
 
@@ -202,6 +235,16 @@ class Dataset:
             raise UsageError(f"A value to exceed is a number, not {self.exceeds}.")
         if self.value is not None:
             raise UsageError("value= and exceeds= say two different things to show.", remedy="Give one of the two.")
+
+    @property
+    def leveled(self) -> str | None:
+        """Which of height=, above= and depth= is given: its name."""
+        return next((name for name in LEVELS if getattr(self, name) is not None), None)
+
+    @property
+    def through(self) -> float:
+        """With which opacity what the ground hides is seen."""
+        return (BELOW if self.depth is not None else 0.0) if self.hidden is None else self.hidden
 
     @property
     def derived(self) -> bool:

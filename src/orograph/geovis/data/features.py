@@ -28,6 +28,9 @@ GEOJSON = (".geojson", ".json")
 VECTORS = (".gpkg", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".gdb", ".geojsonl", ".geojsons", ".gpx", ".tab",
            ".mif", ".dxf", ".sqlite", ".shz")  # fmt: skip
 
+MOST_CLASSES = 12
+"""Classes of texts that can be told apart."""
+
 SIMPLE: dict[str, Kind] = {"Point": "points", "LineString": "lines", "Polygon": "polygons"}
 
 
@@ -101,6 +104,22 @@ def column(values: Iterable[Any]) -> NDArray[Any]:
     if not any(t and not np.isfinite(n) and isinstance(v, str) for t, n, v in zip(told, numbers, raw)):
         return numbers
     return np.array([str(v) if t else "" for t, v in zip(told, raw)], object)
+
+
+def classes_in(values: NDArray[Any], asked: str, name: str) -> tuple[Array, tuple[str, ...]]:
+    """Of texts (n,) the numbers of their classes, NaN where there is none, and the classes' names.
+
+    Raises:
+        UsageError: there are more than can be told apart.
+    """
+    classes = sorted({str(text) for text in values if text})
+    if len(classes) > MOST_CLASSES:
+        raise UsageError(
+            f"{asked} has {len(classes)} classes ({', '.join(classes[:3])}, …), and {MOST_CLASSES} can be told apart.",
+            path=name, remedy="Choose an attribute with fewer, or one of numbers.",
+        )  # fmt: skip
+    numbered = {text: k for k, text in enumerate(classes)}
+    return np.array([numbered.get(str(text), np.nan) for text in values], np.float64), tuple(classes)
 
 
 def _number(value: Any) -> float:

@@ -176,7 +176,7 @@ def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority
         raise UsageError("Classes have no mean, no value= and no exceeds=.", path=str(dataset.source),
                          remedy="Choose one band, time or member.")  # fmt: skip
     over = cropped(field, grid, texels)
-    table = ClassTable.of_tags(field.tags, field.palette)
+    table = ClassTable.of_tags(field.tags, field.palette, field.named)
     values, names, colors = numbered(classes_over(field, over), table, dataset.colormap, field.name)
     found = deviations(dataset, field, grid)
     sigma = None if found is None else Positions.of(over, found[0]).values(found[1])
@@ -216,11 +216,11 @@ def _streaks(toward: tuple[Array, Array], over: Grid, whole: Grid, heights: Arra
             the image's texels. size: metres that a streak is long; None: what suits the image.
     """
     across, down = toward
-    a, b, _, d, e, _ = over.transform[:6]
+    (a, b), (d, e) = over.linear
     rise_down, rise_across = np.gradient(np.where(np.isfinite(heights), heights, 0.0))
     rise = np.nan_to_num(rise_across * across + rise_down * down)
     metres = np.sqrt((a * across + b * down) ** 2 + (d * across + e * down) ** 2 + rise**2)
-    step = STEP * float(np.sqrt(abs(over.transform.determinant)))
+    step = STEP * float(np.sqrt(over.cell_area))
     steps = STEPS if size is None else max(1, round(size / 2 / step))
     pace = np.divide(step, metres, out=np.zeros_like(metres), where=metres > 0)
     col, row = (round(float(v)) for v in apply(~whole.transform, over.transform.c, over.transform.f))
@@ -274,7 +274,7 @@ def painted(found: Shown) -> Layer:
 
 
 def _pitch(found: Shown) -> float:
-    metres = float(np.sqrt(abs(found.over.transform.determinant)))
+    metres = float(np.sqrt(found.over.cell_area))
     size = found.dataset.size
     return max(LEAST_PITCH, size / metres if size is not None else max(found.over.shape) / SIGNS)
 

@@ -14,13 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.tables import DEGREES, EAST, NORTH, number, places_in, read_table
+from orograph.dem.tables import DEGREES, EAST, NORTH, number, places_in, read_texts
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.features import Features, has_features, read_features
+from orograph.geovis.data.features import Features, classes_in, has_features, read_features
 
 Array = NDArray[np.float64]
+Texts = NDArray[np.object_]
+
+LENGTHS = {"": 1.0, "m": 1.0, "km": 1000.0, "ft": 0.3048}
+"""Metres of units of heights and depths."""
 
 TABLES = (".csv", ".tsv", ".txt")
 
@@ -32,8 +36,10 @@ class Points:
     Attributes:
         x, y: (n,) in the terrain's CRS, of those on the terrain. values: (n,). sigma: (n,) standard deviations;
             None: unknown.
-        level: (n,) how high they float, metres, as ``Dataset.height`` or ``above`` say; None: they are on the ground.
-        name: what they are. classes: where they have no attribute, the name of all of them.
+        level: (n,) how high they are, metres, as ``Dataset.height``, ``above`` or ``depth`` say; (n, 2) of intervals;
+            None: they are on the ground.
+        name: what they are. classes: the names of values 0, 1, …; None: they are numbers.
+        group: (n,) which borehole each belongs to, numbered from 0, as ``Dataset.group`` says; None: it says nothing.
     """
 
     x: Array
@@ -43,12 +49,15 @@ class Points:
     name: str
     classes: tuple[str, ...] | None = None
     level: Array | None = None
+    group: NDArray[np.int64] | None = None
 
 
 def is_table(source: Any) -> bool:
     """Whether a dataset's source is a table of points, by its looks."""
     if isinstance(source, str):
         return Path(source).suffix.lower() in TABLES
+    if hasattr(source, "data_vars"):  # (a Dataset of xarray's is a mapping, too)
+        return False
     return isinstance(source, Mapping) or hasattr(source, "columns")
 
 
@@ -64,25 +73,29 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     """
     if found is None and has_features(given.source):
         found = read_features(given, grid)
-    columns, crs, name = _columns(given.source) if found is None else _of_features(found)
+    columns, texts, crs, name = columns_of(given.source) if found is None else columns_of_features(found)
     east, north = places_in(columns, name, "the terrain's CRS")
     if crs is None and east.lower() in DEGREES:
         crs = "EPSG:4326"
     numbers = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
-    afloat = given.height if given.height is not None else given.above
-    level = (
-        None
-        if afloat is None
-        else numbers[_attribute(afloat, numbers, name, "height" if given.height is not None else "above")]
-    )
-    if level is not None and given.variable is None and given.uncertainty is None and len(numbers) > 1:
-        numbers = {k: v for k, v in numbers.items() if k != afloat}
+    level, used = level_of(given, numbers, name)
+    group = None
+    if given.group is not None:
+        if given.group not in texts:
+            raise UsageError(f"There is no attribute {given.group!r}.", path=name, remedy="Name one: group=NAME.")
+        group = np.unique(texts[given.group].astype(str), return_inverse=True)[1]
+        used |= {given.group}
+    if given.variable is None and given.uncertainty is None and not used >= set(numbers):
+        numbers = {k: v for k, v in numbers.items() if k not in used}
     bare = not numbers and given.variable is None and given.uncertainty is None
     if bare:
         numbers = {"place": np.zeros(len(columns[east]))}
-    value = _attribute(given.variable, numbers, name)
+    classes = None
+    if given.variable in texts and given.variable not in numbers:
+        numbers[str(given.variable)], classes = classes_in(texts[str(given.variable)], str(given.variable), name)
+    value = attribute_of(given.variable, numbers, name)
     doubt = given.uncertainty
-    sigma = None if doubt is None else _attribute(doubt.source, numbers, name)
+    sigma = None if doubt is None else attribute_of(doubt.source, numbers, name)
     if sigma is not None and (numbers[sigma] < 0).any():
         raise ReadError(f"{sigma} is a standard deviation, never negative.", path=name, remedy="Name another.")
     x, y = columns[east], columns[north]
@@ -95,7 +108,7 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     with np.errstate(invalid="ignore"):
         here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1) & np.isfinite(numbers[value])
     if level is not None:
-        here &= np.isfinite(level)
+        here &= np.isfinite(level.reshape(len(level), -1)).all(1)
     if not here.any():
         raise ReadError(
             f"None of its {len(x)} points lies on the terrain and has a {value}.", path=name,
@@ -103,11 +116,26 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
         )  # fmt: skip
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
     alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
-    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike,
-                  None if level is None else level[here])  # fmt: skip
+    return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike or classes,
+                  None if level is None else level[here], None if group is None else group[here])  # fmt: skip
 
 
-def _attribute(asked: Any, numbers: Mapping[str, Array], name: str, option: str = "variable") -> str:
+def level_of(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[Array | None, set[str]]:
+    """How high points are, in metres, (n,), or (n, 2) of intervals, and which attributes say so."""
+    option = given.leveled
+    if option is None:
+        return None, set()
+    told, _, unit = str(getattr(given, option)).partition(":")
+    if unit not in LENGTHS:
+        raise UsageError(f"{unit!r} is no unit of {option}=; there are {', '.join(filter(None, LENGTHS))}.", path=name)
+    names = [attribute_of(part, numbers, name, option) for part in told.split("+")]
+    if len(names) > 2:
+        raise UsageError(f"{option}= names one attribute, or the two ends of an interval (from+to).", path=name)
+    level = np.stack([numbers[one] for one in names], 1) * LENGTHS[unit]
+    return level if len(names) == 2 else level[:, 0], set(names)
+
+
+def attribute_of(asked: Any, numbers: Mapping[str, Array], name: str, option: str = "variable") -> str:
     if asked is None and len(numbers) == 1:
         return next(iter(numbers))
     if asked in numbers:
@@ -116,25 +144,31 @@ def _attribute(asked: Any, numbers: Mapping[str, Array], name: str, option: str 
     raise UsageError(f"{what}: {', '.join(numbers) or 'none'}.", path=name, remedy=f"Choose one: {option}=NAME.")
 
 
-def _columns(source: Any) -> tuple[dict[str, Array], Any, str]:
-    """Columns of numbers of a table by name, their CRS (None: not known), and what the source is called."""
-    if not isinstance(source, str):
+def columns_of(source: Any) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
+    """Columns of a table by name, as numbers and as texts, their CRS (None: not known), and the source's name."""
+    if isinstance(source, str):
+        written: dict[str, Any] = dict(read_texts(source))
+    else:
         keys = list(source) if isinstance(source, Mapping) else list(source.columns)
-        columns = {str(k): np.array([number(v) for v in np.atleast_1d(np.asarray(source[k]))]) for k in keys}
-        if len({len(column) for column in columns.values()}) > 1:
+        written = {str(k): np.atleast_1d(np.asarray(source[k])).tolist() for k in keys}
+        if len({len(column) for column in written.values()}) > 1:
             raise UsageError("The columns of a table of points are equally long.")
-        return columns, None, "points"
-    return read_table(source), None, source
+    columns = {k: np.array([number(v) for v in values]) for k, values in written.items()}
+    texts = {k: np.array(["" if v is None or v != v else str(v) for v in values], object)
+             for k, values in written.items()}  # fmt: skip
+    return columns, texts, None, source if isinstance(source, str) else "points"
 
 
-def _of_features(found: Features) -> tuple[dict[str, Array], Any, str]:
-    """Of features, as ``_columns`` has it: a row for each place; attributes that are no numbers are missing."""
+def columns_of_features(found: Features) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
+    """Of features, as ``columns_of`` has it: a row for each place."""
     if found.kind != "points":
         raise UsageError(f"It holds {found.kind}, not points.", path=found.name)
     places = np.concatenate([np.concatenate(own) for own in found.parts])
     of = np.repeat(np.arange(len(found)), [sum(map(len, own)) for own in found.parts])
     places_too = (*EAST, *NORTH)
-    columns = {k: v[of] for k, v in found.columns.items() if v.dtype != object and k.lower() not in places_too}
+    about = {k: v[of] for k, v in found.columns.items() if k.lower() not in places_too}
+    columns = {k: v for k, v in about.items() if v.dtype != object}
+    texts = {k: np.array([str(one) for one in v.tolist()], object) for k, v in about.items()}
     if np.isfinite(places[:, 2]).any() and "z" not in columns:
         columns["z"] = places[:, 2]
-    return {**columns, "x": places[:, 0], "y": places[:, 1]}, found.crs, found.name
+    return {**columns, "x": places[:, 0], "y": places[:, 1]}, texts, found.crs, found.name

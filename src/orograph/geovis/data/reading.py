@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,13 @@ from pyproj import CRS
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
+from orograph.geovis.data.attribute_table import Named, named_beside
+from orograph.geovis.data.choosing import chosen_bands, is_level, picked, wants_members
 from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.data.listing import array_of, subdataset, times_in
 from orograph.geovis.data.statistics import statistic
+from orograph.geovis.data.times import matches, neighbours
+from orograph.geovis.data.vertical import vertical_dimension
 from orograph.geovis.keys import written_unit
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
@@ -48,7 +52,8 @@ class Field:
         values: (members, rows, cols) float32, NaN where there are none. grid: of rows and columns, in their own CRS.
         name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
         statistic: what is shown of members ("mean", "p90"…: see ``statistics``).
-        tags, palette: of classes (``classes``), what the source says of their names and colours.
+        tags, palette, named: of classes (``classes``), what the source, or a file beside it, says of their names and
+            colours.
     """
 
     values: Values
@@ -60,6 +65,7 @@ class Field:
     statistic: str = "mean"
     tags: Mapping[str, Any] = field(default_factory=dict)
     palette: Mapping[int, Any] | None = None
+    named: Named | None = None
 
     @property
     def mean(self) -> Values:
@@ -93,13 +99,17 @@ class Field:
 
 
 def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
-    """The values of data over a terrain with this grid.
+    """The values of data over a terrain with this grid. At a moment between two times of a series they are linear in
+    time; of classes, those of the nearer time.
 
     Raises:
         ReadError: the file is missing or broken, or lies beside the terrain, or has no valid value there.
         UsageError: what was chosen is not there, or it is not clear what is meant.
     """
-    if isinstance(given.source, str):
+    around = None if given.time is None else neighbours(times_in(given), given.time)
+    if around is not None:
+        found = _between(given, grid, *around)
+    elif isinstance(given.source, str):
         found = _of_file(given, grid)
     else:
         found = _of_array(given, grid)
@@ -111,13 +121,27 @@ def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
     return found
 
 
+def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, part: float) -> Field:
+    """Values at a moment between two times."""
+    first, last = (read(replace(given, time=time), grid) for time in (before, after))
+    named = first.palette is not None or first.named is not None or "flag_meanings" in first.tags
+    named = named or getattr(given, "style", None) == "classes"
+    moment, way = str(given.time).replace("T", " "), "nearest" if named else "linear"
+    if named:
+        values = (first if part < 0.5 else last).values
+    else:
+        values = np.asarray(first.values + (last.values - first.values) * np.float32(part), np.float32)
+    words = f"at {moment}, {way} between {before.replace('T', ' ')} and {after.replace('T', ' ')}"
+    return replace(first, values=values, chosen=words)
+
+
 def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
     from rasterio.errors import RasterioError
 
-    location = _subdataset(locate(given.source), given.variable, given.source)
+    location = subdataset(locate(given.source), given.variable, given.source)
     told: list[str] = []
     with HANDLES.borrow(location) as file:
-        bands, chosen = _chosen(file, given)
+        bands, chosen = chosen_bands(file, given)
         placement = Placement.of(grid, _in_degrees(file, grid_of(file)), given.source, told)
         window = _window(placement, given.source)
         row0, row1, col0, col1 = window
@@ -134,7 +158,8 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
 
         where = Window(col0, row0, col1 - col0, row1 - row0)
         coloured = file.colorinterp[bands[0] - 1].name == "palette"
-        said_so = coloured or "flag_meanings" in file.tags(bands[0])
+        named = named_beside(location, bands[0])
+        said_so = coloured or named is not None or "flag_meanings" in file.tags(bands[0])
         style = given.style if isinstance(given, Dataset) else "continuous"
         classes = style == "classes" or (style is None and said_so)
         way = Resampling.nearest if step == 1 else Resampling.mode if classes else Resampling.average
@@ -152,7 +177,8 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
         palette = file.colormap(bands[0]) if coloured else None
     values[~np.isfinite(values)] = np.nan
-    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette))
+    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette,
+                           named=named))  # fmt: skip
 
 
 def _in_degrees(file: Any, found: Grid) -> Grid:
@@ -197,114 +223,6 @@ def _window(placement: Placement, name: str) -> tuple[int, int, int, int]:
     )
 
 
-def _subdataset(location: str, variable: str | None, name: str) -> str:
-    """What GDAL opens for a variable of a file.
-
-    Raises:
-        UsageError: there is no such variable, or there are several and none is named.
-    """
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(location) as file:  # (what is damaged, who opens it next says)
-                inside, count = list(file.subdatasets), file.count
-    except RasterioError:
-        inside, count = [], 1
-    if not inside:
-        return location
-    known = {one.rpartition(":")[2].rpartition("/")[2]: one for one in inside}
-    if variable is None:
-        if count:
-            return location
-        if len(known) == 1:
-            return str(next(iter(known.values())))
-    if variable in known:
-        return str(known[variable])
-    what = "It holds several variables" if variable is None else f"It holds no variable {variable!r}"
-    raise UsageError(f"{what}: {', '.join(known)}.", path=name, remedy="Choose one: variable=NAME.")
-
-
-def _chosen(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], str]:
-    """Bands that are meant, from 1, and in words which of several they are.
-
-    Raises:
-        UsageError: there are none such.
-    """
-    bands = list(range(1, file.count + 1))
-    words: list[str] = []
-    if given.time is not None:
-        times = times_of(file)
-        if not any(times):
-            raise UsageError("Its bands say no times.", path=str(given.source), remedy="Choose by band=.")
-        bands = [band for band in bands if matches(times[band - 1], given.time)]
-        if not bands:
-            raise UsageError(
-                f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
-                path=str(given.source), remedy="Give the beginning of one, or an hour of all days: T12.",
-            )  # fmt: skip
-        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[bands[0] - 1].replace("T", " "))
-    for asked in (given.band, given.member):
-        if asked is not None:
-            bands = _picked(bands, str(asked), str(given.source))
-    wanted = _wants_members(given)
-    if given.time is None and given.band is None and given.member is None and not wanted:
-        bands = bands[:1]
-    if len(bands) > 1:
-        words.insert(0, f"mean of {len(bands)}")
-    elif file.count > 1 and not words:
-        words.append(file.descriptions[bands[0] - 1] or f"band {bands[0]}")
-    return bands, " ".join(words)
-
-
-def _wants_members(given: Dataset | Uncertainty) -> bool:
-    """Whether all members are meant where none are named."""
-    if not isinstance(given, Dataset):
-        return False
-    doubt = given.uncertainty
-    by_sigma = given.exceeds is not None and doubt is not None and not doubt.of_members
-    return (given.derived and not by_sigma) or (doubt is not None and doubt.of_members)
-
-
-def _picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
-    """Of the bands at hand those at positions ``3``, ``1-13`` or ``all``, from 1."""
-    if asked.lower() == "all":
-        return list(bands)
-    found = re.fullmatch(r"(\d+)(?:-(\d+))?", asked.strip())
-    if found is None:
-        raise UsageError(f"Bands are 3, 1-13 or all, not {asked!r}.", path=name)
-    first, last = int(found[1]), int(found[2] or found[1])
-    if not 1 <= first <= last <= len(bands):
-        raise UsageError(f"Bands are counted from 1 to {len(bands)} here; there is no {asked}.", path=name)
-    return list(bands[first - 1 : last])
-
-
-def matches(time: str, asked: str) -> bool:
-    """Whether a time, ISO 8601 in UTC, is the one asked for: by its beginning, or (``T12``) by its hour."""
-    return asked in time if asked.startswith("T") else time.startswith(asked.replace(" ", "T"))
-
-
-def times_of(file: Any) -> list[str]:
-    """The times of a dataset's bands, ISO 8601 in UTC, to the minute; "" where one says none."""
-    scale = re.fullmatch(r"(\w+?)s? since (.+)", file.tags().get("time#units", "").strip())
-    found = []
-    for band in range(1, file.count + 1):
-        tags = file.tags(band)
-        second = tags.get("GRIB_VALID_TIME", "").split()
-        if second:
-            moment: Any = np.datetime64(int(second[0]), "s")
-        elif scale and "NETCDF_DIM_time" in tags and scale[1] in _SECONDS:
-            start = np.datetime64(scale[2].strip().replace(" ", "T").rstrip("Z"), "s")
-            moment = start + np.timedelta64(round(float(tags["NETCDF_DIM_time"]) * _SECONDS[scale[1]]), "s")
-        else:
-            found.append("")
-            continue
-        found.append(str(moment.astype("datetime64[m]")))
-    return found
-
-
 def members_in(given: Dataset, grid: Grid, asked: str) -> list[int]:
     """The numbers, from 1, of the members or bands of a raster that are asked for: ``all``, ``3``, ``1-6``.
 
@@ -312,51 +230,19 @@ def members_in(given: Dataset, grid: Grid, asked: str) -> list[int]:
         UsageError: there are none such. Others: as ``read``.
     """
     if isinstance(given.source, str):
-        with HANDLES.borrow(_subdataset(locate(given.source), given.variable, given.source)) as file:
-            return _picked(range(1, file.count + 1), asked, given.source)
+        with HANDLES.borrow(subdataset(locate(given.source), given.variable, given.source)) as file:
+            return picked(range(1, file.count + 1), asked, given.source)
     count = len(read(replace(given, member="all", uncertainty=None), grid).values)
-    return _picked(range(1, count + 1), asked, "the data")
-
-
-_SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
-
-
-def times_in(given: Dataset) -> list[str]:
-    """The times of a dataset, ISO 8601 in UTC, in order; none of what is no series."""
-    import sys
-
-    from orograph.geovis.data.features import has_features
-    from orograph.geovis.data.points import is_table
-
-    source, xarray = given.source, sys.modules.get("xarray")
-    if xarray is not None and isinstance(source, xarray.Dataset):
-        source = source[str(given.variable).split("+")[0]]
-    if xarray is not None and isinstance(source, xarray.DataArray):
-        found = np.atleast_1d(source.coords["time"].values) if "time" in source.coords else np.empty(0, "M8[m]")
-        return sorted(set(found.astype("datetime64[m]").astype(str).tolist()))
-    if not isinstance(source, str) or has_features(source) or is_table(source):
-        return []
-    variable = given.variable.split("+")[0] if given.variable is not None else None
-    with HANDLES.borrow(_subdataset(locate(source), variable, source)) as file:
-        return sorted({time for time in times_of(file) if time})
+    return picked(range(1, count + 1), asked, "the data")
 
 
 def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
     """Of a DataArray, of an array that spans the terrain, or of a field that is there already."""
-    import sys
-
     if isinstance(given.source, Field):
         return given.source
-
-    xarray = sys.modules.get("xarray")
-    if xarray is not None and isinstance(given.source, xarray.Dataset):
-        if given.variable not in given.source:
-            raise UsageError(
-                f"A Dataset holds {', '.join(map(str, given.source.data_vars))}.", remedy="Choose one: variable=."
-            )
-        given = replace(given, source=given.source[given.variable])
-    if xarray is not None and isinstance(given.source, xarray.DataArray):
-        return _of_dataarray(given, grid)
+    one = array_of(given)
+    if one is not None:
+        return _of_dataarray(replace(given, source=one), grid)
     array = np.ma.asarray(given.source)
     if array.dtype.kind not in "biuf":
         raise UsageError(f"Data are real numbers, not {array.dtype}.")
@@ -374,8 +260,8 @@ def _members(values: Values, given: Dataset | Uncertainty, name: str) -> tuple[V
     """Of (members, rows, cols) those that are meant, and in words which they are."""
     asked = given.member if given.member is not None else given.band
     if asked is not None:
-        values = values[[i - 1 for i in _picked(range(1, len(values) + 1), str(asked), name)]]
-    elif given.time is None and not _wants_members(given):
+        values = values[[i - 1 for i in picked(range(1, len(values) + 1), str(asked), name)]]
+    elif given.time is None and not wants_members(given):
         values = values[:1]
     return values, f"mean of {len(values)}" if len(values) > 1 else ""
 
@@ -397,10 +283,22 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
             raise UsageError(f"It has no time {given.time}; its times go from {times[0]} to {times[-1]}.")
         array = array.isel(time=keep) if "time" in array.dims else array
         words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[keep[0]].replace("T", " "))
+    if given.level is not None:
+        found = vertical_dimension(array, getattr(given, "vertical", None))
+        levels = np.empty(0) if found is None else np.asarray(array.coords[found[0]].values, np.float64)
+        at = [i for i, value in enumerate(levels) if is_level(value, given.level)]
+        if found is None or not at:
+            known = ", ".join(f"{v:g}" for v in levels) or "none"
+            raise UsageError(f"It has no level {given.level}; its levels are: {known}.")
+        array = array.isel({found[0]: at[0]})
+        words.append(f"at {float(given.level):g} {written_unit(found[1].unit)}")
     lead = [d for d in array.dims if str(d).lower() in MEMBERS or d == "time"]
     axes = [d for d in array.dims if d not in lead]
     if len(axes) != 2:
-        raise UsageError(f"A DataArray has rows, columns, and if it likes time and member, not {dict(array.sizes)}.")
+        raise UsageError(
+            f"A DataArray has rows, columns, and if it likes time and member, not {dict(array.sizes)}.",
+            remedy="Choose one level: level=; style curtains or walls shows all.",
+        )
     stacked = array.transpose(*lead, *axes)
     _, transform, crs = place_of(stacked.isel(dict.fromkeys(lead, 0)))
     values = np.asarray(stacked.transpose(*lead, *_rows_first(stacked, axes)).to_numpy(), np.float32)

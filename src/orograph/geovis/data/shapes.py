@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.features import Features
+from orograph.geovis.data.features import MOST_CLASSES, Features, classes_in
 from orograph.geovis.data.reach import Reach
 from orograph.geovis.data.shape_kernels import crossed
 
@@ -27,8 +27,6 @@ HALVINGS = 14
 
 COMPARED = 4_000_000
 """Pairs of edges of a polygon that are compared for crossings."""
-
-MOST_CLASSES = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,14 +131,8 @@ def _values(given: Dataset, found: Features) -> tuple[Array, tuple[str, ...] | N
     name = str(asked).replace("_", " ")
     if column.dtype != object:
         return column.astype(np.float64), None, name
-    classes = sorted({str(text) for text in column if text})
-    if len(classes) > MOST_CLASSES:
-        raise UsageError(
-            f"{asked} has {len(classes)} classes ({', '.join(classes[:3])}, …), and {MOST_CLASSES} can be told apart.",
-            path=found.name, remedy="Choose an attribute with fewer, or one of numbers.",
-        )  # fmt: skip
-    numbered = {text: k for k, text in enumerate(classes)}
-    return np.array([numbered.get(str(text), np.nan) for text in column], np.float64), tuple(classes), name
+    values, classes = classes_in(column, asked, found.name)
+    return values, classes, name
 
 
 def _stem(name: str) -> str:

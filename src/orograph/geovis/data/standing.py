@@ -7,9 +7,9 @@ picture: what the terrain's heights are stretched by does not stretch what stand
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,8 @@ FLOOR = 0.06
 
 class Kind(IntEnum):
     """Shapes, by the middle of their foot; a shadow lies on the ground, of what is straight above it; a
-    panel is an upright rectangle from one height to another, seen unlit and from its left alone."""
+    panel is an upright rectangle from one height to another, seen unlit and from its left alone, a section one seen
+    from both sides; a column is a cylinder from one height to another."""
 
     BAR = 0
     SPHERE = 1
@@ -54,12 +55,31 @@ class Kind(IntEnum):
     WALL = 6
     SHADOW = 7
     PANEL = 8
+    COLUMN = 9
+    SECTION = 10
 
 
 FLOATING = ("spheres", "discs")
 """Of points: the styles that can float. Their middles are at the height."""
 
 KINDS = {"bars": Kind.BAR, "spheres": Kind.SPHERE, "cones": Kind.CONE, "discs": Kind.CYLINDER, "flags": Kind.FLAG}
+
+
+class Mark(NamedTuple):
+    """Words at a place in the terrain's CRS, and a height in metres, stretched as the ground is."""
+
+    x: float
+    y: float
+    level: float
+    words: str
+
+
+class Variable(NamedTuple):
+    """What values are: a name, a unit, and of classes their names."""
+
+    name: str
+    unit: str = ""
+    classes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +91,11 @@ class Things:
         radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
         values: (n,), what they show, NaN of parts that show none. legend: what it means.
         ends: (n, 4): the height of the foot, or of the one end, NaN where it is on the ground; of tubes, walls,
-            shadows and panels x, y and height of the other end (of panels of the upper side), else NaN; None: all
-            stand on the ground.
+            shadows, columns, panels and sections x, y and height of the other end (of the last three of the upper
+            one), else NaN; None: all stand on the ground.
+        hidden: (n,) with which opacity each is seen through the ground that hides it; None: not at all.
+        marks: words beside them.
+        shows: what values are, and ``which``: (n,) the one of these that each shows, −1 of none; None: the first.
     """
 
     kind: NDArray[np.int8]
@@ -85,9 +108,30 @@ class Things:
     values: Array
     legend: Legend
     ends: Array | None = None
+    hidden: Array | None = None
+    marks: tuple[Mark, ...] = ()
+    shows: tuple[Variable, ...] = ()
+    which: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    @classmethod
+    def plain(cls, legend: Legend) -> Things:
+        """Nothing, with a legend: what ``but`` makes things of."""
+        none = np.empty(0)
+        return cls(none.astype(np.int8), none, none, none, none, none, np.empty((0, 3), np.float32), none, legend)
+
+    @property
+    def shown(self) -> NDArray[np.int64]:
+        """(n,) which of ``shows`` each thing shows, −1 of none."""
+        if self.which is not None:
+            return self.which
+        return np.where(np.isfinite(self.values) & (len(self.shows) > 0), 0, -1)
+
+    def but(self, **changes: Any) -> Things:
+        """The same with other attributes."""
+        return replace(self, **changes)
 
     @classmethod
     def joined(cls, several: list[Things]) -> Things:
@@ -98,9 +142,16 @@ class Things:
         }
         legends = [one.legend for one in several]
         upright = [np.full((len(one), 4), np.nan) if one.ends is None else one.ends for one in several]
+        through = [np.zeros(len(one)) if one.hidden is None else one.hidden for one in several]
+        begins = np.cumsum([0, *(len(one.shows) for one in several)])
+        which = [np.where(one.shown < 0, -1, one.shown + begin) for one, begin in zip(several, begins)]
         return cls(
             **arrays,
+            shows=tuple(name for one in several for name in one.shows),
+            which=np.concatenate(which),
+            hidden=np.concatenate(through) if any(one.hidden is not None for one in several) else None,
             ends=np.concatenate(upright) if any(one.ends is not None for one in several) else None,
+            marks=tuple(mark for one in several for mark in one.marks),
             legend=Legend(
                 tuple(scale for one in legends for scale in one.scales),
                 tuple(swatch for one in legends for swatch in one.swatches),
@@ -124,7 +175,9 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     style = dataset.style or "spheres"
     if style not in KINDS:
         raise UsageError(
-            f"There is no style {style} of points.", path=str(dataset.source), remedy=f"There are {', '.join(KINDS)}."
+            f"There is no style {style} of points.",
+            path=str(dataset.source),
+            remedy=f"There are {', '.join(KINDS)}, columns and logs.",
         )
     if points.classes is None:
         scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
@@ -133,7 +186,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     if points.level is not None and style not in FLOATING:
         raise UsageError(
             f"{style.capitalize()} stand on the ground and do not float.", path=str(dataset.source),
-            remedy=f"Leave out height= and above=, or choose {' or '.join(FLOATING)}.",
+            remedy=f"Leave out height=, above= and depth=, or choose {' or '.join(FLOATING)}.",
         )  # fmt: skip
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
     x, y, values = points.x[order], points.y[order], points.values[order]
@@ -148,12 +201,14 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     radius, height = _shape(style, size, part)
     ends = None
     if points.level is not None:
-        ends = np.column_stack([points.level[order], *[np.full(len(values), np.nan)] * 3])
+        level = points.level.reshape(len(values), -1).mean(1)  # (of intervals, their middles)
+        ends = np.column_stack([level[order], *[np.full(len(values), np.nan)] * 3])
     lift = np.zeros(len(values)) if ends is None else -height / 2
     main = Things(
         np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height,
         colored(values, u, scale, sign), values,
         key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
+        None if ends is None or not dataset.through else np.full(len(values), dataset.through),
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
         return main
@@ -201,8 +256,8 @@ def _error_bars(main: Things, half: Array) -> list[Things]:
 
 def longer(grid: Grid) -> float:
     """Metres along the longer side of a terrain."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return max(grid.cols * float(np.hypot(a, d)), grid.rows * float(np.hypot(b, e)))
+    across, down = grid.spacing
+    return max(grid.cols * across, grid.rows * down)
 
 
 def key_of(
@@ -233,8 +288,8 @@ def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
     Args:
         size: metres of the largest thing; things then stand at least half as far apart. None: ``LATTICE``.
     """
-    a, b, _, d, e, _ = grid.transform[:6]
+    across, down = grid.spacing
     step = longer(grid) / LATTICE if size is None else max(size / 2, longer(grid) / 200)
-    cols = np.arange(step / 2 / np.hypot(a, d), grid.cols - 1, step / np.hypot(a, d))
-    rows = np.arange(step / 2 / np.hypot(b, e), grid.rows - 1, step / np.hypot(b, e))
+    cols = np.arange(step / 2 / across, grid.cols - 1, step / across)
+    rows = np.arange(step / 2 / down, grid.rows - 1, step / down)
     return grid.xy(*(v.ravel() for v in np.meshgrid(cols, rows)))

@@ -39,19 +39,22 @@ PLATE = 5
 
 
 class Floating(NamedTuple):
-    """Places that float: (n,) in the terrain's CRS, and (n,) metres above the heights' zero."""
+    """Places that float: (n,) in the terrain's CRS, and (n,) metres above the heights' zero; (n,) with which opacity
+    they are seen through the ground."""
 
     x: Array
     y: Array
     level: Array
+    hidden: Array
 
 
 def floating(things: Things, grid: Grid) -> Floating:
     """Where aids stand for things: below each that floats by itself, and along tubes at equal distances."""
     if things.ends is None:
         none = np.empty(0)
-        return Floating(none, none, none)
+        return Floating(none, none, none, none)
     level, x1, y1, level1 = things.ends.T
+    through = np.zeros(len(level)) if things.hidden is None else things.hidden
     alone = np.isfinite(level) & np.isnan(x1)
     tube = (things.kind == Kind.TUBE) & np.isfinite(level) & np.isfinite(level1)
     x, y, z = things.x[tube], things.y[tube], level[tube]
@@ -64,18 +67,19 @@ def floating(things: Things, grid: Grid) -> Floating:
         np.concatenate([things.x[alone], x[piece] + part * dx[piece]]),
         np.concatenate([things.y[alone], y[piece] + part * dy[piece]]),
         np.concatenate([level[alone], z[piece] + part * dz[piece]]),
+        np.concatenate([through[alone], through[tube][piece]]),
     )
 
 
 def drops(at: Floating, ground: Array, grid: Grid) -> Things:
-    """Lines straight down to the ground.
+    """Lines straight down to the ground, and up to it from what is seen through it.
 
     Args:
-        ground: (n,) heights of the ground below; where nothing is above it there is no line.
+        ground: (n,) heights of the ground there; what is below it and not seen has no line.
     """
-    x, y, level = (v[at.level > ground] for v in at)
+    x, y, level, hidden = (v[(at.level > ground) | ((at.hidden > 0) & (at.level < ground))] for v in at)
     ends = np.column_stack([np.full(len(x), np.nan), x, y, level])
-    return _plain(Kind.TUBE, x, y, ends, THIN * longer(grid), np.asarray(INK, np.float32))
+    return _plain(Kind.TUBE, x, y, ends, THIN * longer(grid), np.asarray(INK, np.float32)).but(hidden=hidden)
 
 
 def poles(at: Floating, ground: Array, step: float, grid: Grid) -> Things:
@@ -85,7 +89,7 @@ def poles(at: Floating, ground: Array, step: float, grid: Grid) -> Things:
         UsageError: there would be too many bands.
     """
     above = at.level > ground
-    x, y, top = (v[above] for v in at)
+    x, y, top = (v[above] for v in at[:3])
     foot = ground[above]
     count = np.maximum(np.ceil((top - foot) / step - 1e-9), 1)  # (no band that rounding makes)
     if count.sum() > MOST:

@@ -15,10 +15,9 @@ from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import Features
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.shapes import Shapes, read_shapes
-from orograph.geovis.data.signs import colored
-from orograph.geovis.data.standing import Kind, Things, key_of, longer
+from orograph.geovis.data.standing import Kind, Things, longer
+from orograph.geovis.data.standing_colors import Told, colors_of
 
 Array = NDArray[np.float64]
 
@@ -32,8 +31,6 @@ PIECES = 900
 
 SUNK = 0.3
 """Of its height, how deep a curtain goes into the ground, which bends between the ends of a piece."""
-
-SIGNS = ("saturation", "whiteness", "palette", "none")
 
 
 def things_of_lines(dataset: Dataset, features: Features, grid: Grid, priority: Priority) -> Things:
@@ -51,7 +48,7 @@ def things_of_lines(dataset: Dataset, features: Features, grid: Grid, priority: 
     by_height = dataset.variable == "z" and "z" not in features.columns
     shapes = read_shapes(dataset.but(variable=None) if by_height else dataset, features, grid, 0.25 * max(grid.spacing))
     step = max(*grid.spacing, longer(grid) / PIECES)
-    at, owner = _pieces(shapes, step if style == "curtains" or not np.isfinite(shapes.z).any() else np.inf)
+    at, owner = pieces(shapes, step if style == "curtains" or not np.isfinite(shapes.z).any() else np.inf)
     if by_height:
         if not np.isfinite(shapes.z).any():
             raise UsageError("Its lines have no heights (z).", path=features.name, remedy="Name an attribute.")
@@ -60,34 +57,21 @@ def things_of_lines(dataset: Dataset, features: Features, grid: Grid, priority: 
         values, name, classes = shapes.values[owner], shapes.name, shapes.classes
     known = np.isfinite(values)
     at, owner, values = at[known], owner[known], values[known]
-    scale = (
-        ColorScale.of_classes(classes, dataset.colormap) if classes else
-        ColorScale.of(values, dataset.plain_colormap, dataset.range)
-    )  # fmt: skip
     sigma = None if shapes.sigma is None else shapes.sigma[owner]
-    sign = "none" if dataset.uncertainty is None else dataset.uncertainty.style or "whiteness"
-    if sign not in SIGNS:
-        raise UsageError(
-            f"The uncertainty of {style} cannot be shown by {sign}.", remedy=f"There are {', '.join(SIGNS)}."
-        )
-    doubt = (0.0, 1.0)
-    if sigma is not None and dataset.uncertainty is not None:
-        doubt = dataset.uncertainty.range or (0.0, spanned(sigma, None)[1])
-    u = np.zeros(len(at)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
+    told = Told(name, dataset.unit or ("m" if by_height else ""), ", ".join(shapes.notes), classes)
+    rgb, legend = colors_of(dataset, values, sigma, told)
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
-    legend = key_of(dataset, name, scale, dataset.unit or ("m" if by_height else ""), ", ".join(shapes.notes), sign,
-                    doubt, classes)  # fmt: skip
     full, tube = np.ones(len(at)), style == "tubes"
     level = at[:, [2, 5]] if tube else np.full((len(at), 2), np.nan)
     lift = np.where(np.isfinite(level[:, 0]), 0.0, size / 2) if tube else -SUNK * size * full
     return Things(
         np.full(len(at), STYLES[style], np.int8), at[:, 0], at[:, 1], lift, size / 2 * full,
-        (size if tube else (1 + SUNK) * size) * full, colored(values, u, scale, sign), values, legend,
+        (size if tube else (1 + SUNK) * size) * full, rgb, values, legend,
         np.column_stack([level[:, 0], at[:, 3:5], level[:, 1]]),
     )  # fmt: skip
 
 
-def _pieces(shapes: Shapes, step: float) -> tuple[Array, NDArray[np.int64]]:
+def pieces(shapes: Shapes, step: float) -> tuple[Array, NDArray[np.int64]]:
     """Pieces of lines no longer than ``step``: (n, 6) x, y, z of both ends, and their features (n,)."""
     found, owners = [], []
     for k, owner in enumerate(shapes.owner):

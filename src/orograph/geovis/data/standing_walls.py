@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from orograph.geo.grid import Grid
 from orograph.geovis.data.signs import INK
 from orograph.geovis.data.standing import Kind, Things, longer
+from orograph.geovis.data.standing_sections import Filling
 from orograph.geovis.keys import Legend
 
 Array = NDArray[np.float64]
@@ -41,21 +42,24 @@ def plain(x: Array, y: Array) -> Colors:
     return np.tile(np.asarray(PLAIN, np.float32), (len(x), 1))
 
 
-def walls(grid: Grid, span: tuple[float, float], step: float, ground: Ground, paint: Paint) -> Things:
+def walls(
+    grid: Grid, span: tuple[float, float], step: float, ground: Ground, paint: Paint, filling: Filling | None = None
+) -> Things:
     """The walls, and where the two sections run on the ground.
 
     Args:
         span: the least and the greatest height. step: metres between lines of height.
         ground: heights (n,) at places (n,), NaN where there are none. paint: linear colours (n, 3) there.
+        filling: a volume's sections along ``middle_lines(grid, COLUMNS)``, shown over and in the ground.
     """
     low, high = span
     top = high + OVER * (high - low)
     right, bottom = grid.cols - 1.0, grid.rows - 1.0
-    gap_x, gap_y = (GAP * longer(grid) / s for s in _spacing(grid))
+    gap_x, gap_y = (GAP * longer(grid) / s for s in grid.spacing)
     part = np.linspace(0.0, 1.0, COLUMNS + 1)
     found = []
     # Sections along a row and along a column through the middle; of each the two walls, by their row or column.
-    for along_row, places in ((True, (-gap_y, bottom + gap_y)), (False, (-gap_x, right + gap_x))):
+    for number, (along_row, places) in enumerate(((True, (-gap_y, bottom + gap_y)), (False, (-gap_x, right + gap_x)))):
         u, v = part * (right if along_row else bottom), np.full(len(part), (bottom if along_row else right) / 2)
         x, y = grid.xy(*((u, v) if along_row else (v, u)))
         heights = ground(x, y)
@@ -63,7 +67,7 @@ def walls(grid: Grid, span: tuple[float, float], step: float, ground: Ground, pa
         colors = paint((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2)
         found.append(_trace(x, y, heights, longer(grid) / 2200))
         for place in places:
-            out = math.copysign(1.0, place) * BEHIND * longer(grid) / _spacing(grid)[1 if along_row else 0]
+            out = math.copysign(1.0, place) * BEHIND * longer(grid) / grid.spacing[1 if along_row else 0]
 
             def at(layer: int, place: float = place, out: float = out, u: Array = u, row: bool = along_row) -> Array:
                 """(m, 2) places along the wall, of one of its layers."""
@@ -72,21 +76,30 @@ def walls(grid: Grid, span: tuple[float, float], step: float, ground: Ground, pa
 
             middle = np.array(grid.xy(np.array([right / 2]), np.array([bottom / 2])))[:, 0]
             known = np.isfinite(level)
-            thick = 0.012 * (top - low)
+            thick = (0.012 if filling is None else 0.005) * (top - low)
             found.append(_panels(at(0), np.full(COLUMNS, low), level, colors, middle, known))
             found.append(_panels(at(1), level, level + thick, np.asarray(INK), middle, known))
-            ends = at(2)[[0, -1]]
+            if filling is not None:
+                found.append(_filled(at(-1), filling, number, middle))
+            ends = at(2 if filling is None else -2)[[0, -1]]
             for height in np.arange(math.ceil(low / step), math.floor(top / step) + 1) * step:
                 rule = np.array([height])
                 found.append(_panels(ends, rule - thick / 4, rule + thick / 4, np.asarray(RULE), middle))
             found.append(_panels(at(3)[[0, -1]], np.array([low]), np.array([top]), np.asarray(BACK), middle))
+    if filling is not None:
+        found.append(Things.plain(filling.legend))
     return Things.joined([*found, _note(step)])
 
 
-def _spacing(grid: Grid) -> tuple[float, float]:
-    """Metres from column to column and from row to row."""
-    a, b, _, d, e, _ = grid.transform[:6]
-    return float(np.hypot(a, d)), float(np.hypot(b, e))
+def _filled(line: Array, filling: Filling, number: int, middle: Array) -> Things:
+    """A section's cells on a wall along a line (m, 2)."""
+    cut = filling.cuts[number]
+    start, end = line[cut.column], line[cut.column + 1]
+    way, inward = line[-1] - line[0], middle - line[0]
+    if way[0] * inward[1] - way[1] * inward[0] < 0:
+        start, end = end, start
+    made = _made(Kind.PANEL, start, np.column_stack([cut.low, end, cut.top]), 0.0, filling.rgb[number])
+    return made.but(values=cut.values)
 
 
 def _panels(line: Array, low: Array, top: Array, rgb: Colors | Array, middle: Array, known: Any = None) -> Things:
@@ -110,10 +123,7 @@ def _trace(x: Array, y: Array, heights: Array, radius: float) -> Things:
 
 def _note(step: float) -> Things:
     """No thing, but what the legend says of walls."""
-    nothing = _made(Kind.PANEL, np.empty((0, 2)), np.empty((0, 4)), 0.0, np.empty((0, 3)))
-    note = f"walls: sections through the middle, lines every {step:g} m"
-    return Things(nothing.kind, nothing.x, nothing.y, nothing.lift, nothing.radius, nothing.height, nothing.rgb,
-                  nothing.values, Legend(note=note), nothing.ends)  # fmt: skip
+    return Things.plain(Legend(note=f"walls: sections through the middle, lines every {step:g} m"))
 
 
 def _made(kind: Kind, place: Array, ends: Array, radius: float, rgb: Any) -> Things:

@@ -12,7 +12,7 @@ struct Shade {
   extinction: vec4<f32>,    // per metre; w: depth where the air begins
   mist: vec4<f32>,          // w: how fast it fades
   disc: vec4<f32>,          // radiance of the sun's disc; w: 1 if there is a sky
-  tint: vec4<f32>,          // low, high, floor (metres)
+  tint: vec4<f32>,          // low, high, floor (metres); w: up to where all ground is water (metres; far below all of it: found instead)
   contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
   edge: vec4<f32>,          // of silhouettes: color, opacity
@@ -23,7 +23,7 @@ struct Shade {
   land_at: u32, land_count: u32,
   sea_at: u32, sea_count: u32,
   levels: u32, flags: u32,
-  searched: vec4<i32>,      // the samples (from column, row, to column, row) where it is known what of level ground is water
+  searched: vec4<i32>,      // the samples (from column, row, to column, row) where the map of water is
   light: vec4<i32>,         // the map of light: offset, rows, cols, level
   light_first: vec2<i32>,   // its first block (row, col)
   windows: u32, hatch: u32,
@@ -192,6 +192,16 @@ struct Ground {
   wet: f32,             // how much of it is water
 };
 
+// Whether water is all ground up to a height, and not what is level.
+fn is_flooded() -> bool {
+  return shade.tint.w > -1e30;
+}
+
+// Whether a place lies beyond the map of water.
+fn beyond(at: Place) -> bool {
+  return any(at.whole < shade.searched.xy) || any(at.whole >= shade.searched.zw);
+}
+
 // Colour of ground at a place, seen over a footprint (samples).
 fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f32, pixel: vec2<i32>) -> Ground {
   var g: vec2<f32>;
@@ -239,6 +249,10 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
     wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
     wet = wet * wet * (3.0 - 2.0 * wet);
     albedo = mix(albedo, shade.water.rgb, wet);
+  }
+  if (is_flooded() && beyond(at)) {
+    wet = smoothstep(0.5 - shade.water.w, 0.5 + shade.water.w, shade.tint.w + 0.5 + shade.water.w - height);
+    albedo = mix(tint_of(height), shade.water.rgb, wet);
   }
   if ((FLAGS & 4u) != 0u) {
     albedo = under_layers(albedo, position.xy, footprint_of(vec2<f32>(pixel) + 0.5, position, depth, g));
@@ -306,6 +320,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let pixel = vec2<i32>(at.xy);
   let stored = textureLoad(depths, pixel, 0);
   let mark = textureLoad(marks, pixel, 0).r;
+  if ((mark & 8u) != 0u) {   // as it is: surface_rays.wgsl
+    discard;
+  }
   let ray = ray_of(at.xy);
   let d = normalize(ray.direction);
   let hit = hit_at(stored, ray);
@@ -315,8 +332,7 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     return hatched(at.xy, d, depth);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
-  let beyond = any(hit.place.whole < shade.searched.xy) || any(hit.place.whole >= shade.searched.zw);
-  if (beyond && all(seen.slope == vec2<f32>(0.0))) {   // a lake, or level ground
+  if (!is_flooded() && beyond(hit.place) && all(seen.slope == vec2<f32>(0.0))) {   // a lake, or level ground
     return hatched(at.xy, d, depth);
   }
   var color = seen.color;

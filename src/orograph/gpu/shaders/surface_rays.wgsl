@@ -5,6 +5,10 @@
 const BEAM: u32 = {{BEAM}}u;
 
 @group(1) @binding(2) var<storage, read> starts: array<f32>;   // ray_beams.wgsl
+@group(1) @binding(3) var<storage, read> breaks: array<u32>;   // ray_breaks.wgsl
+
+const BREAKS: u32 = {{BREAKS}}u;   // 1: rays are cast at breaks only
+const LEFT_OUT: u32 = 8u;            // of marks: no ray was cast here
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
@@ -47,14 +51,24 @@ fn marked(hit: Found) -> u32 {
   return select((stack.windows[hit.window].level << 8u) | 5u, 0u, hit.t >= NEVER);
 }
 
+fn left_out(pixel: vec2<f32>) -> bool {
+  return BREAKS == 1u && breaks[u32(pixel.y) * u32(camera.size.x) + u32(pixel.x)] == 0u;
+}
+
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> Pixel {
+  if (left_out(at.xy)) {
+    return Pixel(1.0, LEFT_OUT);   // nothing is drawn in front of it
+  }
   let hit = hit_of(at.xy, way_of(at.xy));
   return Pixel(stored_depth(hit.t), marked(hit));
 }
 
 @fragment
 fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
+  if (left_out(at.xy)) {
+    return Sloped(1.0, LEFT_OUT, vec2<f32>(0.0));
+  }
   let way = way_of(at.xy);
   let hit = hit_of(at.xy, way);
   if (hit.t >= NEVER) {

@@ -7,13 +7,20 @@
 @group(0) @binding(2) var<storage, read_write> chosen: array<vec2<i32>>;
 @group(0) @binding(3) var<storage, read> features: array<i32>;
 @group(0) @binding(4) var<storage, read> similar: array<vec2<i32>>;
+// when: STEERED
+// What the terrain is like at places, and the exemplar: slopes along columns and rows, and a curvature.
+@group(0) @binding(5) var<storage, read> guide: array<i32>;
+@group(0) @binding(6) var<storage, read> guides: array<i32>;
 
-fn hashed(x: i32, y: i32, seed: i32) -> u32 {
-  var h = bitcast<u32>(x) * 0x9E3779B1u + bitcast<u32>(y) * 0x85EBCA77u + bitcast<u32>(seed) * 0xC2B2AE3Du;
-  h = (h ^ (h >> 16u)) * 0x21F0AAADu;
-  h = (h ^ (h >> 15u)) * 0x735A2D97u;
-  return h ^ (h >> 15u);
+// How far a place is from being like a coordinate of the exemplar, whose mirror images have mirrored slopes.
+fn unlike(here: i32, at: vec2<i32>) -> u32 {
+  let there = 3 * placed(at);
+  let x = guide[3 * here] - select(guides[there], -guides[there], at.x >= run.cols);
+  let y = guide[3 * here + 1] - select(guides[there + 1], -guides[there + 1], at.y >= run.rows);
+  let z = guide[3 * here + 2] - guides[there + 2];
+  return u32(x * x + y * y + z * z);
 }
+// end: STEERED
 
 fn shaken(bits: u32) -> i32 {
   return (run.step * run.reach * (i32(bits & 0x1FFFu) - 4096) + 0x80000) >> 20u;
@@ -34,6 +41,31 @@ fn upsample(@builtin(global_invocation_id) id: vec3<u32>) {
   let y = parent.y + run.step * (r & 1) + shaken(h >> 16u);
   chosen[i * run.width + j] = vec2<i32>(wrapped(x, run.cols), wrapped(y, run.rows));
 }
+
+// when: STEERED
+const TRIES = {{TRIES}};
+
+// Of some random places of the exemplar's plane the one that is most like the terrain.
+@compute @workgroup_size(8, 8)
+fn begin(@builtin(global_invocation_id) id: vec3<u32>) {
+  let j = i32(id.x);
+  let i = i32(id.y);
+  if (i >= run.height || j >= run.width) {
+    return;
+  }
+  let here = i * run.width + j;
+  var least = 0xFFFFFFFFu;
+  for (var n = 1; n <= TRIES; n++) {
+    let h = hashed(run.left + j, run.top + i, run.seed + 104729 * n);
+    let at = vec2<i32>(vec2<u32>(h & 0xFFFFu, h >> 16u) * vec2<u32>(vec2<i32>(2 * run.cols, 2 * run.rows)) >> vec2<u32>(16u));
+    let d = unlike(here, at);
+    if (d < least) {
+      least = d;
+      chosen[here] = at;
+    }
+  }
+}
+// end: STEERED
 
 fn straddles(x: i32, size: i32, reach: i32) -> bool {
   let r = folded(x, size);
@@ -84,6 +116,9 @@ fn correct(@builtin(global_invocation_id) id: vec3<u32>) {
       weight *= 4u;
     }
     var d = 0u;
+    // when: STEERED
+    d = 8u * unlike(here, at);
+    // end: STEERED
     for (var k = 0; k < 25; k++) {
       let e = around[k] - features[placed(at + run.step * vec2<i32>(k % 5 - 2, k / 5 - 2))];
       d += u32(e * e);

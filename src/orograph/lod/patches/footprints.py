@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orograph.error.screen import camera_parameters
 from orograph.geo.grid import Grid
 from orograph.lod.patches.shape import STEPS
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Screen(NamedTuple):
     @classmethod
     def of(cls, view: View, grid: Grid, exaggeration: float, side: int) -> Screen:
         """Of a view."""
-        lens = camera_parameters(view, grid, exaggeration=exaggeration)
+        lens = camera_parameters(Camera.over(grid, view, exaggeration))
         plan = view.projection == "plan"
         left, top, width, height = view.frame
         w = np.array([0.0, 0.0, 0.0, 1.0] if plan else lens.depth)

@@ -54,7 +54,7 @@ class PatchTerrain:
 
 def cell_size(terrain: Terrain) -> float:
     """c, metres: no edge of the hierarchy's triangles of level λ is longer than c · √2^(2n − λ + 1)."""
-    a, b, _, d, e, _ = terrain.grid.samples[:6]
+    (a, b), (d, e) = terrain.chart.linear.tolist()
     sides = math.hypot(a, d), math.hypot(b, e)
     diagonals = math.hypot(a + b, d + e), math.hypot(a - b, d - e)
     return max(*sides, max(diagonals) / math.sqrt(2))

@@ -71,13 +71,13 @@ class Roam(RightTriangleMeshes):
             outside = 0.0 if self.cull else 1.0
         demands = [[terms.OBJECT, *place, o.object_tolerance, 0.0, 0.0] for place in o.objects]
         demands += [[terms.LINE, *p, *q] for p, q in o.line_of_sight]
-        a, b, _, d, e, _ = self.terrain.grid.samples[:6]
-        inverse = np.linalg.inv([[a, b], [d, e]])
+        linear = self.terrain.chart.linear
+        inverse = np.linalg.inv(linear)
         self._terms = terms.Terms(
             np.array(demands, np.float64).reshape(-1, 7), NO_BLOCKS,
             np.zeros((terms.SECTORS, terms.RINGS) if o.occluded < 1 else (1, 1), np.float32), np.zeros(5),
             np.array([o.back_facing, o.silhouette, o.occluded, outside]),
-            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1.0]), np.array([a, b, d, e]),
+            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1.0]), linear.ravel(),
         )  # fmt: skip
         if o.back_facing < 1 or o.silhouette > 1 or o.occluded < 1:
             self._terms = self._terms._replace(blocks=blocks_of(self.terrain, self.resources.max_memory // SHARE))

@@ -28,7 +28,7 @@ def color_a_hill(light: str) -> None:
     x = np.linspace(-2, 2, SIDE)
     heights = (300 * np.exp(-np.add.outer(x * x, x * x))).astype(np.float32)
     heights[20:28, 20:28] = heights[20:28, 20:28].min()  # a lake, that water is looked for
-    terrain = MemoryTerrain(heights, Grid(heights.shape, Affine.translation(0, 0) @ Affine.scale(30, -30)), "hill")
+    terrain = MemoryTerrain(heights, Grid(heights.shape, Affine.scale(30, -30)), "hill")
     view = whole(terrain, (SIDE, SIDE))
     scene = Scene.of(terrain, view, light=light)
     ground = Ground.load(scene)

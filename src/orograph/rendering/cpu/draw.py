@@ -8,8 +8,9 @@ colour is linear light until the last step.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,18 +19,20 @@ from numpy.typing import NDArray
 from orograph.compiling import while_compiling
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.color import linear_to_srgb
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.memo import Memo
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress, Task
-from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
+from orograph.rendering.cpu.ground import LEAST_MEMORY, Cast, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
 from orograph.rendering.describing import describe
-from orograph.rendering.gbuffer import Area
+from orograph.rendering.gbuffer import Area, Surface
 from orograph.rendering.jitter import pattern
 from orograph.rendering.lines.ground_grid import label, lay
 from orograph.rendering.lines.silhouettes import Outlines, rim
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture, plan_grid
+from orograph.rendering.projection import Projection
 from orograph.rendering.survey import Survey
 from orograph.scene.aids import interval_of
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
@@ -57,8 +60,9 @@ EDGES = 1 << 12
 
 
 def draw(
-    scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None, memo: Memo | None = None
-) -> Picture:
+    scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None, memo: Memo | None = None,
+    cast: Cast | None = None,
+) -> Picture:  # fmt: skip
     """Draw ``scene``. A tile of a view (``View.tile``) is drawn as it is in the whole picture, to the bit.
 
     Args:
@@ -66,6 +70,7 @@ def draw(
         progress: hears of it.
         mesh: a tessellation of the scene's terrain to draw, instead of having the scene's method make one.
         memo: what earlier pictures left: give the same for all frames of a movie and all tiles of a picture.
+        cast: makes the surface that is seen, if that is not done here (``sort_last``).
 
     Raises:
         NothingInViewError: no valid terrain is in view; the message says what to change.
@@ -84,7 +89,7 @@ def draw(
     for warning in facts["warnings"]:
         progress.warn(warning)
     if scene.surface.detail is not None:
-        from orograph.rendering.cpu.detail import detailed
+        from orograph.rendering.detail import detailed
 
         scene, facts["detail"] = detailed(scene, memo, progress)
     subject = _Subject(scene)
@@ -98,12 +103,14 @@ def draw(
     if meshed:
         subject = _meshed(scene, mesh, memo, methods, progress)
         assert subject.mesh is not None
+        if cast is not None:  # (what is drawn from here on has another tolerance than the mesh)
+            cast = partial(_cast_mesh, cast, scene)
         facts["mesh"] = {
             "method": scene.surface.method, "triangles": len(subject.mesh.triangles), **subject.mesh.stats
         }  # fmt: skip
         clock.lap("mesh")
     with while_compiling("orograph.rendering.cpu.ahead", scene.lighting.light):
-        ground = _ground(subject, memo, progress)
+        ground = _ground(subject, memo, progress, cast)
         clock.lap("heights")
         canvas = _Canvas(subject, ground, memo, progress, clock)
     facts |= canvas.facts
@@ -114,6 +121,13 @@ def draw(
         pixels, depth.astype(np.float32), view, facts, place, void_filled if void_filled.any() else None,
         canvas.shader.tint, scene.terrain.grid.crs, scene.surface.exaggeration, scene.attribution,
     )  # fmt: skip
+
+
+def _cast_mesh(
+    cast: Cast, scene: Scene, _: Scene, windows: Sequence[Rectangle] | None, projection: Projection
+) -> Surface:  # fmt: skip
+    """The surface of the mesh that a scene's method makes."""
+    return cast(scene, None, projection)
 
 
 class _Clock:
@@ -163,13 +177,13 @@ def _meshed(
     return _Subject(drawn, surface, bare, made)
 
 
-def _ground(subject: _Subject, memo: Memo, progress: Progress) -> Ground:
+def _ground(subject: _Subject, memo: Memo, progress: Progress, cast: Cast | None = None) -> Ground:
     """The ground of a picture, within its budget of memory; it is said where that is not enough."""
     scene = subject.scene
     with progress.task("Reading heights" if scene.surface.detail is None else "Making detail"):
         # Edges of a mesh that was made for another camera are drawn over the ground that it leaves out, too.
         elsewhere = scene.surface.wireframe and scene.surface.mesh_view is not None
-        ground = Ground.load(scene, subject.surface, memo, subject.bare, None if elsewhere else subject.mesh)
+        ground = Ground.load(scene, subject.surface, memo, subject.bare, None if elsewhere else subject.mesh, cast)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -317,10 +331,10 @@ class _Canvas:
         return pixels, depth, void_filled
 
 
-def session() -> Callable[[Scene], Picture]:
-    """Draws scene after scene, and keeps what they have in common (``memo``)."""
+def session(cast: Cast | None = None) -> Callable[[Scene], Picture]:
+    """Draws scene after scene, and keeps what they have in common (``memo``). ``cast``: as of ``draw``."""
     memo = Memo()
-    return lambda scene: draw(scene, memo=memo)
+    return lambda scene: draw(scene, memo=memo, cast=cast)
 
 
 def frame(scene: Scene) -> Area:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from orograph.rendering.rays import Hits, Rays
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
+from orograph.viewpoint import Camera
 
 Array = NDArray[np.float64]
 
@@ -46,6 +48,9 @@ FIXED_MEMORY = 300 << 20
 
 MEAN_BYTES = 4 * 4 / 3
 """Of a sample of means, with the coarser levels around it."""
+
+Cast = Callable[[Scene, "Sequence[Rectangle] | None", Projection], Surface]
+"""Makes what a camera sees of a scene: of these windows of heights, or (None) of the mesh that its method makes."""
 
 LEAST_MEMORY = 24 << 20
 """Bytes of heights that are loaded even where --max-memory leaves no room for them."""
@@ -90,43 +95,56 @@ class Ground:
 
     def __init__(
         self, scene: Scene, surface: Terrain, windows: Sequence[Rectangle], tolerance: float, memo: Memo,
-        mesh: Tessellation | None = None,
+        mesh: Tessellation | None = None, cast: Cast | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
-        self.scene, self.tolerance = scene, tolerance
+        self.scene, self.tolerance, self._surface, self._memo = scene, tolerance, surface, memo
         self.bare = scene
         self.under: Ground | None = None
         self.windows = windows
         shape, jobs = terrain.grid.shape, scene.budget.jobs
-        self.caster = memo(
-            "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
-        )
         means = means_of(scene, terrain)
         self.relief = memo("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
         self.drawn = self.own = self.relief
-        self.single = copy.copy(self.caster)
-        self.single.jobs = 1
-        self.rays = Rays(scene, self._seen(scene, mesh, memo))
+        self.rays = Rays(scene, self._seen(scene, mesh, memo, cast))
         if scene.annotations.silhouettes is not None:
             self.ends = memo("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
-        grid = terrain.grid
-        linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
-        self.linear = linear  # metres east and north per column and per row
+        self.linear = linear = terrain.chart.linear  # metres east and north per column and per row
         self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
         self.to_samples = np.linalg.inv(linear)
 
-    def _seen(self, scene: Scene, mesh: Tessellation | None, memo: Memo) -> Surface:
+    @cached_property
+    def caster(self) -> Caster:
+        """Of the windows' heights, which are loaded when something first asks for them."""
+        jobs, windows, surface = self.scene.budget.jobs, self.windows, self._surface
+        shape = self.scene.terrain.grid.shape
+        return self._memo(
+            "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
+        )
+
+    @cached_property
+    def single(self) -> Caster:
+        """The same for the calling thread alone."""
+        single = copy.copy(self.caster)
+        single.jobs = 1
+        return single
+
+    def _seen(self, scene: Scene, mesh: Tessellation | None, memo: Memo, cast: Cast | None) -> Surface:
         """What the camera looks at: a mesh's triangles, or the caster's heights, behind patches over missing data."""
-        view, grid, jobs = scene.view.whole, scene.terrain.grid, scene.budget.jobs
-        projection = Projection.of(view, grid, scene.surface.exaggeration)
-        seen: Surface = RaySurface(self.caster, projection)
-        if mesh is not None:
+        view, jobs = scene.view.whole, scene.budget.jobs
+        projection = Projection.of(Camera(view, scene.terrain.chart, scene.surface.exaggeration))
+        seen: Surface
+        if cast is not None:
+            seen = cast(scene, self.windows, projection)
+        elif mesh is None:
+            seen = RaySurface(self.caster, projection)
+        else:
             known = view, scene.surface.exaggeration, jobs
             seen = memo(
                 "triangles", known, lambda: MeshSurface(mesh.vertices, mesh.triangles, projection, jobs), mesh
             )  # fmt: skip
         if scene.terrain.valid_fraction < 1:
-            shape = grid.shape
+            shape = scene.terrain.grid.shape
             found = memo("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
             if found:
                 over = memo("over", jobs, lambda: Caster(found, shape, jobs), found)
@@ -136,7 +154,7 @@ class Ground:
     @classmethod
     def load(
         cls, scene: Scene, surface: Terrain | None = None, memo: Memo | None = None, bare: Scene | None = None,
-        mesh: Tessellation | None = None,
+        mesh: Tessellation | None = None, cast: Cast | None = None,
     ) -> Ground:  # fmt: skip
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
 
@@ -145,6 +163,7 @@ class Ground:
             memo: what earlier pictures left.
             bare: of a mesh, the scene of the terrain itself, which contour lines are of.
             mesh: what the camera sees, if not the heights.
+            cast: makes the surface that the camera sees, if it is not made here.
         """
         memo = Memo() if memo is None else memo
         if bare is not None:
@@ -154,7 +173,7 @@ class Ground:
                 if both and scene.budget.max_memory
                 else scene.budget.max_memory
             )
-            ground = cls.load(scene.but(contours=None, max_memory=half), surface, memo, mesh=mesh)
+            ground = cls.load(scene.but(contours=None, max_memory=half), surface, memo, mesh=mesh, cast=cast)
             ground.bare = bare
             if scene.annotations.silhouettes is not None and scene.terrain is not bare.terrain:
                 means = means_of(scene, bare.terrain)
@@ -185,14 +204,14 @@ class Ground:
         bytes_per_sample = 4 * (1 + 5 / 12) + 4
         budget = budget_of(scene) - MEAN_BYTES * sum(r.samples for r in means_of(scene, terrain))
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
-            return cls(scene, terrain, [Rectangle.whole(0, (rows, cols))], 0.0, memo, mesh)
+            return cls(scene, terrain, [Rectangle.whole(0, (rows, cols))], 0.0, memo, mesh, cast)
         tolerance = tolerance or 0.05
         while True:
             chosen = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, tolerance, by=by)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
-                return cls(scene, terrain, chosen, tolerance, memo, mesh)
+                return cls(scene, terrain, chosen, tolerance, memo, mesh, cast)
             tolerance *= 1.25
 
     def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:

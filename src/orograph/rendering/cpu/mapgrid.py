@@ -48,8 +48,7 @@ class MapGrid:
         terrain = scene.terrain
         self.window = window = working_window(terrain, survey.hits.points)
         self.scale, self.row0, self.col0 = 2.0**window.level, window.row0, window.col0
-        t = terrain.grid.transform
-        linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
+        linear = terrain.chart.linear * self.scale
 
         def sky() -> NDArray[np.float32]:
             heights = terrain.read_mean(*window)
@@ -128,8 +127,7 @@ def strength_of(scene: Scene, window: Rectangle) -> float:
         window: the ground, as ``working_window`` has it.
     """
     heights = scene.terrain.read_mean(*window)
-    t = scene.terrain.grid.transform
-    linear = np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**window.level
+    linear = scene.terrain.chart.linear * 2.0**window.level
     rows, cols = heights.shape
     if rows < 3 or cols < 3:
         return 1.0

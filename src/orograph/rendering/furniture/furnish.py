@@ -60,19 +60,23 @@ MOST_INSET = 0.3
 
 
 def insets(
-    size: tuple[int, int], own: Sequence[str] = (), layers: Sequence[Layer] = ()
+    size: tuple[int, int], own: Sequence[str] = (), layers: Sequence[Layer] = (), keys: Sequence[Legend] = ()
 ) -> tuple[float, float, float, float]:
     """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
 
     Args:
-        own: whom the makers of the heights want to be named. layers: what lies over the ground.
+        own: whom the makers of the heights want to be named. layers: what lies over the ground. keys: what else the
+            legend is known to say.
 
     The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
     """
     credit = "; ".join(attributed(own, layers)) or None
     scales = [replace(USUAL.scales[0], label=one.title) for one in drawn(layers) if one.colormap is not None]
     scales += [scale for one in drawn(layers) if one.key is not None for scale in one.key.scales]
-    usual = replace(USUAL, scales=(*USUAL.scales, *scales))
+    scales += [scale for one in keys for scale in one.scales]
+    named = [words for one in keys for words in (*one.classes, *one.swatches)]
+    squares = tuple(square for one in keys for square in one.squares)
+    usual = Legend((*USUAL.scales, *scales), (*USUAL.swatches, *named), squares=squares)
     style = Style.of(size, credit or "")
     far = 100 * max(size)
     title = heading("A", None, style, far)

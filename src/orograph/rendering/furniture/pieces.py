@@ -96,7 +96,8 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
 def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, bar: float, tip: float) -> None:
     """Add a scale whose bar begins at ``top``: its words, colours, ends and ticks. The piece grows with it."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
-    words = cut(style.text(scale.words), small, WIDEST * u, style)
+    unit = f" {style.text(f'({scale.unit})')}" if scale.unit else ""  # (it is never cut off)
+    words = cut(style.text(scale.label), small, WIDEST * u - length(small, unit), style) + unit
     piece.texts.append((pad, top - (tip if scale.above else 0.0) - 0.63 * u, words, small, GREY, "ls"))
     table, line = _bytes(scale.colors), style.hair / 2
     piece.ramps.append((pad, top, pad + bar, top + tall, table))

@@ -64,7 +64,7 @@ def camera_of(
     right, up, forward, centre = axes_of(view, exaggeration, shift)
     plan = view.projection == "plan"
     pixel = view.pixel_metres if plan else view.pixel_slope
-    a, b, _, d, e, _ = grid.samples[:6]
+    (a, b), (d, e) = terrain.chart.linear.tolist()
     area = a * e - b * d
     col, row = (float(v) for v in grid.index(*(view.target if plan else view.eye)[:2]))
     high = float(np.float32(view.eye[2]))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.layers import drawn as visible
 from orograph.gpu.device import Device, open_device
+from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.describing import describe
 from orograph.rendering.furniture.furnish import furnish
@@ -48,8 +49,6 @@ def _check(scene: Scene, device: Device, around: View) -> None:
     Args:
         around: the view with the rim that is drawn around it.
     """
-    if scene.surface.detail is not None:
-        raise UsageError("The GPU draws no `detail` beyond the data.", remedy='Use `backend="cpu"`.')
     view = scene.view
     if view.part is not None and scene.annotations.furniture:
         raise UsageError("A tile has no furniture: that belongs to the whole picture.")
@@ -68,6 +67,7 @@ def draw(
     device: Device | None = None,
     renderer: Renderer | None = None,
     overlay: Overlay = PLAIN,
+    memo: Memo | None = None,
 ) -> Picture:
     """Draw ``scene`` on a GPU.
 
@@ -77,6 +77,7 @@ def draw(
         device: where; None: the best there is.
         renderer: of the scene's terrain, to use again for several pictures; None: one for this picture.
         overlay: what is drawn besides.
+        memo: keeps detail beyond the data; a renderer for it has that terrain (``ground_of``).
 
     Raises:
         NoAdapterError: there is no GPU.
@@ -88,6 +89,9 @@ def draw(
     view, whole = scene.view, scene.view.part is None
     around, own_pixels = rimmed(scene)
     _check(scene, device, around)
+    warnings = diagnose(scene.but(view=around)) if around.frame[:2] == (0, 0) else []  # of tiles, the first
+    description = describe(scene)
+    scene, detail = ground_of(scene, device, Memo() if memo is None else memo, progress)
     scene = scene.but(view=around)
     if scene.surface.tolerance is None and scene.surface.triangles is None:
         scene = scene.but(tolerance=TOLERANCE)
@@ -96,12 +100,13 @@ def draw(
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
     if scene.surface.normals != "auto":
         overlay = replace(overlay, normals=scene.surface.normals)
-    warnings = diagnose(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
     allowed = scene.budget.max_memory
     if not whole and device.adapter.software and allowed is not None and allowed < TILED:
         warnings.append(f"A software driver takes about {TILED >> 20} MiB, more than `max_memory` allows.")
     for warning in warnings:
         progress.warn(warning)
+    if renderer is not None and renderer.terrain is not scene.terrain:
+        renderer = None  # of the data, where there is detail
     own = renderer is None
     renderer = renderer or renderer_of(device, scene)
     renderer.imagery.progress = progress
@@ -142,20 +147,34 @@ def draw(
     facts: dict[str, Any] = {
         "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
         "tolerance_px": scene.surface.tolerance, "light": renderer.light, "tiles": stats.tiles_resident,
-        "warnings": warnings, "description": describe(scene),
+        "warnings": warnings, "description": description,
         "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
-    mesh = renderer.mesh if renderer.tree is None else renderer.tree.tessellation()
+    mesh = renderer.mesh if renderer.resident is None else renderer.resident.tessellation()
     if mesh is not None:
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     if renderer.windows is not None:
         facts["rays"] = renderer.windows.stats
+    if detail:
+        facts["detail"] = detail
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(
         pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,
         scene.terrain.grid.crs, scene.surface.exaggeration, scene.attribution,
     )  # fmt: skip
+
+
+def ground_of(scene: Scene, device: Device, memo: Memo, progress: Progress = SILENT) -> tuple[Scene, dict[str, Any]]:
+    """A scene over the terrain that is drawn, and what there is to say of its detail beyond the data; {} without.
+
+    Raises: as ``rendering.detail.detailed``.
+    """
+    if scene.surface.detail is None:
+        return scene, {}
+    from orograph.rendering.detail import detailed
+
+    return detailed(scene, memo, progress, device)
 
 
 def _adorned(
@@ -222,12 +241,14 @@ def session() -> Callable[[Scene], Picture]:
     """
     device = open_device()
     held: list[Renderer] = []
+    memo = Memo()
 
     def drawn(scene: Scene) -> Picture:
-        if not held or held[0].terrain is not scene.terrain:
+        ground, _ = ground_of(scene, device, memo)
+        if not held or held[0].terrain is not ground.terrain:
             for renderer in held:
                 renderer.close()
-            held[:] = [renderer_of(device, scene)]
-        return draw(scene, device=device, renderer=held[0])
+            held[:] = [renderer_of(device, ground)]
+        return draw(scene, device=device, renderer=held[0], memo=memo)
 
     return drawn

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from orograph.rendering.gpu.surface.ground import Drawn
 
 Normals = Literal["computed", "stored", "sampled", "derivatives", "faces"]
 """Where the normal of the ground in a pixel comes from: see docs/gpu.md."""
@@ -69,3 +72,22 @@ class FrameStats:
     submit_ms: float = 0.0
     making: str = ""
     windows: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FrameChoice:
+    """What a frame draws.
+
+    Attributes:
+        ground: what of it. tolerance: that patches were chosen by, pixels. layers: on the ground.
+        lettered: whether contours are labelled. loaded: tiles that came for it, of so many ``bytes``.
+        state: two frames of one camera are one picture while it is the same.
+    """
+
+    ground: Drawn
+    tolerance: float
+    layers: Any
+    lettered: bool
+    loaded: int
+    bytes: int
+    state: tuple[Any, ...]

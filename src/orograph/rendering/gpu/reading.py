@@ -15,6 +15,7 @@ from orograph.rendering.gpu.readback import depth_of, void_filled_of
 from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
+from orograph.rendering.gpu.surface.chunks import DecodedChunks
 from orograph.rendering.gpu.surface.ground import Ground
 from orograph.rendering.gpu.surface.rays import CastWindows
 from orograph.rendering.gpu.surface.tree import TreeFrame
@@ -83,9 +84,15 @@ class Reading:
         return self._ground.mesh
 
     @property
+    def resident(self) -> TreeFrame | DecodedChunks | None:
+        """What the last frame drew of triangles that only the GPU has, and that can be had; None: something else."""
+        return self._ground.resident
+
+    @property
     def tree(self) -> TreeFrame | None:
-        """The tree that the last frame drew, whose triangles can be read back; None: it drew something else."""
-        return self._ground.tree
+        """The tree that the last frame drew; None: it drew something else."""
+        found = self.resident
+        return found if isinstance(found, TreeFrame) else None
 
     @property
     def windows(self) -> CastWindows | None:

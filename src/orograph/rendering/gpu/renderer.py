@@ -13,7 +13,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.recording import write
 from orograph.memo import Memo
 from orograph.rendering.gpu.camera import CAMERA, camera_of
-from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
+from orograph.rendering.gpu.frame import PLAIN, FrameChoice, FrameStats, Overlay
 from orograph.rendering.gpu.overview import Seen, overview
 from orograph.rendering.gpu.reading import Reading
 from orograph.rendering.gpu.shade.following import Following, maps_key
@@ -37,6 +36,7 @@ from orograph.rendering.gpu.stream.image_tiles import SIDE
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.chunks import DecodedChunks
 from orograph.rendering.gpu.surface.ground import Drawn, Ground
 from orograph.rendering.gpu.surface.left import Left
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
@@ -51,25 +51,6 @@ ATLASES = 1 << 29
 """Bytes of textures for tiles, where nobody says how many."""
 LATE, PASSED = 0.008, 3
 """A frame that took so many seconds until it was handed over looks not ahead, nor do the next ones, so many at most."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Choice:
-    """What a frame draws.
-
-    Attributes:
-        ground: what of it. tolerance: that patches were chosen by, pixels. layers: on the ground.
-        lettered: whether contours are labelled. loaded: tiles that came for it, of so many ``bytes``.
-        state: two frames of one camera are one picture while it is the same.
-    """
-
-    ground: Drawn
-    tolerance: float
-    layers: Any
-    lettered: bool
-    loaded: int
-    bytes: int
-    state: tuple[Any, ...]
 
 
 class Renderer(Reading):
@@ -156,12 +137,25 @@ class Renderer(Reading):
         self._flags, self._samples.gathered = flags, begin + count
         resolve = self._resolve(format)
         encoder = self.device.handle.create_command_encoder()
-        for k in range(begin, begin + count):
-            shift = self._samples.place(k, samples, (0.0, 0.0) if wait else self._antialiasing.shift)
-            encoder = self._pass(encoder, targets, scene, chosen.ground, group, flags, shift, k, samples, advance)
-            if k + 1 < begin + count:  # the camera is written before the next pass
-                self.device.queue.submit([encoder.finish()])
-                encoder = self.device.handle.create_command_encoder()
+        # The first pass is then at all pixels' centres, the others where depth breaks off (unless all need all pixels).
+        adaptive = chosen.ground.at_breaks and (samples or 1) > 1
+        adaptive = adaptive and not flags & (SILHOUETTES | RAYS) and not overlay.occlusion
+        passes = count + adaptive
+        for k in range(begin, begin + passes):
+            shift = self._samples.place(k - adaptive, samples, (0.0, 0.0) if wait else self._antialiasing.shift)
+            left = self._left._replace(edges=bool(flags & WIREFRAME), at_breaks=adaptive and k > 0)
+            encoder = self._pass(
+                encoder, targets, scene, chosen.ground, group, flags, shift, k, samples and passes, advance, left
+            )  # fmt: skip
+            if adaptive and k == 0:
+                self._ground.find_breaks(encoder, targets, view.projection == "plan")
+            if k + 1 < begin + passes:  # the camera is written before the next pass
+                encoder = self._submitted(encoder)
+        if adaptive:  # what others look at has all pixels
+            encoder = self._submitted(encoder)
+            write(self.device, self._camera, camera_of(view, self.terrain, scene.surface.exaggeration))
+            self._ground.draw(encoder, targets, chosen.ground, self._left)
+            self._void_fill.draw(encoder, targets)
         dark = None
         if overlay.occlusion > 0 and overlay.reach != 0:
             plan = view.projection == "plan"
@@ -237,7 +231,7 @@ class Renderer(Reading):
 
     # ---- parts of a frame ------------------------------------------------------------------------------------------
 
-    def _choose(self, scene: Scene, freeze: View | None, *, wait: bool) -> _Choice:
+    def _choose(self, scene: Scene, freeze: View | None, *, wait: bool) -> FrameChoice:
         """What a frame draws: patches or a mesh, layers, letters."""
         view = scene.view
         if wait and view.part is not None:
@@ -253,21 +247,21 @@ class Renderer(Reading):
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
         state = loaded, layers, len(ground.patches.instances), ground.state, self._letters.state
         size = tiles.bytes + 4 * SIDE**2 * self.imagery.loaded + self._ground.growing.came
-        return _Choice(ground, tolerance, layers, bool(lettered), loaded, size, state)
+        return FrameChoice(ground, tolerance, layers, bool(lettered), loaded, size, state)
 
     def _shaded(
-        self, scene: Scene, overlay: Overlay, targets: Targets, chosen: _Choice, *, wait: bool
+        self, scene: Scene, overlay: Overlay, targets: Targets, chosen: FrameChoice, *, wait: bool
     ) -> tuple[Any, int]:  # fmt: skip
         """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
-        view, maps, mesh, tree = scene.view, self._light.maps, chosen.ground.mesh, chosen.ground.tree
+        view, maps, mesh, resident = scene.view, self._light.maps, chosen.ground.mesh, chosen.ground.resident
         assert maps is not None
         slopes = SLOPES[overlay.normals]
         given = bool(slopes)
-        coarse = mesh is not None or tree is not None
+        coarse = mesh is not None or resident is not None
         field = coarse and scene.annotations.contours is not None  # lines are the terrain's
         if wait:
-            if tree is not None and overlay.normals == "faces" and casts(scene):
-                mesh = tree.tessellation()
+            if resident is not None and overlay.normals == "faces" and casts(scene):
+                mesh = resident.tessellation()
             self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
         else:
             self._around.aside(scene)
@@ -306,7 +300,7 @@ class Renderer(Reading):
         self._light.go_on()
         return time.perf_counter() - begun
 
-    def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
+    def _told(self, scene: Scene, chosen: FrameChoice, to_submit: float, after: float) -> FrameStats:
         """What a frame took: seconds of Python until it was handed over, and after that."""
         patches, mesh, rays = chosen.ground.patches, chosen.ground.mesh, chosen.ground.rays
         there, bound = chosen.ground.drawn, patches.stats["pixels"]
@@ -315,8 +309,10 @@ class Renderer(Reading):
             triangles, bound = len(mesh.triangles), scene.surface.tolerance or 1.0
         elif rays is not None:
             bound = max(rays.bound, bound) if there else rays.bound
-        elif chosen.ground.tree is not None:
-            counts, bound = self._ground.growing.counts, chosen.ground.tree.reached
+        elif isinstance(chosen.ground.resident, DecodedChunks):
+            triangles, bound = chosen.ground.resident.triangles, scene.surface.tolerance or 1.0
+        elif chosen.ground.resident is not None:
+            counts, bound = self._ground.growing.counts, chosen.ground.resident.reached
             triangles = patches.stats["triangles"] if counts is None else counts.triangles
         return FrameStats(
             there, triangles, bound,
@@ -328,14 +324,19 @@ class Renderer(Reading):
             windows=0 if rays is None or not len(patches.instances) else len(rays.windows),
         )  # fmt: skip
 
+    def _submitted(self, encoder: Any) -> Any:
+        """Hand an encoder over; another one."""
+        self.device.queue.submit([encoder.finish()])
+        return self.device.handle.create_command_encoder()
+
     def _pass(
         self, encoder: Any, targets: Targets, scene: Scene, ground: Drawn, group: Any, flags: int,
-        shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None],
+        shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None], left: Left,
     ) -> Any:  # fmt: skip
         """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
         camera = camera_of(scene.view, self.terrain, scene.surface.exaggeration, shift=shift)
         write(self.device, self._camera, camera)
-        self._ground.draw(encoder, targets, ground, self._left._replace(edges=bool(flags & WIREFRAME)))
+        self._ground.draw(encoder, targets, ground, left)
         self._void_fill.draw(encoder, targets)
         if flags & SILHOUETTES:
             self._breaks.draw(encoder, targets)
@@ -350,8 +351,7 @@ class Renderer(Reading):
         for n, part in enumerate(parts):
             self._shading.draw(encoder, targets, group, flags, frame=k, clear=n == 0, part=part)
             if n + 1 < len(parts):
-                self.device.queue.submit([encoder.finish()])
-                encoder = self.device.handle.create_command_encoder()
+                encoder = self._submitted(encoder)
                 if samples is not None:
                     self.device.wait()  # Ctrl-C is heard in between
                     advance(1 / (len(parts) * samples))

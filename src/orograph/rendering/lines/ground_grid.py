@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from orograph.geovis.color import linear_to_srgb, srgb_to_linear
 from orograph.geovis.data.sampling import bilinear
+from orograph.geovis.data.standing import Mark
 from orograph.rendering.furniture.lettering import Color, Style, length, set_type
 from orograph.rendering.ground_places import rays_of
 from orograph.scene.aids import interval_of
@@ -107,9 +108,11 @@ class Value:
 
 
 def label(scene: Scene, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The pixels of a scene's view with the grid's values; the same pixels where there is no grid."""
+    """The pixels of a scene's view with the grid's values and what is written beside things; the same pixels where
+    nothing is."""
     step = interval_of(scene.annotations.aids, scene.view)
-    if step is None:
+    marks = () if scene.theme.things is None else scene.theme.things.marks
+    if step is None and not marks:
         return pixels
     from PIL import Image
 
@@ -117,7 +120,7 @@ def label(scene: Scene, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     style = Style.of((width, height), "0 km E N")
     font = style.font(0.85)
     sheet = Image.fromarray(np.ascontiguousarray(pixels))
-    for one in values(scene, step):
+    for one in (*(() if step is None else values(scene, step)), *_beside(scene, marks, style)):
         x, y = one.x - left, one.y - top
         for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)):
             set_type(sheet, (x + dx, y + dy), one.words, font, HALO, "mm")
@@ -150,6 +153,25 @@ def values(scene: Scene, step: float) -> list[Value]:
         if all(abs(x - a) > (long + b) / 2 + 0.4 * style.unit or abs(y - c) > 1.3 * style.unit for a, c, b in placed):
             placed.append((x, y, long))
             found.append(Value(round(x), round(y), words))
+    return found
+
+
+def _beside(scene: Scene, marks: tuple[Mark, ...], style: Style) -> list[Value]:
+    """Where marks are written: to the left of their places, where these are in the picture; of those that would meet
+    the first."""
+    if not marks:
+        return []
+    _, _, width, height = scene.view.frame
+    places = np.array([[one.x, one.y, one.level] for one in marks])
+    xy, depth = scene.view.whole.project(places, scene.surface.exaggeration)
+    font = style.font(0.85)
+    found: list[Value] = []
+    for one, (x, y), far in zip(marks, xy, depth):
+        long = length(font, one.words)
+        x -= long / 2 + 0.8 * style.unit
+        free = all(abs(y - other.y) > 1.2 * style.unit for other in found)
+        if far > scene.view.near and x - long / 2 > 0 and x < width and 0 < y < height and free:
+            found.append(Value(round(x), round(y), one.words))
     return found
 
 

@@ -91,8 +91,7 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
     low, high = math.ceil(np.nanmin(heights) / step), math.floor(np.nanmax(heights) / step)
     if high < low or high - low > MOST_LINES:
         return none(level)
-    a, b, _, d, e, _ = terrain.grid.samples[:6]
-    linear = np.array([[a, b], [d, e]]) * 2.0**level  # metres east and north per column and row of the level
+    linear = terrain.chart.linear * 2.0**level  # metres east and north per column and row of the level
     spacing = math.sqrt(abs(float(np.linalg.det(linear))))
     corner = np.array([c0, r0], np.float64)
     masked = np.ma.masked_invalid(heights)

@@ -33,7 +33,7 @@ from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.contours import USUAL, Contours
 from orograph.scene.scene import Scene
 from orograph.store.terrain import TILE, Terrain
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
 Drawn = Callable[[Array, Array], Array]
@@ -206,7 +206,7 @@ class Placer:
         if self._caster[0] != chosen:
             self._caster = chosen, Caster(load(terrain, list(chosen), 1), terrain.grid.shape, 1)
         assert self._caster[1] is not None
-        surface = RaySurface(self._caster[1], Projection.of(view, terrain.grid, scene.surface.exaggeration))
+        surface = RaySurface(self._caster[1], Projection.of(Camera(view, terrain.chart, scene.surface.exaggeration)))
         middle = lines[:, POINTS // 2]
         tangent = lines[:, POINTS // 2 + 1] - lines[:, POINTS // 2 - 1]
         tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-9)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from orograph.viewer.panels import camera, data, detail, layers, light, statistics, tour
+from orograph.viewer.panels import camera, data, detail, layers, light, plot, statistics, tour
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Area, Window
@@ -17,6 +17,7 @@ PANELS = (
     ("Light", light.draw, "middle"),
     ("Layers", layers.draw, "middle"),
     ("Data", data.draw, "middle"),
+    ("Plot", plot.draw, "middle"),
     ("Detail", detail.draw, "bottom"),
     ("Tour", tour.draw, "bottom"),
     ("Statistics", statistics.draw, "bottom"),

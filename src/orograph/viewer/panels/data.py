@@ -21,6 +21,8 @@ SWITCHES = (
     ("uncertainty", "On: signs of its own. Off: what the colours of the data lose."),
 )
 HIGH, STEPS = 14.0, 48
+PLAYED = 20.0
+"""Seconds in which all time of the data passes."""
 
 
 def draw(window: Window) -> None:
@@ -36,6 +38,7 @@ def draw(window: Window) -> None:
         tip(what)
         if moved:
             change(window, priority=replace(shown.priority, **{name: on}))
+    _exceeding(window)
     _times(window)
     for key in window.session.scene().keys:
         _key(key)
@@ -50,21 +53,98 @@ def change(window: Window, **changes: Any) -> None:
     window.touch()
 
 
-def _times(window: Window) -> None:
-    """A slider over the times of a series; the data are read when it is let go."""
+def _exceeding(window: Window) -> None:
+    """Whether values are shown, or how probably they are above one."""
     shown = window.session.settings.shown
-    if shown is None or len(shown.times) < 2:
+    if shown is None or (k := shown.doubtful) is None:
         return
-    at = shown.times.index(shown.time) + 1 if shown.time else 0
-    at = int(window.texts.get("time", at))
-    told = shown.times[at - 1].replace("T", " ") if at else "as given"
+    moved, on = imgui.checkbox("how probably above##exceeds", shown.exceeds is not None)
+    tip("Of all members or times, or by the normal law; the panel Plot selects where it is 90 %, say.")
+    first = shown.painted[0] if shown.painted else None
+    if moved and first is not None:
+        exceed(window, float(f"{(first.scale.low + first.scale.high) / 2:.3g}") if on else None)
+    elif shown.exceeds is not None:
+        imgui.same_line()
+        imgui.set_next_item_width(-1)
+        _, value = imgui.input_float(f"##above{k}", float(window.texts.get("exceeds", shown.exceeds)), format="%.4g")
+        if imgui.is_item_active():
+            window.texts["exceeds"] = str(value)
+        if imgui.is_item_deactivated_after_edit():
+            window.texts.pop("exceeds", None)
+            exceed(window, value)
+
+
+def exceed(window: Window, value: float | None) -> None:
+    """Show how probably the first raster's values are above one; None: the values again."""
+    shown = window.session.settings.shown
+    if shown is None:
+        return
+    before, shown.exceeds = shown.exceeds, value
+    try:
+        window.session.settings.show(window.session.terrain)
+    except (OrographError, OSError) as error:
+        shown.exceeds = before
+        window.session.messages.say(str(error))
+    window.touch()
+
+
+def _times(window: Window) -> None:
+    """A slider over all time; the data are read when it is let go, or as fast as they can be while time passes."""
+    shown = window.session.settings.shown
+    if shown is None or shown.span is None:
+        return
+    imgui.separator_text("time (UTC)")
+    part = float(window.texts.get("time", shown.part))
     imgui.set_next_item_width(-1)
-    moved, at = imgui.slider_int("##time", at, 0, len(shown.times), told, imgui.SliderFlags_.always_clamp)
+    label = shown.at_part(part).replace("T", " ") if shown.time or "time" in window.texts else "as given"
+    moved, part = imgui.slider_float("##time", part, 0.0, 1.0, label, imgui.SliderFlags_.always_clamp)
     if moved:
-        window.texts["time"] = str(at)
+        window.texts["time"] = str(part)
     if imgui.is_item_deactivated_after_edit():
-        at = int(window.texts.pop("time", at))
-        change(window, time=shown.times[at - 1] if at else "")
+        shown.playing = False
+        change(window, time=shown.at_part(float(window.texts.pop("time", part))))
+    if imgui.button("Pause" if shown.playing else "Play##time"):
+        shown.playing = not shown.playing
+        if shown.playing:
+            window.touch()
+        else:
+            change(window)  # as finely as before
+    tip(f"All of it in {PLAYED:g} seconds, or as fast as the data are read.")
+    for words, way in (("<##earlier", -1), (">##later", 1)):
+        imgui.same_line()
+        if imgui.button(words):
+            step(window, way)
+        tip("The time before." if way < 0 else "The next time.")
+    imgui.same_line()
+    if imgui.button("As given##time"):
+        shown.playing = False
+        change(window, time="")
+    if shown.time:
+        imgui.text_wrapped(shown.told)
+
+
+def step(window: Window, way: int) -> None:
+    """Show the data's next time, or the one before; of tracks alone, a fiftieth of all time on."""
+    shown = window.session.settings.shown
+    if shown is None or shown.span is None:
+        return
+    if len(shown.times) < 2:
+        change(window, time=shown.at_part(min(max(shown.part + way / 50, 0.0), 1.0)))
+        return
+    after = [time for time in shown.times if time > shown.time]
+    before = [time for time in shown.times if time < shown.time]
+    following = after[:1] if way > 0 else before[-1:]
+    if following:
+        change(window, time=following[0])
+
+
+def advance(window: Window, seconds: float) -> bool:
+    """Let the data's time pass; whether it does."""
+    shown = window.session.settings.shown
+    if shown is None or not shown.playing:
+        return False
+    change(window, time=shown.at_part((shown.part + seconds / PLAYED) % 1.0))
+    return True
 
 
 def _key(key: Legend) -> None:

@@ -1,5 +1,6 @@
 """How the mesh is made: by which method, and how fine, in pixels of tolerance or in triangles; its edges, its levels, a
-mesh that stands still while one flies around it; and where the normals come from that light falls on."""
+mesh that stands still while one flies around it; detail beyond the data; and where the normals come from that light
+falls on."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from orograph.errors import UsageError
 from orograph.lod.options import Described, described
 from orograph.lod.registry import AUTO, Choice, chosen, method_of, names
 from orograph.rendering.gpu.frame import Normals
+from orograph.scene.detail import Detail
 from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:
@@ -56,6 +58,10 @@ def draw(window: Window) -> None:
     tip("Key: F")
     if moved:
         session.freeze(frozen)
+    moved, invented = imgui.checkbox("detail beyond the data", settings.detail is not None)
+    tip("Invented where samples are coarser than pixels, as rough as the data; nothing that is measured has it.")
+    if moved:
+        settings.detail = Detail() if invented else None
     at = next(k for k, (value, _, _) in enumerate(NORMALS) if value == settings.normals)
     moved, at = imgui.combo("normals", at, [name for _, name, _ in NORMALS])
     tip(NORMALS[at][2])

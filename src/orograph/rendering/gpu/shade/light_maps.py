@@ -60,7 +60,7 @@ class LightMaps:
         by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
-        searched: where it is known what of level ground is water; None: everywhere.
+        searched: where it is known what ground is water; None: everywhere.
     """
 
     pool: Values
@@ -137,7 +137,7 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
 
 def _searched(scene: Scene, window: Rectangle) -> Rectangle | None:
     """Where a search for water over a window leaves nothing unknown."""
-    if scene.data.water != "auto" or window == Rectangle.whole(window.level, scene.terrain.mean_shape(window.level)):
+    if scene.data.water is None or window == Rectangle.whole(window.level, scene.terrain.mean_shape(window.level)):
         return None
     return window
 
@@ -223,11 +223,10 @@ def sun_maps(
         return HeightWindow(r.level, r.col0, r.row0, heights * np.float32(exaggeration))
 
     nested = [means(r) for r in windows]
-    a, b, _, d, e, _ = terrain.grid.samples[:6]
     lowest = math.tan(math.radians(max(sun.altitude - 89.0 * sun.diameter, -89.0)))
     out = []
     radius = max(sun.diameter / 2, 1e-3)
-    for slopes in sunward(nested, np.array([[a, b], [d, e]]), sun.azimuth, lowest=lowest, jobs=jobs):
+    for slopes in sunward(nested, terrain.chart.linear, sun.azimuth, lowest=lowest, jobs=jobs):
         with np.errstate(invalid="ignore"):
             above = (np.degrees(np.arctan(slopes)) - np.float32(sun.altitude)) / np.float32(radius)
         out.append(np.clip(np.nan_to_num(above, nan=-FAR), -FAR, FAR).astype(np.float32))
@@ -247,9 +246,8 @@ class _ground:
 
     def __init__(self, scene: Scene) -> None:
         self.rays, self.bare = self, scene
-        t = scene.terrain.grid.transform
-        self.spacing = math.sqrt(abs(t.determinant))
-        self.linear = np.array([[t.a, t.b], [t.d, t.e]])
+        chart = scene.terrain.chart
+        self.spacing, self.linear = chart.spacing, chart.linear
 
 
 def whole(terrain: Terrain) -> Array:

@@ -77,9 +77,9 @@ class Look:
         u["sunlight"] = *sunlight, maps.strength if scene.lighting.relief is None else scene.lighting.relief
         u["skylight"] = *skylight, BOUNCE
         u["water"] = *WATER, SHORE
-        u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
-        u["tint"][:3] = self.tint.low, self.tint.high, self.tint.floor
-        u["searched"] = _samples(maps.searched if scene.data.water == "auto" else None)
+        u["paper"] = *PAPER, terrain.chart.spacing
+        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, flooded(scene)
+        u["searched"] = _samples(maps.searched if scene.data.water is not None else None)
         u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
         u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
         u["hatch"] = put(MISSING)
@@ -118,6 +118,11 @@ class Look:
         u["flags"] = flags | min(len(self.lights.suns), 7) << SUNS | (LAMPS if self.lights.lamps else 0)
         self.uniform = u
         self.tables = np.concatenate(parts)
+
+
+def flooded(scene: Scene) -> float:
+    """The height up to which all ground is water, metres; far below all ground where water is found, or not shown."""
+    return float(scene.data.water) if isinstance(scene.data.water, int | float) else -3e38
 
 
 def _samples(window: Rectangle | None) -> tuple[int, int, int, int]:

@@ -112,12 +112,11 @@ def field_of(
         tolerance: pixels. most: bytes that there are for them.
     """
     chosen = choose(terrain, view, exaggeration, tolerance, samples_in(most))
-    a, b, _, d, e, _ = terrain.grid.samples[:6]
 
     def make() -> RayField:
         turn = turned(terrain, chosen)
         windows = load(terrain, chosen, jobs)
-        return RayField.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
+        return RayField.of(windows, terrain.grid.shape, terrain.chart.linear, exaggeration, turn, jobs)
 
     return chosen, make
 

@@ -137,11 +137,12 @@ class Resources:
 
     def _from_eye(self, scene: Scene) -> tuple[Array, Array]:
         """Metres east and north per column and row, and where the eye is from sample (0, 0), stretched height."""
-        a, b, c, d, e, f = self.terrain.grid.samples[:6]
+        chart = self.terrain.chart
         view = scene.view
         x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]
-        origin = np.array([x - c, y - f, view.eye[2] * scene.surface.exaggeration])
-        return np.array([[a, b], [d, e]]), origin
+        east, north = chart.grid.samples.c, chart.grid.samples.f
+        origin = np.array([x - east, y - north, view.eye[2] * scene.surface.exaggeration])
+        return chart.linear, origin
 
     def _level_table(self) -> Any:
         terrain, tables = self.terrain, self.slopes.tables

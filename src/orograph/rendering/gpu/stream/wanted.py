@@ -8,8 +8,6 @@ coarsest level first; a view is one pass over them.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,11 +76,7 @@ class Tree:
 
     def __init__(self, terrain: Terrain, boxes: Array, parents: NDArray[np.int64], sizes: Array) -> None:
         self.terrain, self.boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
-        a, b, _, d, e, _ = terrain.grid.samples[:6]
-        scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
-        square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
-        self._scale = np.array((math.hypot(a, d), math.hypot(b, e)) if square else (scale[1], scale[1]))
-        """Metres per column and row, at least."""
+        self._steps = np.array(terrain.chart.least_steps)
         n = len(sizes)
         self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
 
@@ -92,18 +86,12 @@ class Tree:
         Args:
             pixels: how large samples may be.
         """
-        a, b, c, d, e, f = self.terrain.grid.samples[:6]
-        table = np.array(
-            [
-                (p * a + q * d, p * b + q * e, r * exaggeration, s + p * c + q * f)
-                for p, q, r, s in view.frustum(exaggeration).tolist()
-            ]
-        )
+        planes = np.array(self.terrain.chart.planes(view.frustum(exaggeration).tolist(), exaggeration))
         col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
         plan = view.projection == "plan"
         count = _wanted(
-            self.boxes, self.parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
-            self._scale, exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
+            self.boxes, self.parents, self._sizes, planes, np.array([float(col), float(row), view.eye[2]]),
+            self._steps, exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
             self._grow, self._priority, self._out,
         )  # fmt: skip
         found = self._out[:count].copy()

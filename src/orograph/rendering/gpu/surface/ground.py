@@ -3,7 +3,8 @@
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
 that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
-is selected, its tree is updated and drawn (``growing``, ``tree``). All that comes after (light, lines, voids) reads the
+is selected, its tree is updated and drawn (``growing``, ``tree``); chunks in few bytes are decoded there first
+(``chunks``). All that comes after (light, lines, voids) reads the
 targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
@@ -18,10 +19,11 @@ from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.lod.registry import Choice
-from orograph.lod.selection import PatchesAndRays, RayWindows, Selection, TriangleMesh
+from orograph.lod.selection import CodedChunks, PatchesAndRays, RayWindows, Selection, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.chunks import ChunkPass, Chunks, DecodedChunks
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
@@ -69,6 +71,8 @@ class Drawn:
     @property
     def other(self) -> Any:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
+        if isinstance(self.selection, DecodedChunks):
+            return self.selection
         if isinstance(self.selection, TreeFrame):
             return self.selection.tree
         if isinstance(self.selection, Mixed):
@@ -82,9 +86,14 @@ class Drawn:
         return self.selection if isinstance(self.selection, TreeFrame) else self.other
 
     @property
-    def tree(self) -> TreeFrame | None:
-        """The tree that is drawn; None: something else is."""
-        return self.selection if isinstance(self.selection, TreeFrame) else None
+    def resident(self) -> TreeFrame | DecodedChunks | None:
+        """What is drawn of triangles that only the GPU has; None: something else is."""
+        return self.selection if isinstance(self.selection, (TreeFrame, DecodedChunks)) else None
+
+    @property
+    def at_breaks(self) -> bool:
+        """Whether only pixels where depth breaks off are to have more samples than one."""
+        return isinstance(self.selection, CastWindows) and self.selection.at_breaks
 
     @property
     def drawn(self) -> int:
@@ -123,7 +132,7 @@ class Ground:
             device, camera, heights.texture, stored_slopes, patch_vertices(legs), patch_indices(legs),
             INSTANCE.itemsize, absent,
         )  # fmt: skip
-        rays = RayPass(device, camera)
+        rays = self._rays = RayPass(device, camera)
         mixed = MixedPass(device, self._patches, rays)
         field = heights.texture.create_view(dimension="2d-array"), heights.page_buffer, levels
         self.surfaces: Mapping[type, Surface] = {
@@ -132,10 +141,14 @@ class Ground:
             CastWindows: rays,
             Mixed: mixed,
             TreeFrame: TreePass(device, camera, field, absent, terrain.n),
+            DecodedChunks: ChunkPass(device, camera, field, absent),
         }
         windows = Windows(device, terrain, most, jobs)
         self._mixer = Mixer(device, terrain, camera, legs, mixed)
-        own: dict[type, Any] = {RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready}
+        own: dict[type, Any] = {
+            RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
+            CodedChunks: Chunks(device, most).ready,
+        }  # fmt: skip
         self._selected = Selected(terrain, own)
         self._growing = Growing(device, terrain, 2 * most, jobs)
         self._drawn: Drawn | None = None
@@ -182,6 +195,10 @@ class Ground:
         """Clear the targets and draw the ground."""
         self.surfaces[type(drawn.selection)].draw(encoder, targets, drawn.selection, left)
 
+    def find_breaks(self, encoder: Any, targets: Targets, plan: bool) -> None:
+        """Find where what rays met breaks off; see ``RayPass``."""
+        self._rays.find_breaks(encoder, targets, plan)
+
     def draw_patches(self, encoder: Any, targets: Targets, patches: Patches) -> None:
         """Clear the targets and draw the terrain's own patches."""
         self._patches.draw(encoder, targets, patches, DEPTH_ONLY)
@@ -196,9 +213,9 @@ class Ground:
         return None if self._drawn is None else self._drawn.mesh
 
     @property
-    def tree(self) -> TreeFrame | None:
-        """The tree that the last frame drew; None: it drew something else."""
-        return None if self._drawn is None else self._drawn.tree
+    def resident(self) -> TreeFrame | DecodedChunks | None:
+        """What the last frame drew of triangles that only the GPU has; None: it drew something else."""
+        return None if self._drawn is None else self._drawn.resident
 
     @property
     def rays(self) -> CastWindows | None:

@@ -14,11 +14,13 @@ class Left(NamedTuple):
 
     Attributes:
         edges: marks of triangles' edges. slopes: of what is drawn. field: the terrain's own height in each pixel.
+        at_breaks: by rays, only pixels that ``RayPass.find_breaks`` found; all others are marked ``LEFT_OUT``.
     """
 
     edges: bool = False
     slopes: Slopes = ""
     field: bool = False
+    at_breaks: bool = False
 
 
 DEPTH_ONLY = Left()

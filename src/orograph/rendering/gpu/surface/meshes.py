@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from orograph.errors import OrographError, UsageError
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
-from orograph.gpu.program import Program
 from orograph.lod.method import Goal, Method, Resources
 from orograph.lod.options import described
 from orograph.lod.registry import Choice
 from orograph.lod.selection import Selection, TriangleMesh
+from orograph.rendering.gpu.surface.faces import FacePass
 from orograph.rendering.gpu.surface.left import Left
-from orograph.rendering.gpu.targets import FIELD, GIVEN, MARKS, NEARER, Targets
+from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import MEMORY, goal_of, made, mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
@@ -157,60 +157,23 @@ def _grown(choice: Choice) -> Choice:
     return choice
 
 
-class MeshPass:
-    """Draws a mesh into depth and marks; its slopes are those of the triangles.
-
-    Args:
-        camera: the uniform buffer (``camera.CAMERA``).
-        field: a view of the atlas of heights, its pages and the table of levels (``shaders/field.wgsl``).
-        missing: what is added to heights that are missing (``tiles.missing``), metres.
-    """
+class MeshPass(FacePass):
+    """Draws a mesh into depth and marks. Args: as of ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
-        self.device, self.camera, self.field, self.missing = device, camera, field, missing
-        self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
+        super().__init__(device, "mesh", camera, field, missing)
         self._held: tuple[Tessellation | None, Any, int] = (None, None, 0)
 
     def draw(self, encoder: Any, targets: Targets, selection: TriangleMesh, left: Left) -> None:
         """Clear the targets and draw."""
-        mesh, edges, given, field = selection.mesh, left.edges, bool(left.slopes), left.field
+        mesh = selection.mesh
         if self._held[0] is not mesh:
             points, corners = packed(mesh)
             some = (a if a.size else np.zeros(4, np.uint32) for a in (points, corners))
-            buffers = [self.device.buffer(a, "STORAGE", "mesh") for a in some]
-            named = zip(
-                ("samples", "corners", "heights", "height_pages", "levels"), (*buffers, *self.field), strict=True
-            )
-            group = self._program(edges).bind({"camera": self.camera, **dict(named)})
-            self._held = mesh, group, len(corners)
-        colors = [targets.marks_view]
-        colors += [targets.given_view(self.device)] if given or field else []
-        colors += [targets.field_view(self.device)] if field else []
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[
-                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in colors
-            ],
-            depth_stencil_attachment={
-                "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",
-                "depth_store_op": "store",
-            },
-        )  # fmt: skip
+            samples, numbers = (self.device.buffer(a, "STORAGE", "mesh") for a in some)
+            self._held = mesh, self.bind(samples=samples, corners=numbers), len(corners)
+        pass_ = self.begin(encoder, targets, left)
         if self._held[2]:
-            pass_.set_pipeline(self._pipeline(edges, given, field))
             pass_.set_bind_group(0, self._held[1])
             pass_.draw(self._held[2])
         pass_.end()
-
-    def _pipeline(self, edges: bool, given: bool, field: bool) -> Any:
-        found = self._pipelines.get((edges, given, field))
-        if found is None:
-            entry, formats = "fragment", [MARKS]
-            if given or field:
-                entry, formats = ("with_field", [MARKS, GIVEN, FIELD]) if field else ("with_slope", [MARKS, GIVEN])
-            targets = [{"format": format} for format in formats]
-            found = self._program(edges).draw(targets, fragment=entry, depth=NEARER)
-            self._pipelines[edges, given, field] = found
-        return found
-
-    def _program(self, edges: bool) -> Program:
-        return Program(self.device, "mesh", EDGES=int(edges), MISSING=self.missing)

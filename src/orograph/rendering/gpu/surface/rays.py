@@ -56,6 +56,12 @@ BLOCKS = {
 BLOCK, SPACING, BEAM = 64, 16, 16
 """Pixels along a block, unless it is said, between the rays whose steps are counted, and along a beam."""
 
+BREAK = 0.01
+"""Of its depth, by how much what is beside a pixel has to be off a plane to be a break."""
+
+BRIGHT = 0.1
+"""Of the brightest channel there, by how much light has to be off the mean of what is beside a pixel to be a break."""
+
 COARSER = 1.25
 """By how much a tolerance grows until its windows fit."""
 
@@ -101,13 +107,13 @@ class Windows:
         last = self._last
         if last is None or last.windows != selection.windows:
             last = self._made(selection, {} if last is None else last.held)
-        told = selection.bound, selection.stats, selection.surface
-        if (last.bound, last.stats, last.surface) != told:
+        told = selection.bound, selection.stats, selection.surface, selection.at_breaks
+        if (last.bound, last.stats, last.surface, last.at_breaks) != told:
             stack = last.stack
             if (last.bound, last.surface) != (selection.bound, selection.surface):
                 stack = stack.copy()
                 stack["windows"]["allowed"] = _allowed(selection)
-            last = replace(last, bound=told[0], stats=told[1], surface=told[2], stack=stack)
+            last = replace(last, bound=told[0], stats=told[1], surface=told[2], at_breaks=told[3], stack=stack)
         self._last = last
         return last
 
@@ -123,8 +129,8 @@ class Windows:
                        minima=True)  # fmt: skip
         return CastWindows(
             method=selection.method, bound=selection.bound, lacking=selection.lacking, stats=selection.stats,
-            windows=selection.windows, surface=selection.surface, stack=_stack(pool, selection),
-            pool=self.device.buffer(pool.values, "STORAGE", "heights"), held=there,
+            windows=selection.windows, surface=selection.surface, at_breaks=selection.at_breaks,
+            stack=_stack(pool, selection), pool=self.device.buffer(pool.values, "STORAGE", "heights"), held=there,
         )  # fmt: skip
 
 
@@ -183,6 +189,34 @@ class Beams:
         pass_.end()
 
 
+class Breaks:
+    """Finds where depth, light or colour breaks off (``shaders/ray_breaks.wgsl``)."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.found: Any = device.buffer(4, "STORAGE", "breaks")
+        self._size = (0, 0)
+        self._pipelines: dict[bool, Any] = {}
+
+    def encode(self, encoder: Any, targets: Targets, plan: bool) -> None:
+        """Have the breaks of what the targets hold found."""
+        program = Program(self.device, "ray_breaks", PART=BREAK, BRIGHT=BRIGHT, PLAN=int(plan))
+        if plan not in self._pipelines:
+            self._pipelines[plan] = program.compute()
+        size = targets.width, targets.height
+        if self._size != size:
+            self._size, self.found = size, self.device.buffer(4 * size[0] * size[1], "STORAGE|COPY_SRC", "breaks")
+        bound = {
+            "depths": targets.depth_view, "marks": targets.marks_view, "light": targets.light_view,
+            "breaks": self.found,
+        }  # fmt: skip
+        pass_ = encoder.begin_compute_pass()
+        pass_.set_pipeline(self._pipelines[plan])
+        pass_.set_bind_group(0, program.bind(bound))
+        pass_.dispatch_workgroups(*(-(-n // 8) for n in size))
+        pass_.end()
+
+
 class RayPass:
     """Casts rays through pixels into depth and marks.
 
@@ -193,25 +227,31 @@ class RayPass:
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
         self.stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
-        self._buffer, self._beams = camera, Beams(device)
+        self._buffer, self._beams, self._breaks = camera, Beams(device), Breaks(device)
         self._camera = self._program(BLOCK, "exact").bind({"camera": camera})
         self._pipelines: dict[tuple[bool, str, int, RaySurface], Any] = {}
-        self._held: tuple[Any, Any, Any, Any] = (None, None, None, None)
+        self._held: tuple[Any, ...] = (None, None, None, None, None)
         self._surface: RaySurface = "exact"
         self._blocks: tuple[bytes, Any] = (b"", None)
 
-    def _program(self, side: int, surface: RaySurface) -> Program:
+    def _program(self, side: int, surface: RaySurface, breaks: bool = False) -> Program:
         bilinear, constant = int(surface == "bilinear"), int(surface == "constant")
-        return Program(self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=bilinear, CONSTANT=constant)
+        return Program(
+            self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=bilinear, CONSTANT=constant, BREAKS=int(breaks)
+        )
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; it has no edges, and what lines are of the terrain is what is drawn."""
         slopes = bool(left.slopes)
         self.bring(encoder, targets, selection)
         pass_ = cleared(targets, self.device, slopes).begin(encoder)
-        self._record(pass_, slopes, "")
+        self._record(pass_, slopes, "breaks" if left.at_breaks else "")
         pass_.draw(3)
         pass_.end()
+
+    def find_breaks(self, encoder: Any, targets: Targets, plan: bool) -> None:
+        """Find where depth breaks off in what the targets hold, for draws that are to be there only (``Left``)."""
+        self._breaks.encode(encoder, targets, plan)
 
     def bring(self, encoder: Any, targets: Targets, selection: CastWindows) -> None:
         """Have the windows at which rays are cast next, and find where rays begin."""
@@ -220,12 +260,13 @@ class RayPass:
         starts = self._beams.starts(size)
         if self._held[1] is not selection.stack:
             write(self.device, self.stack, selection.stack.tobytes())
-        if self._held[0] is not selection.pool or self._held[2] is not starts:
-            bound = {"stack": self.stack, "pool": selection.pool, "starts": starts}
+        breaks = self._breaks.found
+        if self._held[0] is not selection.pool or self._held[2] is not starts or self._held[3] is not breaks:
+            bound = {"stack": self.stack, "pool": selection.pool, "starts": starts, "breaks": breaks}
             group = self._program(BLOCK, "exact").bind(bound, 1)
         else:
-            group = self._held[3]
-        self._held = selection.pool, selection.stack, starts, group
+            group = self._held[4]
+        self._held = selection.pool, selection.stack, starts, breaks, group
         self._beams.encode(encoder, self._buffer, self.stack, selection.pool, size)
 
     def bring_blocks(self, by_rays: NDArray[np.bool_]) -> int:
@@ -251,18 +292,20 @@ class RayPass:
     def _record(self, pass_: Any, slopes: bool, what: str, side: int = BLOCK) -> None:
         pass_.set_pipeline(self._pipeline(slopes, what, side))
         pass_.set_bind_group(0, self._camera)
-        pass_.set_bind_group(1, self._held[3])
+        pass_.set_bind_group(1, self._held[4])
 
     def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
-        """The pipeline that draws all pixels (""), blocks ("block"), or keeps them free ("kept_free")."""
+        """The pipeline that draws all pixels (""), those at breaks ("breaks"), blocks ("block"), or keeps these free
+        ("kept_free")."""
         key = slopes, what, side, self._surface
         if key not in self._pipelines:
             entry = "kept_free" if what == "kept_free" else "fragment"
             sloped = "kept_free_with_slope" if what == "kept_free" else "with_slope"
-            self._pipelines[key] = self._program(side, self._surface).draw(
+            blocks = what in ("block", "kept_free")
+            self._pipelines[key] = self._program(side, self._surface, breaks=what == "breaks").draw(
                 [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
-                vertex="block" if what else "vertex", fragment=sloped if slopes else entry,
-                buffers=[BLOCKS] if what else [], depth={**NEARER, "depth_compare": "always"} if what else NEARER,
+                vertex="block" if blocks else "vertex", fragment=sloped if slopes else entry,
+                buffers=[BLOCKS] if blocks else [], depth={**NEARER, "depth_compare": "always"} if blocks else NEARER,
             )  # fmt: skip
         return self._pipelines[key]
 

@@ -21,16 +21,17 @@ from numpy.typing import NDArray
 from orograph.error.screen import camera_parameters
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import Attachments, write
+from orograph.gpu.recording import write
 from orograph.hierarchy import triangles
 from orograph.lod.cbt.pool import Pool
 from orograph.lod.selection import Selection
 from orograph.rendering.gpu.camera import CAMERA, camera_of
+from orograph.rendering.gpu.surface.faces import FacePass
 from orograph.rendering.gpu.surface.left import Left
-from orograph.rendering.gpu.targets import EMPTY, FIELD, GIVEN, MARKS, NEARER, Targets
+from orograph.rendering.gpu.targets import Targets
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 NODE = np.dtype(
     [("l", "<i4", 2), ("shape", "<u4"), ("spare", "<u4"), ("heights", "<f4", 4), ("links", "<u4", 4)]
@@ -201,7 +202,7 @@ class Tree:
 
     def _tuned(self, view: View, tolerance: float, exaggeration: float) -> NDArray[np.void]:
         u = np.zeros((), TUNING)
-        lens = camera_parameters(view, self.terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+        lens = camera_parameters(Camera.over(self.terrain.grid, view, exaggeration), tolerance=tolerance)
         plan = view.projection == "plan"
         eye = np.array([*(view.target if plan else view.eye)[:2], view.eye[2] * exaggeration])
         u["planes"][:] = 0, 0, 0, MISSING
@@ -272,20 +273,13 @@ def _roots(n: int, corners: NDArray[np.float32]) -> NDArray[Any]:
     return out
 
 
-class TreePass:
-    """Draws trees into depth and marks; slopes are those of the triangles.
-
-    Args:
-        camera: the uniform buffer (``camera.CAMERA``).
-        field: a view of the atlas of heights, its pages and the table of levels (``shaders/field.wgsl``).
-        missing: what is added to heights that are missing (``tiles.missing``), metres.
-    """
+class TreePass(FacePass):
+    """Draws trees into depth and marks. Args: as of ``FacePass``; n: the square has 2^n cells a side."""
 
     def __init__(
         self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int, n: int
     ) -> None:  # fmt: skip
-        self.device, self.camera, self.field, self.missing, self.n = device, camera, field, missing, n
-        self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
+        super().__init__(device, "cbt_draw", camera, field, missing, N=n)
         self._groups: tuple[Tree | None, list[Any]] = (None, [])
 
     def draw(self, encoder: Any, targets: Targets, selection: TreeFrame, left: Left) -> None:
@@ -293,36 +287,8 @@ class TreePass:
         tree = selection.tree
         tree.encode(encoder)
         if self._groups[0] is not tree:
-            named = zip(("heights", "height_pages", "levels"), self.field, strict=True)
-            held = {"camera": self.camera, "list": tree.list, "state": tree.state, **dict(named)}
-            program = self._program(False)
-            self._groups = tree, [program.bind({"nodes": nodes, **held}) for nodes in tree.nodes]
-        what = left.edges, bool(left.slopes), left.field
-        pass_ = targets.attached(
-            f"tree {what[1:]}", lambda: self._attachments(targets, *what[1:])
-        ).begin(encoder)  # fmt: skip
-        pass_.set_pipeline(self._pipeline(*what))
+            self._groups = tree, [self.bind(nodes=nodes, list=tree.list, state=tree.state) for nodes in tree.nodes]
+        pass_ = self.begin(encoder, targets, left)
         pass_.set_bind_group(0, self._groups[1][tree.nodes.index(tree.current)])
         pass_.draw_indirect(tree.arguments, 12)
         pass_.end()
-
-    def _attachments(self, targets: Targets, given: bool, field: bool) -> Attachments:
-        views = [targets.marks_view]
-        views += [targets.given_view(self.device)] if given or field else []
-        views += [targets.field_view(self.device)] if field else []
-        return Attachments([(view, EMPTY) for view in views], (targets.depth_view, 0.0))
-
-    def _pipeline(self, edges: bool, given: bool, field: bool) -> Any:
-        found = self._pipelines.get((edges, given, field))
-        if found is None:
-            entry, formats = "fragment", [MARKS]
-            if given or field:
-                entry, formats = ("with_field", [MARKS, GIVEN, FIELD]) if field else ("with_slope", [MARKS, GIVEN])
-            found = self._program(edges).draw(
-                [{"format": format} for format in formats], fragment=entry, depth=NEARER
-            )  # fmt: skip
-            self._pipelines[edges, given, field] = found
-        return found
-
-    def _program(self, edges: bool) -> Program:
-        return Program(self.device, "cbt_draw", EDGES=int(edges), MISSING=self.missing, N=self.n)

@@ -42,8 +42,10 @@ class Jitter:
         return self.gathered, 0 if self.complete else 1
 
     def place(self, k: int, asked: int | None, first: tuple[float, float]) -> tuple[float, float]:
-        """Where the ``k``-th lies; ``first``: where the first one of a picture at rest belongs."""
+        """Where the ``k``-th lies; ``first``: where the first one of a picture at rest belongs. −1: in the middle."""
         self.shift = 0.0, 0.0
+        if k < 0:
+            return self.shift
         if k == 0 and asked is None:
             self.shift = first
         elif (n := asked or SAMPLES) > 1:

@@ -12,15 +12,23 @@ from pathlib import Path
 from typing import Any
 
 from orograph.errors import StoreError, public
-from orograph.store import storage as waiting
 
 WEB = frozenset({"http", "https"})
 BUSY = frozenset({408, 409, 425, 429, 500, 502, 503, 504})
 """HTTP: not now."""
+SILENCE = 10.0
+"""Seconds that a server may let pass without a byte."""
 
 
-def connected(base: str, scheme: str, options: dict[str, Any] | None, url: str) -> Any:
-    """obstore's client of a whole bucket or server."""
+def connected(base: str, scheme: str, options: dict[str, Any] | None, url: str, silence: float = SILENCE) -> Any:
+    """obstore's client of a whole bucket or server.
+
+    Args:
+        silence: seconds that it may let pass without a byte.
+
+    Raises:
+        StoreError: obstore is not installed, or the address is of no kind that it knows.
+    """
     try:
         from obstore import store
         from obstore.exceptions import BaseError
@@ -31,7 +39,7 @@ def connected(base: str, scheme: str, options: dict[str, Any] | None, url: str) 
         ) from error  # fmt: skip
     given = dict(options or {})
     client = {
-        "allow_http": True, "connect_timeout": f"{waiting.SILENCE}s", "read_timeout": f"{waiting.SILENCE}s",
+        "allow_http": True, "connect_timeout": f"{silence}s", "read_timeout": f"{silence}s",
         "timeout": "1h", **given.pop("client_options", {}),
     }  # fmt: skip
     more: dict[str, Any] = {

@@ -14,12 +14,10 @@ deviation, extreme at the truth's vertices within and where edges cross, is exac
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
+from orograph.store.quadtin_geometry import apart, covers, crossing, enters, height_on, orient
 
 DEAD, LIVE, MIXED = 0, 1, 2
 """Of triangles: no ground, ground everywhere, both."""
@@ -34,167 +32,6 @@ DONE, TRIANGLES_FULL, POOL_FULL = range(3)
 
 RIM = 1e-9
 """Relative excess over deviations, for rounding."""
-
-
-class Truth(NamedTuple):
-    """A triangulated surface.
-
-    Attributes:
-        x, y: (n,) int64 on the lattice. z: (n,) float64, metres.
-        triangles: (m, 3) int32, of positive area. rim: (m,) uint8, bit k: no triangle lies beyond corners k, k + 1.
-    """
-
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
-    z: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    rim: NDArray[np.uint8]
-
-
-class Tree(NamedTuple):
-    """All triangles there ever are, in the order in which they are made.
-
-    Attributes:
-        x, y: (v,) int64; z: (v,) float64: vertices; the first four are the domain's corners.
-        steiner: (v,) uint8, 1 where a vertex is none of the truth's.
-        owners: (v, 2) int32, the triangles that a vertex splits, −1: none.
-        corners: (t, 3) int32: left and right end of the base, apex; of positive area.
-        beside: (t, 3) int32, the leaves across the base, (right, apex), (apex, left); −1: none.
-        child: (t,) int32, the first of two, which have the vertex as apex: that at the left end, that at the right.
-        node: (t,) int32, the vertex that splits it, −1: a leaf.
-        state: (t,) uint8. error: (t,) float64, the largest deviation of the truth, metres. low, high: (t,) float64,
-            heights of the truth under it.
-        lists: (t, 2) int64, the part of ``pool`` with the truth's triangles that overlap a leaf.
-        pool: int32. counts: (6,) int64.
-    """
-
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
-    z: NDArray[np.float64]
-    steiner: NDArray[np.uint8]
-    owners: NDArray[np.int32]
-    corners: NDArray[np.int32]
-    beside: NDArray[np.int32]
-    child: NDArray[np.int32]
-    node: NDArray[np.int32]
-    state: NDArray[np.uint8]
-    error: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    lists: NDArray[np.int64]
-    pool: NDArray[np.int32]
-    counts: NDArray[np.int64]
-
-
-@inlined
-def orient(ax, ay, bx, by, cx, cy):
-    """Twice the signed area of three places, exact."""
-    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-
-
-@kernel
-def rim_of(triangles, points):
-    """Which sides of triangles have no triangle beyond them, as bits."""
-    first = np.zeros(points + 1, np.int64)
-    for t in range(len(triangles)):
-        for k in range(3):
-            first[triangles[t, k] + 1] += 1
-    for p in range(points):
-        first[p + 1] += first[p]
-    ends, at = np.empty(first[points], np.int32), first[:-1].copy()
-    for t in range(len(triangles)):
-        for k in range(3):
-            p = triangles[t, k]
-            ends[at[p]] = triangles[t, (k + 1) % 3]
-            at[p] += 1
-    rim = np.zeros(len(triangles), np.uint8)
-    for t in range(len(triangles)):
-        for k in range(3):
-            p, q = triangles[t, k], triangles[t, (k + 1) % 3]
-            beyond = False
-            for i in range(first[q], first[q + 1]):
-                beyond = beyond or ends[i] == p
-            if not beyond:
-                rim[t] |= np.uint8(1 << k)
-    return rim
-
-
-@inlined
-def apart(tree, truth, t, s):
-    """Whether a triangle of the tree and one of the truth share no area."""
-    c = tree.corners
-    for k in range(3):
-        p, q = c[t, k], c[t, (k + 1) % 3]
-        outside = True
-        for i in range(3):
-            v = truth.triangles[s, i]
-            outside = outside and orient(
-                tree.x[p], tree.y[p], tree.x[q], tree.y[q], truth.x[v], truth.y[v]) <= 0  # fmt: skip
-        if outside:
-            return True
-    for k in range(3):
-        p, q = truth.triangles[s, k], truth.triangles[s, (k + 1) % 3]
-        outside = True
-        for i in range(3):
-            v = c[t, i]
-            outside = outside and orient(
-                truth.x[p], truth.y[p], truth.x[q], truth.y[q], tree.x[v], tree.y[v]) <= 0  # fmt: skip
-        if outside:
-            return True
-    return False
-
-
-@inlined
-def enters(tree, truth, t, p, q):
-    """Whether an edge of the truth has a part inside a triangle of the tree."""
-    c = tree.corners
-    px, py, qx, qy = truth.x[p], truth.y[p], truth.x[q], truth.y[q]
-    below = above = False
-    for k in range(3):
-        u, v = c[t, k], c[t, (k + 1) % 3]
-        ux, uy, vx, vy = tree.x[u], tree.y[u], tree.x[v], tree.y[v]
-        if orient(ux, uy, vx, vy, px, py) <= 0 and orient(ux, uy, vx, vy, qx, qy) <= 0:
-            return False
-        side = orient(px, py, qx, qy, ux, uy)
-        below, above = below or side < 0, above or side > 0
-    return below and above
-
-
-@inlined
-def height_on(xs, ys, zs, a, b, c, x, y):
-    """The height of the plane through three vertices at a place."""
-    u = orient(xs[b], ys[b], xs[c], ys[c], x, y)
-    v = orient(xs[c], ys[c], xs[a], ys[a], x, y)
-    area = orient(xs[a], ys[a], xs[b], ys[b], xs[c], ys[c])
-    w = area - u - v
-    return (u * zs[a] + v * zs[b] + w * zs[c]) / area
-
-
-@inlined
-def covers(xs, ys, a, b, c, x, y):
-    """Whether a place lies in a triangle, its sides included."""
-    return (
-        orient(xs[a], ys[a], xs[b], ys[b], x, y) >= 0
-        and orient(xs[b], ys[b], xs[c], ys[c], x, y) >= 0
-        and orient(xs[c], ys[c], xs[a], ys[a], x, y) >= 0
-    )
-
-
-@inlined
-def crossing(tree, truth, u, v, p, q):
-    """The deviation where a side (u, v) of the tree crosses an edge (p, q) of the truth; 0 where they do not cross."""
-    ux, uy, vx, vy = tree.x[u], tree.y[u], tree.x[v], tree.y[v]
-    px, py, qx, qy = truth.x[p], truth.y[p], truth.x[q], truth.y[q]
-    a, b = orient(ux, uy, vx, vy, px, py), orient(ux, uy, vx, vy, qx, qy)
-    if not ((a > 0 and b < 0) or (a < 0 and b > 0)):
-        return 0.0
-    c, d = orient(px, py, qx, qy, ux, uy), orient(px, py, qx, qy, vx, vy)
-    if (c > 0 and d > 0) or (c < 0 and d < 0):
-        return 0.0
-    s, t = a / np.float64(a - b), c / np.float64(c - d)
-    on_truth = truth.z[p] + s * (truth.z[q] - truth.z[p])
-    on_side = tree.z[u] + t * (tree.z[v] - tree.z[u])
-    return abs(on_truth - on_side)
 
 
 @leaf
@@ -275,9 +112,80 @@ def on_truth(tree, truth, t, x, y):
 
 
 @inlined
-def new_vertex(tree, truth, t, u, by_deviation):
+def side_of(tree, outline, p, q):
+    """The side of the outline that two vertices lie on."""
+    if tree.x[p] == tree.x[q]:
+        return 0 if tree.x[p] == outline.bounds[0] else 1
+    return 2 if tree.y[p] == outline.bounds[2] else 3
+
+
+@inlined
+def on_side(tree, truth, outline, side, p, q):
+    """The vertex that halves a piece of an inner side: column, row, height, whether it is none of the truth's, and
+    whether there is room for it."""
+    upright = side < 2
+    one, two = (tree.y[p], tree.y[q]) if upright else (tree.x[p], tree.x[q])
+    low, high = min(one, two), max(one, two)
+    at, sample = (low + high) >> 1, False
+    if outline.unit > 0:
+        nearest = (at + (outline.unit >> 1)) // outline.unit * outline.unit
+        if low < nearest < high:
+            at, sample = nearest, True
+    x, y = (tree.x[p], at) if upright else (at, tree.y[p])
+    z = np.nan
+    if sample:
+        row, col = y // outline.unit - outline.row0, x // outline.unit - outline.col0
+        z = truth.z[row * outline.width + col]
+    elif outline.unit == 0:
+        for i in range(outline.near_at[side], outline.near_at[side + 1]):
+            s = outline.near[i]
+            a, b, c = truth.triangles[s, 0], truth.triangles[s, 1], truth.triangles[s, 2]
+            if covers(truth.x, truth.y, a, b, c, x, y):
+                z = height_on(truth.x, truth.y, truth.z, a, b, c, x, y)
+                break
+    steiner = not sample or np.isnan(z)
+    if np.isnan(z):
+        z = 0.5 * (tree.z[p] + tree.z[q])
+    return x, y, z, steiner, low < at < high
+
+
+@inlined
+def asked(tree, outline, t):
+    """Whether a vertex that the other side of the outline has lies inside a side of a triangle."""
+    for k in range(3):
+        if tree.beside[t, k] >= 0:
+            continue
+        p, q = tree.corners[t, k], tree.corners[t, (k + 1) % 3]
+        side = side_of(tree, outline, p, q)
+        one, two = (tree.y[p], tree.y[q]) if side < 2 else (tree.x[p], tree.x[q])
+        low, high = min(one, two), max(one, two)
+        first, end = outline.forced_at[side], outline.forced_at[side + 1]
+        while first < end:
+            middle = (first + end) >> 1
+            if outline.forced[middle] <= low:
+                first = middle + 1
+            else:
+                end = middle
+        if first < outline.forced_at[side + 1] and outline.forced[first] < high:
+            return True
+    return False
+
+
+@inlined
+def new_vertex(tree, truth, outline, t, u, by_deviation):
     """The vertex that splits a diamond, −1: it cannot be split."""
     v = tree.counts[VERTICES]
+    if u < 0:
+        p, q = tree.corners[t, 0], tree.corners[t, 1]
+        side = side_of(tree, outline, p, q)
+        if outline.inner[side]:
+            x, y, z, steiner, there = on_side(tree, truth, outline, side, p, q)
+            if not there:
+                return -1
+            tree.x[v], tree.y[v], tree.z[v], tree.steiner[v] = x, y, z, steiner
+            tree.counts[STEINER] += steiner
+            tree.counts[VERTICES] = v + 1
+            return v
     found = choose(tree, truth, t, u, by_deviation)
     if found >= 0:
         tree.x[v], tree.y[v], tree.z[v], tree.steiner[v] = truth.x[found], truth.y[found], truth.z[found], 0
@@ -342,10 +250,10 @@ def halve(tree, truth, t, u, m):
 
 
 @inlined
-def split(tree, truth, t, by_deviation):
+def split(tree, truth, outline, t, by_deviation):
     """Split a diamond; whether it could be."""
     u = tree.beside[t, 0]
-    m = new_vertex(tree, truth, t, u, by_deviation)
+    m = new_vertex(tree, truth, outline, t, u, by_deviation)
     if m < 0:
         return False
     tree.owners[m, 0], tree.owners[m, 1] = t, u
@@ -358,10 +266,12 @@ def split(tree, truth, t, by_deviation):
 
 
 @inlined
-def wanted(tree, t, finest, smallest):
-    """Whether a leaf is too far from the truth, or too large for ground and missing ground."""
+def wanted(tree, outline, t, finest, smallest):
+    """Whether a leaf is too far from the truth, or too large for ground and missing ground, or is asked for."""
     if tree.child[t] >= 0:
         return False
+    if asked(tree, outline, t):
+        return True
     if tree.state[t] == MIXED:
         p, q = tree.corners[t, 0], tree.corners[t, 1]
         dx, dy = np.float64(tree.x[p] - tree.x[q]), np.float64(tree.y[p] - tree.y[q])
@@ -370,7 +280,7 @@ def wanted(tree, t, finest, smallest):
 
 
 @kernel
-def grow(tree, truth, finest, smallest, by_deviation):
+def grow(tree, truth, outline, finest, smallest, by_deviation):
     """Split all triangles that have to be; goes on where it stopped. DONE, or what is full.
 
     Args:
@@ -380,7 +290,7 @@ def grow(tree, truth, finest, smallest, by_deviation):
     while tree.counts[QUEUE] < tree.counts[TRIANGLES]:
         t = tree.counts[QUEUE]
         depth = 0
-        if wanted(tree, t, finest, smallest):
+        if wanted(tree, outline, t, finest, smallest):
             stack[0], depth = t, 1
         while depth:
             if tree.counts[TRIANGLES] + 4 > len(tree.child) or tree.counts[VERTICES] + 1 > len(tree.x):
@@ -398,7 +308,7 @@ def grow(tree, truth, finest, smallest, by_deviation):
                 size += tree.lists[u, 1] - tree.lists[u, 0]
             if tree.counts[POOL] + 4 * size > len(tree.pool):
                 return POOL_FULL
-            if not split(tree, truth, s, by_deviation):
+            if not split(tree, truth, outline, s, by_deviation):
                 tree.counts[STUCK] += 1
                 break
             depth -= 1
@@ -422,34 +332,3 @@ def gather_lists(tree, pool):
         tree.lists[t, 1] = at
     tree.counts[POOL] = at
     return at
-
-
-@kernel
-def saturate(tree, east, north, error, radius):
-    """Errors and spheres of vertices, closed over the hierarchy, from the last made to the first.
-
-    Args:
-        east, north: (v,) metres. error, radius: (v,) float64 zeros, filled: of what a vertex splits, and of the ground
-            around it, with all that depends on it.
-    """
-    for v in range(tree.counts[VERTICES] - 1, 3, -1):
-        for side in range(2):
-            t = tree.owners[v, side]
-            if t < 0:
-                continue
-            error[v] = max(error[v], np.inf if tree.state[t] == MIXED else tree.error[t])
-            if tree.state[t] != DEAD:
-                far = 0.0
-                for k in range(3):
-                    c = tree.corners[t, k]
-                    far = max(far, np.hypot(east[c] - east[v], north[c] - north[v]))
-                up = max(abs(tree.high[t] - tree.z[v]), abs(tree.low[t] - tree.z[v]))
-                radius[v] = max(radius[v], np.hypot(far, up) * (1 + RIM))
-        for side in range(2):
-            t = tree.owners[v, side]
-            if t < 0:
-                continue
-            p = tree.corners[t, 2]
-            error[p] = max(error[p], error[v])
-            away = np.sqrt((east[p] - east[v]) ** 2 + (north[p] - north[v]) ** 2 + (tree.z[p] - tree.z[v]) ** 2)
-            radius[p] = max(radius[p], (away + radius[v]) * (1 + RIM))

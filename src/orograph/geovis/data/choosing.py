@@ -1,0 +1,90 @@
+"""Which bands, times, members and levels of a source a user means."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from orograph.errors import UsageError
+from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.data.times import matches, times_of
+from orograph.geovis.data.vertical import levels_of
+from orograph.geovis.keys import written_unit
+
+
+def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], str]:
+    """Bands that are meant, from 1, and in words which of several they are.
+
+    Raises:
+        UsageError: there are none such.
+    """
+    bands = list(range(1, file.count + 1))
+    words: list[str] = []
+    if given.time is not None:
+        times = times_of(file)
+        if not any(times):
+            raise UsageError("Its bands say no times.", path=str(given.source), remedy="Choose by band=.")
+        bands = [band for band in bands if matches(times[band - 1], given.time)]
+        if not bands:
+            raise UsageError(
+                f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
+                path=str(given.source), remedy="Give the beginning of one, or an hour of all days: T12.",
+            )  # fmt: skip
+        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[bands[0] - 1].replace("T", " "))
+    if given.level is not None:
+        own = levels_of(file, getattr(given, "vertical", None))
+        bands = [band for band in bands if own is not None and is_level(own.values[band - 1], given.level)]
+        if not bands:
+            values = [] if own is None else np.unique(own.values[np.isfinite(own.values)]).tolist()
+            known = ", ".join(f"{value:g}" for value in values) or "none"
+            raise UsageError(f"It has no level {given.level}; its levels are: {known}.", path=str(given.source))
+        words.append(f"at {float(given.level):g} {written_unit(own.axis.unit) if own is not None else ''}".rstrip())
+    for asked in (given.band, given.member):
+        if asked is not None:
+            bands = picked(bands, str(asked), str(given.source))
+    wanted = wants_members(given)
+    if given.time is None and given.band is None and given.member is None and not wanted:
+        bands = bands[:1]
+    if len(bands) > 1:
+        words.insert(0, f"mean of {len(bands)}")
+    elif file.count > 1 and not words:
+        words.append(file.descriptions[bands[0] - 1] or f"band {bands[0]}")
+    return bands, " ".join(words)
+
+
+def is_level(value: float, asked: str | float) -> bool:
+    """Whether a level is the one asked for.
+
+    Raises:
+        UsageError: what is asked for is no number.
+    """
+    try:
+        return math.isclose(value, float(asked), rel_tol=1e-5)
+    except ValueError:
+        raise UsageError(f"A level is a number, not {asked!r}.") from None
+
+
+def wants_members(given: Dataset | Uncertainty) -> bool:
+    """Whether all members are meant where none are named."""
+    if not isinstance(given, Dataset):
+        return False
+    doubt = given.uncertainty
+    by_sigma = given.exceeds is not None and doubt is not None and not doubt.of_members
+    return (given.derived and not by_sigma) or (doubt is not None and doubt.of_members)
+
+
+def picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
+    """Of the bands at hand those at positions ``3``, ``1-13`` or ``all``, from 1."""
+    if asked.lower() == "all":
+        return list(bands)
+    found = re.fullmatch(r"(\d+)(?:-(\d+))?", asked.strip())
+    if found is None:
+        raise UsageError(f"Bands are 3, 1-13 or all, not {asked!r}.", path=name)
+    first, last = int(found[1]), int(found[2] or found[1])
+    if not 1 <= first <= last <= len(bands):
+        raise UsageError(f"Bands are counted from 1 to {len(bands)} here; there is no {asked}.", path=name)
+    return list(bands[first - 1 : last])

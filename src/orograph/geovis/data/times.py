@@ -1,0 +1,120 @@
+"""Times: of a raster's bands, how they are asked for (ISO 8601 in UTC, to the minute), moments of tracks, and ticks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import ReadError
+
+_SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
+"""Seconds of CF's units of time."""
+
+
+def matches(time: str, asked: str) -> bool:
+    """Whether a time, ISO 8601 in UTC, is the one asked for: by its beginning, or (``T12``) by its hour."""
+    return asked in time if asked.startswith("T") else time.startswith(asked.replace(" ", "T"))
+
+
+def times_of(file: Any) -> list[str]:
+    """The times of a dataset's bands, ISO 8601 in UTC, to the minute; "" where one says none."""
+    scale = re.fullmatch(r"(\w+?)s? since (.+)", file.tags().get("time#units", "").strip())
+    found = []
+    for band in range(1, file.count + 1):
+        tags = file.tags(band)
+        second = tags.get("GRIB_VALID_TIME", "").split()
+        if second:
+            moment: Any = np.datetime64(int(second[0]), "s")
+        elif scale and "NETCDF_DIM_time" in tags and scale[1] in _SECONDS:
+            start = np.datetime64(scale[2].strip().replace(" ", "T").rstrip("Z"), "s")
+            moment = start + np.timedelta64(round(float(tags["NETCDF_DIM_time"]) * _SECONDS[scale[1]]), "s")
+        else:
+            found.append("")
+            continue
+        found.append(str(moment.astype("datetime64[m]")))
+    return found
+
+
+def neighbours(times: Sequence[str], asked: str) -> tuple[str, str, float] | None:
+    """The times (ISO 8601, in order) before and after a moment between two of them, and how far it is from the one to
+    the other, 0 to 1; None where one of them is meant, or it lies outside, or is no moment.
+    """
+    if len(times) < 2 or asked.startswith("T") or any(matches(time, asked) for time in times):
+        return None
+    try:
+        second = seconds_of([asked], "", "")[0]
+    except ReadError:
+        return None
+    known = seconds_of(times, "", "")
+    if not known[0] < second < known[-1]:
+        return None
+    k = int(np.searchsorted(known, second)) - 1
+    return times[k], times[k + 1], float((second - known[k]) / (known[k + 1] - known[k]))
+
+
+def written(second: float) -> str:
+    """A moment, ISO 8601 in UTC, to the minute, or to the second where it is none."""
+    moment = datetime.fromtimestamp(round(second), UTC)
+    return f"{moment:%Y-%m-%dT%H:%M}" + (f"{moment::%S}" if moment.second else "")
+
+
+LONG_AGO = 1e11
+"""Numbers of times above this are milliseconds since 1970, else seconds."""
+
+
+def seconds_of(told: Iterable[Any], name: str, attribute: str) -> NDArray[np.float64]:
+    """Moments as seconds since 1970 in UTC, NaN where none is told: ISO 8601 (without a zone in UTC), or numbers of
+    seconds or milliseconds since 1970.
+
+    Raises:
+        ReadError: something is no moment.
+    """
+    found = []
+    for value in told:
+        text = str(value).strip()
+        if value is None or text in ("", "nan", "NaT", "None"):
+            found.append(np.nan)
+            continue
+        try:
+            number = float(text)
+            found.append(number / 1000 if abs(number) > LONG_AGO else number)
+        except ValueError:
+            found.append(_moment(text, name, attribute))
+    return np.array(found, np.float64)
+
+
+def _moment(text: str, name: str, attribute: str) -> float:
+    for form in (text, text[:26]):  # (xarray and pandas write nanoseconds, which Python does not read)
+        try:
+            moment = datetime.fromisoformat(form)
+        except ValueError:
+            continue
+        return (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)).timestamp()
+    raise ReadError(
+        f"{text!r} in its {attribute} is no moment.", path=name,
+        remedy="Write them as 2019-03-01T12:00:00Z, or as seconds since 1970.",
+    )  # fmt: skip
+
+
+STEPS = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400, 172_800,
+         432_000, 864_000, 1_728_000, 4_320_000, 8_640_000, 31_557_600)  # fmt: skip
+"""Seconds from tick to tick of a time axis."""
+
+
+def ticks(first: float, last: float, most: int = 8) -> tuple[NDArray[np.float64], list[str]]:
+    """Round moments within a time, at most so many, and how they are written."""
+    step = next((one for one in STEPS if (last - first) / one < most), (last - first) / (most - 1))
+    at = np.arange(np.ceil(first / step), np.floor(last / step) + 1) * step
+    words, day = [], ""
+    for second in at:
+        moment = datetime.fromtimestamp(second, UTC)
+        date, clock = f"{moment.day} {moment:%b}" if step < 31_557_600 else f"{moment:%Y}", f"{moment:%H:%M}"
+        clock += f":{moment:%S}" if step < 60 else ""
+        words.append(date if step >= 86_400 else f"{date} {clock}" if date != day else clock)
+        day = date
+    return at, words

@@ -1,0 +1,295 @@
+"""Chunks of ``chunked-lod`` that the GPU decodes itself: their words go up, a compute pass makes meshes of them.
+
+Meshes stay where they are until there is no more room; then those that are drawn begin a new pool. Frames that still
+draw the last pool hold it. All that a frame brings is 20 bytes for every ``RUN`` triangles: a run of one chunk's
+triangles, and how far its vertices have moved.
+
+A vertex takes 20 bytes (row, column, height, height in the coarser mesh, the skirt's lower end), a triangle 12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.gpu.program import Program
+from orograph.gpu.recording import write
+from orograph.lod.selection import CodedChunks, Selection
+from orograph.rendering.gpu.surface.faces import FacePass
+from orograph.rendering.gpu.surface.left import Left
+from orograph.rendering.gpu.targets import Targets
+from orograph.store.chunk_code import BLOCK, HEADER, Decoded, decoded, hung_edges
+from orograph.store.chunked import PARTS, Layout, Words
+from orograph.tessellation import Tessellation
+
+JOB = np.dtype(
+    [
+        ("words", "<u4"), ("scratch", "<u4"), ("vertex", "<u4"), ("triangle", "<u4"), ("row", "<i4"), ("col", "<i4"),
+        ("kind", "<u4"), ("spare", "<u4"),
+    ]
+)  # fmt: skip
+"""A chunk to be decoded: ``Job`` of ``shaders/chunk_code.wgsl``."""
+
+INSTANCE = np.dtype([("first", "<u4"), ("count", "<u4"), ("vertex", "<u4"), ("step", "<f4"), ("left", "<f4")])
+"""A run of triangles: ``Run`` of ``shaders/chunk_draw.wgsl``."""
+
+RUNS = {
+    "array_stride": INSTANCE.itemsize,
+    "step_mode": "instance",
+    "attributes": [
+        {"format": "uint32x3", "offset": 0, "shader_location": 0},
+        {"format": "float32x2", "offset": 12, "shader_location": 1},
+    ],
+}
+
+LARGE = 1 << 18
+"""Triangles of a chunk that are left to the CPU: a workgroup would take long. (And software Vulkan, Mesa's, ends a
+thread's loops without a word when they have gone round 65,535 times, all together: here 10 for every 64 triangles.)"""
+
+RUN = 64
+"""Triangles of an instance."""
+
+VERTEX, TRIANGLE, NODE = 20, 12, 32
+"""Bytes."""
+
+HUNG = np.uint32(1 << 31)
+"""Of a corner: the lower end of the skirt."""
+
+ROOM = 1 << 14
+"""Vertices that the smallest pool has room for."""
+
+SCRATCH = 32 << 20
+"""Bytes of scratch that one dispatch takes; the last of its chunks may need more."""
+
+COARSER = 1.25
+"""By how much a tolerance grows until its chunks fit."""
+
+VERTICES, TRIANGLES, EDGES, WIDEST = (HEADER.index(name) for name in ("vertices", "triangles", "hung", "widest"))
+FLAGS = HEADER.index("flags")
+
+
+@dataclass(slots=True, eq=False)
+class Meshes:
+    """Meshes in the GPU's memory.
+
+    Attributes:
+        source: whose chunks. vertices, triangles: the buffers. room: how many of each they hold.
+        used: how many are there. places: by a chunk's name the numbers of its first vertex and triangle.
+    """
+
+    source: Any
+    vertices: Any
+    triangles: Any
+    room: tuple[int, int]
+    used: tuple[int, int] = (0, 0)
+    places: dict[tuple[int, int, int], tuple[int, int]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DecodedChunks(Selection):
+    """Chunks whose meshes are on the GPU.
+
+    Attributes:
+        meshes: where. runs: (n,) of ``INSTANCE``. triangles: how many. coded: as they were selected.
+    """
+
+    meshes: Meshes
+    runs: NDArray[np.void]
+    triangles: int
+    coded: CodedChunks
+
+    def tessellation(self) -> Tessellation:
+        """What is drawn of it, decoded on the CPU."""
+        return self.coded.tessellation()
+
+
+class Decoder:
+    """Decodes chunks on a device (``shaders/chunk_code.wgsl``); very large ones on the CPU."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self._program = Program(device, "chunk_code", BLOCK=BLOCK, PARTS=PARTS)
+        self._pipeline: Any = None
+
+    def decode(
+        self, layout: Layout, names: Sequence[tuple[int, int, int]], coded: Sequence[Words],
+        places: Sequence[tuple[int, int]], vertices: Any, triangles: Any,
+    ) -> None:  # fmt: skip
+        """Have chunks decoded into two buffers.
+
+        Args:
+            names, coded: of the chunks, and their words. places: the numbers of their first vertices and triangles.
+        """
+        if self._pipeline is None:
+            self._pipeline = self._program.compute()
+        jobs: list[tuple[int, int]] = []
+        size = 0
+        for k, words in enumerate(coded):
+            if int(words[TRIANGLES]) > LARGE:
+                self._on_cpu(decoded(words, layout, *names[k]), places[k], layout, names[k], vertices, triangles)
+                continue
+            jobs.append((k, size))
+            size += -(-(int(words[VERTICES]) - 4) // BLOCK) + 2 * int(words[WIDEST]) * NODE // 4
+            if 4 * size > SCRATCH:
+                self._dispatch(jobs, size, layout, names, coded, places, vertices, triangles)
+                jobs, size = [], 0
+        if jobs:
+            self._dispatch(jobs, size, layout, names, coded, places, vertices, triangles)
+
+    def _dispatch(
+        self, jobs: list[tuple[int, int]], size: int, layout: Layout, names: Sequence[tuple[int, int, int]],
+        coded: Sequence[Words], places: Sequence[tuple[int, int]], vertices: Any, triangles: Any,
+    ) -> None:  # fmt: skip
+        """Decode some chunks. ``jobs``: their numbers, and where their scratch begins; ``size``: words of it."""
+        some = [coded[k] for k, _ in jobs]
+        table = np.zeros(1 + len(jobs), JOB)
+        table[0]["row"], table[0]["col"] = (side - 1 for side in layout.shape)
+        table["words"][1:] = np.cumsum([0, *map(len, some[:-1])])
+        for row, (k, scratch) in zip(table[1:], jobs, strict=True):
+            level, i, j = names[k]
+            side = layout.side(level)
+            ends = ((layout.corners(level, i, j) - (i * side, j * side)) // side).reshape(-1)
+            row["scratch"], (row["vertex"], row["triangle"]) = scratch, places[k]
+            row["row"], row["col"] = i * side, j * side
+            row["kind"] = side.bit_length() - 1 | int((ends << np.arange(8)).sum()) << 8
+        bound = {
+            "jobs": self.device.buffer(table, "STORAGE", "chunks to decode"),
+            "coded": self.device.buffer(np.concatenate([*some, np.zeros(2, np.uint32)]), "STORAGE", "coded chunks"),
+            "scratch": self.device.buffer(4 * size, "STORAGE", "nodes of chunks"),
+            "vertices": vertices, "triangles": triangles,
+        }  # fmt: skip
+        encoder = self.device.handle.create_command_encoder()
+        pass_ = encoder.begin_compute_pass()
+        pass_.set_pipeline(self._pipeline)
+        pass_.set_bind_group(0, self._program.bind(bound))
+        pass_.dispatch_workgroups(len(jobs))
+        pass_.end()
+        self.device.queue.submit([encoder.finish()])
+
+    def _on_cpu(
+        self, mesh: Decoded, place: tuple[int, int], layout: Layout, name: tuple[int, int, int], vertices: Any,
+        triangles: Any,
+    ) -> None:  # fmt: skip
+        """Bring a chunk that the CPU decoded."""
+        rows = np.column_stack([mesh.places, mesh.heights, mesh.targets, mesh.low]).astype(np.int32)
+        p, q = hung_edges(mesh, layout, *name).astype(np.uint32).T
+        skirt = np.stack([q, p, p | HUNG, q, p | HUNG, q | HUNG], 1).reshape(-1, 3)
+        corners = np.concatenate([mesh.triangles.astype(np.uint32), skirt])
+        self.device.queue.write_buffer(vertices, place[0] * VERTEX, rows)
+        self.device.queue.write_buffer(triangles, place[1] * TRIANGLE, corners)
+
+
+class Chunks:
+    """Brings coded chunks to the GPU and has them decoded there.
+
+    Args:
+        most: bytes that there are for meshes; while frames still draw the last ones, twice as many.
+    """
+
+    def __init__(self, device: Device, most: int) -> None:
+        self.device = device
+        share = min(most, 2 * device.largest)
+        self.most = int(share * 0.45) // VERTEX, int(share * 0.55) // TRIANGLE
+        self._decoder = Decoder(device)
+        self._meshes: Meshes | None = None
+
+    def ready(self, selection: CodedChunks, again: Callable[[float], CodedChunks]) -> DecodedChunks:
+        """A selection on the GPU; coarser where memory holds no more.
+
+        Args:
+            again: selects with another tolerance, pixels.
+
+        Raises:
+            StoreError: chunks cannot be read. DeviceLimitError: the device's memory is full.
+        """
+        heads, tolerance = self._heads(selection), float(selection.stats["tolerance"] or 0.25)
+        while len(heads) > 4 and any(size > most for size, most in zip(_needed(heads), self.most, strict=True)):
+            tolerance *= COARSER
+            selection = again(tolerance)
+            heads = self._heads(selection)
+        meshes = self._made(selection, heads)
+        at = np.array([meshes.places[name] for name in selection.names], np.int64).reshape(-1, 2)
+        counts = heads[:, TRIANGLES] + (2 * heads[:, EDGES] if selection.skirts else 0)
+        parts = -(-counts // RUN)
+        of = np.repeat(np.arange(len(heads)), parts)
+        number = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+        runs = np.zeros(len(of), INSTANCE)
+        runs["first"] = at[of, 1] + RUN * number
+        runs["count"] = np.minimum(RUN, counts[of] - RUN * number)
+        runs["vertex"] = at[of, 0]
+        runs["step"] = 2.0 ** ((heads[of, FLAGS] & 255) - 64)
+        runs["left"] = selection.left[of]
+        return DecodedChunks(
+            method=selection.method, bound=selection.bound, stats=selection.stats, meshes=meshes, runs=runs,
+            triangles=int(counts.sum()), coded=selection,
+        )  # fmt: skip
+
+    def _heads(self, selection: CodedChunks) -> NDArray[np.int64]:
+        found = np.array([words[: len(HEADER)] for words in selection.words], np.int64)
+        return found.reshape(-1, len(HEADER))
+
+    def _made(self, selection: CodedChunks, heads: NDArray[np.int64]) -> Meshes:
+        """Where the meshes are, those that lacked decoded."""
+        meshes = self._meshes
+        lacking = [k for k, name in enumerate(selection.names) if meshes is None or name not in meshes.places]
+        needed = _needed(heads[lacking])
+        if meshes is None or meshes.source is not selection.source or _over(meshes.used, needed, meshes.room):
+            lacking = list(range(len(heads)))
+            room = [min(max(2 * size, ROOM), most) for size, most in zip(_needed(heads), self.most, strict=True)]
+            meshes = self._meshes = Meshes(
+                selection.source, self.device.buffer(room[0] * VERTEX, "STORAGE|COPY_SRC", "vertices of chunks"),
+                self.device.buffer(room[1] * TRIANGLE, "STORAGE|COPY_SRC", "triangles of chunks"), (room[0], room[1]),
+            )  # fmt: skip
+        sizes = np.stack([heads[lacking, VERTICES], heads[lacking, TRIANGLES] + 2 * heads[lacking, EDGES]], 1)
+        ends = np.cumsum(sizes, 0) + np.array(meshes.used)
+        names = [selection.names[k] for k in lacking]
+        places = [(v, t) for v, t in (ends - sizes).tolist()]
+        words = [selection.words[k] for k in lacking]
+        self._decoder.decode(selection.layout, names, words, places, meshes.vertices, meshes.triangles)
+        meshes.places.update(zip(names, places, strict=True))
+        if len(ends):
+            meshes.used = int(ends[-1, 0]), int(ends[-1, 1])
+        return meshes
+
+
+def _needed(heads: NDArray[np.int64]) -> tuple[int, int]:
+    """Vertices and triangles of chunks, all skirts included."""
+    return int(heads[:, VERTICES].sum()), int((heads[:, TRIANGLES] + 2 * heads[:, EDGES]).sum())
+
+
+def _over(used: tuple[int, int], more: tuple[int, int], room: tuple[int, int]) -> bool:
+    return used[0] + more[0] > room[0] or used[1] + more[1] > room[1]
+
+
+class ChunkPass(FacePass):
+    """Draws decoded chunks into depth and marks: one draw, an instance for each run of triangles. Args: as of
+    ``FacePass``."""
+
+    def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
+        super().__init__(device, "chunk_draw", camera, field, missing, [RUNS], PARTS=PARTS)
+        self._held: tuple[Any, Any] = (None, None)
+        self._runs: tuple[Any, Any, int] = (None, None, 0)
+
+    def draw(self, encoder: Any, targets: Targets, selection: DecodedChunks, left: Left) -> None:
+        """Clear the targets and draw."""
+        meshes, runs = selection.meshes, selection.runs
+        if self._held[0] is not meshes:
+            self._held = meshes, self.bind(vertices=meshes.vertices, triangles=meshes.triangles)
+        if self._runs[0] is not runs and len(runs):
+            buffer, room = self._runs[1:]
+            if len(runs) > room:
+                room = 1 << (len(runs) - 1).bit_length()
+                buffer = self.device.buffer(room * INSTANCE.itemsize, "VERTEX", "runs of triangles")
+            write(self.device, buffer, runs)
+            self._runs = runs, buffer, room
+        pass_ = self.begin(encoder, targets, left)
+        if len(runs):
+            pass_.set_bind_group(0, self._held[1])
+            pass_.set_vertex_buffer(0, self._runs[1])
+            pass_.draw(3 * RUN, len(runs))
+        pass_.end()

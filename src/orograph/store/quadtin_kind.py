@@ -1,0 +1,95 @@
+"""QuadTINs' hierarchies as a kind of derived data: what a store has of them, and how they are opened or made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from orograph.errors import StoreError, UsageError
+from orograph.geo.grid import Grid
+from orograph.store.arrays import ArraySpec
+from orograph.store.derived import At, Attributes, Derived, Nodes
+from orograph.store.points import POINTS
+from orograph.store.quadtin_layout import (
+    DEPTHS,
+    SPLITS,
+    Facts,
+    MemoryQuadTin,
+    StoredQuadTin,
+    layout_of,
+    lengths_spec,
+    summary_spec,
+    words_spec,
+)
+
+if TYPE_CHECKING:
+    from orograph.store.memory import MemoryTerrain
+    from orograph.store.stored import StoredTerrain
+
+
+def checked_quadtin(asked: Any) -> tuple[float, str]:
+    """The metres and the way of splitting of a hierarchy.
+
+    Raises:
+        UsageError: they make no sense.
+    """
+    pair = tuple(asked) if isinstance(asked, (tuple, list)) else ()
+    if len(pair) != 2 or not isinstance(pair[0], (int, float)) or not 0 <= pair[0] < math.inf or pair[1] not in SPLITS:
+        raise UsageError(
+            f"'quadtin' is the metres of the finest triangles, 0 or more, and one of {', '.join(SPLITS)}, not "
+            f"{asked!r}.", remedy='(0, "nearest") is what quadtin takes by itself.',
+        )  # fmt: skip
+    return float(pair[0]), str(pair[1])
+
+
+class QuadTinKind(Derived[dict[str, Any]]):
+    """The hierarchy of a QuadTIN. Options: ``finest``, as asked for; ``split``.
+
+    A record has both, as ``asked``; the ``side`` of blocks; of each part the ``rows`` of its words; and ``Facts``.
+    """
+
+    name, version, group = "quadtin", 1, "quadtin"
+    needs = (POINTS.name,)
+
+    def nothing(self) -> dict[str, Any]:
+        return {}
+
+    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {name: told[name] for name in ("asked", "side", "rows", *Facts._fields)}
+
+    def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
+        return what
+
+    def arrays(self, what: dict[str, Any], at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
+        across = layout_of(at.grid.shape, what["side"]).across
+        yield summary_spec(across, at.shard, at.chunk), {"long_name": "what there is to know of blocks"}
+        for part in range(len(DEPTHS)):
+            about = f"words of each block's triangles to depth {DEPTHS[part]}"
+            yield lengths_spec(across, part, at.shard, at.chunk), {"long_name": about}
+            about = "vertices and triangles of blocks"
+            yield words_spec(part, what["rows"][part], at.shard, at.chunk), {"long_name": about}
+
+    def groups(self, what: dict[str, Any], at: At) -> tuple[Nodes, dict[str, bytes]]:
+        from orograph.store.conventions import group
+
+        nodes, data = super().groups(what, at)
+        return {**nodes, self.group: group({name: what[name] for name in ("asked", "finest")})}, data
+
+    def open(self, terrain: StoredTerrain, **options: Any) -> StoredQuadTin:
+        found, asked = self.of(terrain.record), [options["finest"], options["split"]]
+        if found.get("asked") != asked:
+            raise StoreError(
+                f"This store has no QuadTIN of finest={asked[0]:g} and split={asked[1]}.", path=terrain.url,
+                remedy=f"Build it with one (`orograph.build(..., quadtin=({asked[0]:g}, {asked[1]!r}))`), or have it "
+                "made.",
+            )  # fmt: skip
+        return StoredQuadTin(terrain, found)
+
+    def compute(self, terrain: MemoryTerrain, **options: Any) -> MemoryQuadTin:
+        from orograph.store.quadtin_make import make_quadtin
+
+        return make_quadtin(terrain, options["finest"], options["split"])
+
+
+QUADTIN = QuadTinKind()

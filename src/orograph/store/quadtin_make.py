@@ -1,0 +1,271 @@
+"""A QuadTIN's hierarchy made block by block: what is split, until blocks agree at their sides; errors, likewise.
+
+A vertex on a side between two blocks splits a triangle of each. So each block is grown by itself, then again with the
+vertices that its neighbours have on its sides, until nobody has any that the others lack: this ends with the least
+hierarchy that is within ``finest`` metres everywhere, whatever the order. In the same way errors and spheres are closed
+over the hierarchy: sides hand on the largest of both. Blocks at work and what lies on sides is all that memory holds;
+blocks wait in a scratch file. Lattice units; metres.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Sequence
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.parallel import map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store import quadtin_build as build
+from orograph.store.chunked_kind import spooled
+from orograph.store.quadtin_grow import EAST, SOUTH, Grown, Making, rounded_up
+from orograph.store.quadtin_kernels import expand, saturate
+from orograph.store.quadtin_layout import (
+    DEPTHS,
+    FIRST,
+    SIDE,
+    Facts,
+    Layout,
+    MemoryQuadTin,
+    Part,
+    Summary,
+    Words,
+    cut,
+    packed,
+    summary_shapes,
+    top_of,
+    unpacked,
+)
+from orograph.store.terrain import Terrain
+
+
+class Waiting:
+    """Blocks that wait in a scratch file."""
+
+    def __init__(self, file: IO[bytes], count: int) -> None:
+        self._file, self._at = file, [(0, 0)] * count
+
+    def put(self, block: int, part: Part) -> None:
+        data = packed(part).tobytes()
+        self._at[block] = self._file.seek(0, 2), len(data)
+        self._file.write(data)
+
+    def get(self, block: int) -> Part:
+        at, size = self._at[block]
+        self._file.seek(at)
+        return unpacked(np.frombuffer(self._file.read(size), np.uint32))
+
+
+def make_quadtin(
+    terrain: Terrain, finest: float, split: str, *, jobs: int | None = None, progress: Progress = SILENT,
+    side: int = SIDE, max_memory: int = 1 << 30,
+) -> MemoryQuadTin:  # fmt: skip
+    """The hierarchy of a terrain in memory. See ``made``."""
+    words: list[list[Words]] = [[] for _ in DEPTHS]
+    found = made(
+        terrain, finest, split, lambda part, one: words[part].append(one), jobs=jobs, progress=progress, side=side,
+        max_memory=max_memory,
+    )  # fmt: skip
+    return MemoryQuadTin(*found, words)
+
+
+def made(
+    terrain: Terrain, finest: float, split: str, keep: Callable[[int, Words], object], *, jobs: int | None = None,
+    progress: Progress = SILENT, side: int = SIDE, max_memory: int = 1 << 30,
+) -> tuple[Layout, Facts, Summary]:  # fmt: skip
+    """Make the hierarchy of a terrain.
+
+    Args:
+        terrain: the ground; where it was gridded from points and has them, these are.
+        finest: metres within which the finest triangles are, 0: a part of the spacing of samples. split: which point
+            splits a triangle. keep: takes parts of blocks, block after block: which part, and its words.
+        jobs: threads (default: all processors); the result does not depend on them.
+        side: samples along a block's side, about. max_memory: bytes for a block.
+
+    Raises:
+        UsageError: there is no ground, or a block does not fit. DamagedChunkError: as ``terrain.read``.
+    """
+    making = Making(terrain, finest, split == "deviation", side, max_memory)
+    with contextlib.ExitStack() as stack:
+        waiting = Waiting(stack.enter_context(spooled()), making.layout.blocks)
+        grown = _agreed(making, waiting, jobs, progress)
+        sides = _closed_sides(making, waiting, grown, jobs, progress)
+        return _finished(making, waiting, grown, sides, keep, jobs, progress)
+
+
+def _agreed(making: Making, waiting: Waiting, jobs: int | None, progress: Progress) -> list[Grown]:
+    """Grow all blocks until they agree at their sides; what there is to know of them."""
+    count = making.layout.blocks
+    nothing = [np.zeros(0, np.int32)] * 4
+    forced = [nothing] * count
+    grown: list[Grown | None] = [None] * count
+    todo: Iterable[int] = range(count)
+    while todo:
+        todo = list(todo)
+        with progress.task("Making the QuadTIN", len(todo)) as task:
+            for block, (part, found) in zip(todo, map_ordered(lambda b: making.grow(b, forced[b]), todo, jobs)):
+                waiting.put(block, part)
+                grown[block] = found
+                task.advance()
+        todo = []
+        for block in range(count):
+            asked, lacking = [], False
+            for side in range(4):
+                other = making.beyond(block, side)
+                theirs = nothing[0] if other is None else _of(grown[other[0]]).sides[other[1]][0]
+                asked.append(theirs)
+                lacking = lacking or bool(len(np.setdiff1d(theirs, _of(grown[block]).sides[side][0])))
+            if lacking and any(not np.array_equal(a, b) for a, b in zip(asked, forced[block])):
+                forced[block] = asked
+                todo.append(block)
+    return [_of(one) for one in grown]
+
+
+def _of(grown: Grown | None) -> Grown:
+    assert grown is not None
+    return grown
+
+
+Bounds = list[list[NDArray[np.float32]]]
+"""Of each block and side (2, n): errors and radii of the vertices on it."""
+
+
+def _with_sides(part: Part, grown: Grown, bounds: Sequence[NDArray[np.float32]]) -> Part:
+    """A block whose vertices on sides have at least these errors and radii."""
+    error, radius = part.error.copy(), part.radius.copy()
+    for (_, on), (e, r) in zip(grown.sides, bounds):
+        error[on], radius[on] = np.maximum(error[on], e), np.maximum(radius[on], r)
+    return part._replace(error=error, radius=radius)
+
+
+def _closed_sides(
+    making: Making, waiting: Waiting, grown: list[Grown], jobs: int | None, progress: Progress
+) -> Bounds:  # fmt: skip
+    """The errors and radii that vertices on sides have when all is closed."""
+    bounds: Bounds = [[np.zeros((2, len(on)), np.float32) for _, on in one.sides] for one in grown]
+
+    def close(item: tuple[int, Part]) -> list[NDArray[np.float32]]:
+        block, part = item
+        found, _ = making.closed(block, _with_sides(part, grown[block], bounds[block]))
+        return [np.stack([found.error[on], found.radius[on]]) for _, on in grown[block].sides]
+
+    todo = list(range(len(grown))) if len(grown) > 1 else []
+    while todo:
+        with progress.task("Closing errors", len(todo)) as task:
+            items = ((block, waiting.get(block)) for block in todo)
+            for block, found in zip(todo, map_ordered(close, items, jobs)):
+                bounds[block] = found
+                task.advance()
+        again = set()
+        for block in range(len(grown)):
+            for side in (EAST, SOUTH):
+                other = making.beyond(block, side)
+                if other is None:
+                    continue
+                (places, _), (theirs, _) = grown[block].sides[side], grown[other[0]].sides[other[1]]
+                _, i, j = np.intersect1d(places, theirs, assume_unique=True, return_indices=True)
+                most = np.maximum(bounds[block][side][:, i], bounds[other[0]][other[1]][:, j])
+                for b, s, at in ((block, side, i), (*other, j)):
+                    if (bounds[b][s][:, at] < most).any():
+                        bounds[b][s][:, at] = most
+                        again.add(b)
+        todo = sorted(again)
+    return bounds
+
+
+def _finished(
+    making: Making, waiting: Waiting, grown: list[Grown], sides: Bounds, keep: Callable[[int, Words], object],
+    jobs: int | None, progress: Progress,
+) -> tuple[Layout, Facts, Summary]:  # fmt: skip
+    """The hierarchy, its blocks cut in parts."""
+    layout, across = making.layout, making.layout.across
+    summary = Summary(*(np.zeros(shape) for shape in summary_shapes(across).values()))
+    by_corners = np.zeros((across + 1, across + 1, 2))
+    roots = np.zeros((layout.blocks, 2, 2))  # off, state
+
+    def close(item: tuple[int, Part]) -> tuple[Part, NDArray[np.float64], list[Words]]:
+        block, part = item
+        part, of_corners = making.closed(block, _with_sides(part, grown[block], sides[block]))
+        found, v0, t0 = [], 4, 0
+        for v, t in grown[block].cuts:
+            found.append(packed(cut(part, v0, int(v), t0, int(t))))
+            v0, t0 = int(v), int(t)
+        return part, of_corners, found
+
+    with progress.task("Writing the QuadTIN", layout.blocks) as task:
+        items = ((block, waiting.get(block)) for block in range(layout.blocks))
+        for block, (part, of_corners, words) in enumerate(map_ordered(close, items, jobs)):
+            west, _, north, _ = making.bounds(block)
+            row, col = divmod(block, across)
+            for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
+                at = by_corners[row + i, col + j]
+                np.maximum(at, of_corners[k], out=at)
+            v0, t0 = 4, 0
+            for p, (v, t) in enumerate(grown[block].cuts):
+                summary.errors[block, p] = part.error[v0:v].max(initial=0.0)
+                summary.vertices[block, p], summary.triangles[block, p] = v - v0, t - t0
+                keep(p, words[p])
+                v0, t0 = int(v), int(t)
+            c = min(4, len(part.x) - 1)
+            at = np.ldexp(np.array([part.x[c] + west, part.y[c] + north], np.float64), -layout.bits)
+            summary.centre[block], summary.radius[block] = (*at, part.z[c]), part.radius[c]
+            roots[block] = np.stack([part.off[:2], part.state[:2]], 1)
+            task.advance()
+    _put_top(making, grown, by_corners, roots, summary)
+    facts = Facts(
+        sum(one.own[0] for one in grown), sum(one.own[1] for one in grown), making.finest,
+        sum(one.stuck for one in grown), all(one.whole for one in grown),
+    )  # fmt: skip
+    return layout, facts, summary
+
+
+def _put_top(
+    making: Making, grown: list[Grown], by_corners: NDArray[np.float64], roots: NDArray[np.float64], summary: Summary
+) -> None:  # fmt: skip
+    """Find what the summary says of the top. A triangle there is off by no more than the ground is above or below its
+    corners, which are on it."""
+    layout = making.layout
+    top = top_of(layout.across)
+    row, col = top.order.T
+    summary.z[:] = making.corners[row, col]
+    triangles, v = len(top.node), len(summary.z)
+    off, state = np.zeros(triangles), np.zeros(triangles)
+    low, high = np.full(triangles, np.inf), np.full(triangles, -np.inf)
+    corners = np.zeros((triangles, 3), np.int32)
+    corners[:2] = FIRST[0]
+    child, nodes_of = np.empty((2, triangles), np.int32)
+    parents, nodes = np.full((v, 2), -1, np.int32), np.full((v, 4), -1, np.int32)
+    ids = np.arange(v, dtype=np.int32)
+    expand(top.node, ids, np.arange(2, dtype=np.int32), 2, corners, child, nodes_of, parents, nodes)
+    off[top.roots], state[top.roots] = roots[:, :, 0], roots[:, :, 1]
+    ground = np.array([one.ground for one in grown])
+    low[top.roots], high[top.roots] = ground[:, :, 0], ground[:, :, 1]
+    error, radius = np.zeros((2, v), np.float32)
+    places = np.column_stack([making.metres(layout.xs[col], layout.ys[row]), summary.z])
+    z = summary.z[corners]
+    for first in reversed([(2 << d) - 2 for d in range(2 * (layout.across.bit_length() - 1))]):
+        here = np.arange(first, 2 * first + 2)  # the triangles of a depth
+        m, below = nodes_of[here], child[here]
+        lowest, highest = np.full(v, np.inf), np.full(v, -np.inf)  # of diamonds: both triangles have all four children
+        least, most = np.full(v, np.inf), np.full(v, -np.inf)
+        for one in (below, below + 1):
+            np.minimum.at(lowest, m, low[one])
+            np.maximum.at(highest, m, high[one])
+            np.minimum.at(least, m, state[one])
+            np.maximum.at(most, m, state[one])
+        low[here], high[here] = lowest[m], highest[m]
+        state[here] = np.where(least[m] == most[m], most[m], build.MIXED)
+        live, dead = state[here] == build.LIVE, state[here] == build.DEAD
+        above = np.maximum(high[here] - z[here].min(1), z[here].max(1) - low[here])
+        off[here] = np.where(live, np.maximum(above, 0.0) * (1 + build.RIM), 0.0)
+        np.maximum.at(error, m, rounded_up(np.where(live | dead, off[here], np.inf)))
+        far = np.linalg.norm(places[corners[here], :2] - places[m, None, :2], axis=2).max(1)
+        rise = np.maximum(np.abs(high[here] - summary.z[m]), np.abs(low[here] - summary.z[m]))
+        np.maximum.at(radius, m, rounded_up(np.where(dead, 0.0, np.hypot(far, rise) * (1 + build.RIM))))
+    error, radius = np.maximum(error, by_corners[row, col, 0]), np.maximum(radius, by_corners[row, col, 1])
+    error, radius = error.astype(np.float32), radius.astype(np.float32)
+    saturate(places, parents, error, radius)
+    summary.error[:], summary.sphere[:] = error, radius
+    summary.off[:], summary.state[:] = off, state

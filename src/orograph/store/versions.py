@@ -1,0 +1,148 @@
+"""Versions of a store in a folder: STORE is the newest, ``STORE@2`` an older one, a complete store beside it.
+
+Updates (``updating``) count them. The number lies in ``parts/version.json``, outside of what a build is compared by: an
+updated store has the bytes of a new one. What two versions have in common are hard links, where the file system has
+them.
+
+The new version and the old one exchange their names in one step of the system (Linux, macOS): STORE is complete at
+every moment. Where the system cannot do that, STORE is moved aside first, and for a moment only ``STORE@2`` is there.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import sys
+from pathlib import Path
+
+from orograph.errors import StoreError, UsageError
+from orograph.progress import Progress
+from orograph.store.places import PARTS, PLAN, VERSION, is_store, kept, partial, replaced
+from orograph.store.places import publish as publish_alone
+from orograph.store.storage import FolderStorage, Storage
+
+KEEP = 2
+"""Versions that an update leaves unless told otherwise: the new one, and the one that readers may have open."""
+
+NUMBER = f"{PARTS}/version.json"
+
+
+def number(storage: Storage) -> int | None:
+    """Which version of the store this is; None where nobody counts (it was never updated, or lies at a URL)."""
+    if storage.remote or (data := storage.get(NUMBER)) is None:
+        return None
+    try:
+        found = json.loads(data)["version"]
+    except (ValueError, KeyError, TypeError):
+        return None
+    return found if isinstance(found, int) else None
+
+
+def folder_of(path: str) -> str:
+    """The folder that a path names: ``STORE@3`` is STORE itself if that is version 3."""
+    name = VERSION.fullmatch(path.rstrip("/\\"))
+    if name is None or os.path.lexists(path):
+        return path
+    return name[1] if number(FolderStorage(name[1])) == int(name[2]) else path
+
+
+def check_keep(keep: int | None, update: bool, final: Storage) -> int:
+    """How many versions an update keeps.
+
+    Raises:
+        UsageError: it keeps none, nothing is updated, or what is updated is an older version.
+    """
+    if keep is not None and not update:
+        raise UsageError("`keep` says how many versions an update leaves.", remedy="Use `update=True` with it.")
+    if keep is not None and keep < 1:
+        raise UsageError(f"An update keeps at least one version, the new one, not {keep}.")
+    name = VERSION.fullmatch(final.path.name) if update and isinstance(final, FolderStorage) else None
+    if name is not None and is_store(FolderStorage(Path(final.url).with_name(name[1]))):
+        raise UsageError(
+            "This is an older version of a store, which stays what it is.", path=final.url, remedy=f"Update {name[1]}."
+        )
+    return KEEP if keep is None else keep
+
+
+def settle(final: FolderStorage) -> None:
+    """Finish what an update that was killed while it exchanged versions had left to do."""
+    made = FolderStorage(partial(final.path))
+    if made.exists(PLAN) or not is_store(made) or (its := number(made)) is None:
+        return
+    if not final.path.exists():
+        made.path.rename(final.path)
+    elif its < (number(final) or 0):
+        made.path.rename(_named(final.path, its))
+
+
+def publish(built: Path, final: Path, keep: int, progress: Progress) -> None:
+    """Let an updated store take the place of the version before, and keep that one.
+
+    Args:
+        built: the new version, complete. final: the store.
+        keep: versions that are left, with the new one.
+
+    Raises:
+        StoreError: it could not take its place.
+    """
+    before = FolderStorage(final)
+    newest = max([number(before) or 0, *(count for count, _ in kept(final))])
+    if not is_store(before):
+        _count(FolderStorage(built), newest + 1)
+        publish_alone(built, final)
+        prune(final, keep, progress)
+        return
+    if (old := number(before)) is None:
+        old = newest + 1
+        _count(before, old)  # which of the two is the older must be known, were the process killed between
+    _count(FolderStorage(built), max(newest, old) + 1)
+    try:
+        if exchanged(built, final):
+            built.rename(_named(final, old))
+        else:
+            final.rename(_named(final, old))
+            built.rename(final)
+    except OSError as error:
+        raise StoreError(
+            f"The finished store could not take its place: {error.strerror or error}.", path=final,
+            remedy="Run the same command again.",
+        ) from error  # fmt: skip
+    prune(final, keep, progress)
+
+
+def prune(final: Path, keep: int, progress: Progress) -> None:
+    """Remove the oldest versions beyond so many. One that somebody writes to (a bake) stays for now."""
+    from orograph.store.lock import alone
+
+    aside = FolderStorage(replaced(final))
+    if final.exists():
+        aside.remove()
+    for _, path in kept(final)[keep - 1 :]:
+        try:
+            with alone(FolderStorage(path), "removing this version"):
+                path.rename(aside.path)  # (first, lest half of it look like a version)
+        except StoreError as error:
+            progress.note(f"{path} is kept for now: {error.what}")
+            continue
+        aside.remove()
+
+
+def exchanged(one: Path, other: Path) -> bool:
+    """Let two folders take each other's place in one step; False where the system cannot do that."""
+    names = os.fsencode(one.absolute()), os.fsencode(other.absolute())
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        if sys.platform == "darwin":
+            return bool(libc.renamex_np(*names, 2) == 0)
+        return bool(libc.renameat2(-100, names[0], -100, names[1], 2) == 0)
+    except (OSError, AttributeError, TypeError):
+        return False
+
+
+def _named(final: Path, version: int) -> Path:
+    return final.with_name(f"{final.name}@{version}")
+
+
+def _count(storage: FolderStorage, version: int) -> None:
+    storage.put(NUMBER, [json.dumps({"version": version}).encode()])
