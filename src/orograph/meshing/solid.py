@@ -2,8 +2,8 @@
 
 The top is the mesh itself, the bottom its mirror image on the plate, and along every border, those of missing ground
 too, stands a wall. So each edge is one of exactly two triangles, and all turn outward. Where parts of the ground meet
-in a single vertex, each but one gets a vertex of its own, a hundredth of the way into its middle triangle: a vertical edge of
-four walls encloses nothing.
+in a single vertex, each but one gets a vertex of its own, a hundredth of the way into its middle triangle: a vertical
+edge of four walls encloses nothing.
 
 Sources: 3D Systems 1988 (STL, binary: float32, millimetres by custom), 3MF Consortium, *Core Specification* 1.3 (§3,
 §4: millimetres, indexed triangles, counter-clockwise from outside).
@@ -120,7 +120,8 @@ def _apart(positions: Array, triangles: Triangles) -> tuple[Array, Triangles]:
     vertices, number = np.unique(begin, return_counts=True)
     used, where = np.unique(triangles, return_inverse=True)
     positions, triangles = positions[used], where.reshape(triangles.shape).astype(np.int32)
-    own, more = triangles.copy(), []
+    own = triangles.copy()
+    more: list[Array] = []
     for vertex in np.searchsorted(used, vertices[number > 1]).tolist():
         for turn, fan in enumerate(_fans(triangles, vertex)):
             middle = positions[triangles[fan[len(fan) // 2]]].mean(0)

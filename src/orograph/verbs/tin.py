@@ -55,7 +55,7 @@ def tin(
             arrays (n, 2) of easting and northing, each a line, or a point where n is 1.
         output: also write it: .npz, .ply, .obj or .glb; or, as a closed model to print, .stl or .3mf, in millimetres.
         base: of a model: millimetres from the plate to the lowest ground; None: 3.
-        model_size: of a model: millimetres of its longer side; None: 150, unless ``scale`` is given, the N of 1:N.
+        model_size: of a model: millimetres of its longer side; None: 150. scale: instead: the N of 1:N.
         exaggeration: of a model's heights; None: 1.
         max_memory: bytes that heights and tiles at work may take; the mesh is held besides. jobs: threads.
         progress: hears of it; False: nothing is said.
