@@ -157,6 +157,9 @@ def test_what_is_told(area):
     told = CliRunner().invoke(cli, ["info", f"{store}@2"])
     assert "version  2; kept beside it: @1" in told.output and told.exit_code == 0, told.output
     assert "version  1\n" in CliRunner().invoke(cli, ["info", f"{store}@1"]).output
+    for verb in (["info", f"{store}@7"], ["render", f"{store}@7", "-o", "x.png"]):
+        lost = CliRunner().invoke(cli, verb)
+        assert isinstance(lost.exception, StoreError) and "no version 7 of area.oro" in str(lost.exception)
 
 
 def test_what_makes_no_sense(area):

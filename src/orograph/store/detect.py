@@ -7,12 +7,13 @@ from pathlib import Path
 
 from orograph.errors import ReadError, StoreError
 from orograph.store.addresses import storage_at
-from orograph.store.places import PLAN, ROOT, left_over
+from orograph.store.places import PLAN, ROOT, left_over, names_version
 from orograph.store.versions import folder_of
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder or URL holds a Zarr group, or what builds left of one (which ``store.open`` refuses).
+    """Whether a folder or URL holds a Zarr group, or what builds left of one, or is named as a version of one (which
+    ``store.open`` refuses, saying what there is).
 
     Raises:
         ReadError: a URL that could be a store cannot be looked at.
@@ -20,7 +21,9 @@ def is_store(path: str | os.PathLike[str]) -> bool:
     text = os.fspath(path)
     if "://" not in text:
         folder = Path(folder_of(text))
-        return (folder / ROOT).is_file() or (folder / PLAN).is_file() or left_over(folder)
+        if (folder / ROOT).is_file() or (folder / PLAN).is_file():
+            return True
+        return not folder.exists() and (left_over(folder) or names_version(folder))
     last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
     if Path(last).suffix not in ("", ".oro", ".zarr"):
         return False

@@ -121,10 +121,16 @@ def _unfinished(url: str, where: str = "") -> StoreError:
     )  # fmt: skip
 
 
+def names_version(path: Path) -> bool:
+    """Whether a path is named as a version of a store that is there, whether or not that version is."""
+    name = VERSION.fullmatch(path.name)
+    return name is not None and (path.with_name(name[1]) / ROOT).is_file()
+
+
 def _no_version(path: Path) -> StoreError | None:
     """Why a version of a store is not there; None where none is named."""
     name = VERSION.fullmatch(path.name)
-    if name is None or not (path.with_name(name[1]) / ROOT).is_file():
+    if name is None or not names_version(path):
         return None
     there = [one.name for _, one in kept(path.with_name(name[1]))]
     return StoreError(
