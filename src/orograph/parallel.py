@@ -13,8 +13,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import islice
+from numbers import Integral
 from queue import SimpleQueue
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
+
+from orograph.errors import UsageError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -29,6 +32,20 @@ def cpu_count() -> int:
     return max(1, os.cpu_count() or 1)
 
 
+def threads_for(jobs: int | None) -> int:
+    """How many threads to work with: as many as asked for, or all processors.
+
+    Raises:
+        UsageError: no such number.
+    """
+    given: Any = jobs
+    if given is None:
+        return cpu_count()
+    if not isinstance(given, Integral) or int(given) < 1:
+        raise UsageError(f"`jobs` is a number of threads, 1 or more, not {given!r}.")
+    return int(given)
+
+
 def map_ordered(work: Callable[[T], R], items: Iterable[T], jobs: int | None = None, ahead: int = 2) -> Iterator[R]:
     """Yield ``work(item)`` in the order of ``items``.
 
@@ -37,7 +54,7 @@ def map_ordered(work: Callable[[T], R], items: Iterable[T], jobs: int | None = N
         items: consumed lazily; at most ``jobs * ahead`` are in flight, which bounds memory.
         jobs: threads (default: all processors); 1 runs in the calling thread.
     """
-    jobs = jobs or cpu_count()
+    jobs = threads_for(jobs)
     if jobs == 1:
         yield from map(work, items)
         return
@@ -68,7 +85,7 @@ def for_each(work: Callable[[T], object], items: Sequence[T], jobs: int | None =
         jobs: threads (default: all processors).
     """
     if items:
-        for_groups(work, [items], min(jobs or cpu_count(), len(items)))
+        for_groups(work, [items], min(threads_for(jobs), len(items)))
 
 
 def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs: int | None = None) -> None:
@@ -83,7 +100,7 @@ def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs:
             thread, one at a time.
         jobs: threads (default: all processors).
     """
-    jobs = jobs or cpu_count()
+    jobs = threads_for(jobs)
     source, failed, busy, ended = iter(groups), list[BaseException](), 0, False
     left: Iterator[T] = iter(())
     before, here = [0], [0]  # how many items of the last two groups are at work

@@ -19,6 +19,7 @@ from orograph.lod.quadtin import QuadTin
 from orograph.lod.quadtin_tree import Resident
 from orograph.store.quadtin_layout import layout_of, top_of
 from orograph.store.quadtin_make import make_quadtin
+from orograph.store.repair import repair
 
 
 def terrains():
@@ -146,6 +147,10 @@ def test_a_store_has_the_hierarchy(tmp_path, monkeypatch):
     blocks = plain.refiner(HyperBlock, stored, finest=4.0).refine(near, tolerance=2.0)
     assert verify.judge_mesh(blocks, t, near).ok(max(2.0, blocks.stats["tolerance"]))
     stored.close()
+    words = tmp_path / "b.oro" / "quadtin" / "part-1" / "words" / "c" / "0" / "0"
+    sound = words.read_bytes()
+    words.write_bytes(sound[:50] + bytes(8) + sound[58:])
+    assert repair(tmp_path / "b.oro") and words.read_bytes() == sound
 
 
 def test_one_view_that_needs_too_much_is_refused(monkeypatch):

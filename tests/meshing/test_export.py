@@ -189,7 +189,7 @@ def test_a_grid_without_crs_and_a_mesh_without_triangles(tmp_path: Path, mesh: T
 
 
 def test_what_cannot_be_written(tmp_path: Path, mesh: Tessellation, monkeypatch: pytest.MonkeyPatch):
-    for name in ("m.stl", "m"):
+    for name in ("m.dxf", "m"):
         with pytest.raises(UsageError, match=r"\.npz, \.ply, \.obj or \.glb"):
             write(mesh, GRID, tmp_path / name)
     with pytest.raises(UsageError, match="Colours"):

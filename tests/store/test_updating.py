@@ -71,6 +71,7 @@ def fresh(files: Any, at: Path, **options) -> dict[str, str]:
     [
         {},
         pytest.param({"codec": "compact", "max_error": 0.5, "errors": ("exact", "wedgie")}, marks=pytest.mark.stress),
+        pytest.param({"quadtin": (8.0, "nearest"), "errors": ()}, marks=pytest.mark.stress),
         pytest.param({"codec": "progressive", "max_error": 0.5, "jobs": 1}, marks=pytest.mark.stress),
     ],
 )

@@ -87,6 +87,21 @@ def test_results_are_drawn_on_axes(dem):
     pyplot.close(fig)
 
 
+def test_what_other_libraries_call_saving(dem):
+    picture = orograph.render(dem, size=(60, 40))
+    with pytest.raises(AttributeError, match=r"use picture\.save\(path\)"):
+        picture.savefig("x.png")
+    assert not hasattr(picture, "_repr_html_")
+
+
+@pytest.mark.parametrize("jobs", ["2", 0, -1, 1.5])
+def test_threads_are_a_number(dem, jobs):
+    with pytest.raises(UsageError, match="`jobs`"):
+        orograph.light(dem, "slope", jobs=jobs)
+    with pytest.raises(UsageError, match="`jobs`"):
+        orograph.tin(dem, max_error=5, jobs=jobs)
+
+
 def test_a_profile_is_a_table(dem):
     pandas = pytest.importorskip("pandas")
     line = orograph.measure.profile(dem, [(500_100, 3_999_000), (501_900, 3_999_500)])

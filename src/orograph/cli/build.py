@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.memory import megabytes, peak_memory
+from orograph.cli.needed import needed_by
 from orograph.cli.options import (
     FILE,
     Float,
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
     from orograph.error import ErrorKind
-    from orograph.progress import Progress
-    from orograph.store.chunked import Kind
     from orograph.store.stored import StoredTerrain
 
 
@@ -247,8 +246,8 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    kinds, legs, chunked, quadtin = _needed(methods, progress, tins)
-    errors = (*errors, *(kind for kind in kinds if kind not in errors))
+    needed = needed_by(methods, progress, tins)
+    errors = (*errors, *(kind for kind in needed.errors if kind not in errors))
     if part is not None and (products or color_errors):
         raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
     started = time.perf_counter()
@@ -266,9 +265,9 @@ def command(
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
-            tins=legs,
-            chunked=chunked,
-            quadtin=quadtin,
+            tins=needed.tins,
+            chunked=needed.chunked,
+            quadtin=needed.quadtin,
             keep_source=keep_source,
             codec=codec,
             max_error=max_error,
@@ -395,59 +394,6 @@ def _repair(
     for key in mended:
         click.echo(f"{key}: mended")
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
-
-
-def _needed(
-    methods: Sequence[str], progress: Progress, legs: str | None
-) -> tuple[tuple[ErrorKind, ...], int | None, Kind | None, tuple[float, str] | None]:
-    """The kinds of errors that methods need, the segments of the patches whose TINs are wanted, the kind of the chunks,
-    and the metres and way of splitting of a QuadTIN.
-
-    Args:
-        legs: of TINs that are asked for outright.
-
-    Raises:
-        UsageError: one of them is no method, or two need other TINs, chunks or QuadTINs.
-    """
-    tins = {} if legs is None else {int(legs): None}
-    chunked: dict[Kind, None] = {}
-    quadtin: dict[tuple[float, str], None] = {}
-    if not methods:
-        return (), next(iter(tins), None), None, None
-    from orograph.lod.needs import kinds_of
-    from orograph.lod.registry import chosen
-    from orograph.store.chunked import Kind
-    from orograph.store.patches import LEGS
-
-    found: dict[ErrorKind, None] = {}
-    for text in methods:
-        choice = chosen(text)
-        needs = choice.method.needs(choice.options)
-        found.update(dict.fromkeys(kinds_of(needs)))
-        tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
-        chunked.update(dict.fromkeys(Kind(**need.options) for need in needs if need.name == "chunked"))
-        quadtin.update(
-            dict.fromkeys((need.options["finest"], need.options["split"]) for need in needs if need.name == "quadtin")
-        )
-        if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
-            progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
-        if getattr(choice.options, "color_tolerance", None) is not None:
-            progress.note(f"{choice}: errors of colours are stored with --color-errors.")
-    if len(tins) > 1:
-        raise UsageError(
-            f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
-            remedy="Ask for those of one kind.",
-        )  # fmt: skip
-    if len(chunked) > 1:
-        sizes = " and ".join(
-            f"{cells} cells from {finest:g} m on{', compressed' if compressed else ''}"
-            for cells, finest, compressed in chunked
-        )
-        raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
-    if len(quadtin) > 1:
-        kinds = " and ".join(f"finest={finest:g},split={split}" for finest, split in quadtin)
-        raise UsageError(f"A store has one QuadTIN, not {kinds}.", remedy="Ask for one.")
-    return tuple(found), next(iter(tins), None), next(iter(chunked), None), next(iter(quadtin), None)
 
 
 def crs_name(crs: CRS | None) -> str | None:

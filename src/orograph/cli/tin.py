@@ -11,6 +11,7 @@ import click
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
+    Float,
     FloatRange,
     grid_options,
     jobs_option,
@@ -24,7 +25,9 @@ from orograph.cli.options import (
 
 @click.command("tin")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
-@click.option("--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj or .glb.")
+@click.option(
+    "--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj, .glb; to print: .stl, .3mf."
+)
 @click.option("--max-error", type=FloatRange(min=0), metavar="METRES", help="By how much it may be off, vertically.")
 @click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many.")
 @click.option(
@@ -34,6 +37,12 @@ from orograph.cli.options import (
 @click.option(
     "--breaklines", type=FILE, metavar="FILE", help="GeoJSON: lines that become edges, points that become vertices."
 )
+@click.option(
+    "--base", type=Float(), metavar="MM", help="Of .stl, .3mf: from the plate to the lowest ground.  [default: 3]"
+)
+@click.option("--model-size", type=Float(), metavar="MM", help="Of .stl, .3mf: the longer side.  [default: 150]")
+@click.option("--scale", type=Float(), metavar="N", help="Of .stl, .3mf: 1:N, instead of a size.")
+@click.option("--exaggeration", type=Float(), metavar="X", help="Of .stl, .3mf: stretch heights.  [default: 1]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @grid_options("triangulate")
 @source_options
@@ -43,17 +52,19 @@ from orograph.cli.options import (
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, max_error: float | None, triangles: int | None,
-    bound: Any, breaklines: str | None, as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+    bound: Any, breaklines: str | None, base: float | None, model_size: float | None, scale: float | None,
+    exaggeration: float | None, as_json: bool, max_memory: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
     """Triangulate a DEM (one file or many) or a store as a TIN: few triangles on its samples, within a bound in metres.
 
     The bound holds on the surface between the samples, too. Holes stay holes. The files are those of orograph
-    tessellate.
+    tessellate; an .stl or .3mf is a closed model to print, in millimetres, with walls and a base.
 
     \b
     Examples:
       orograph tin N44W072.hgt --max-error 10 -o ground.ply
       orograph tin area.oro --triangles 100000 -o ground.glb
+      orograph tin dem.tif --max-error 1 -o model.stl --model-size 180 --base 4 --exaggeration 1.5
       orograph tin dem.tif --max-error 2 --bound samples -o ground.npz
     """
     began = time.perf_counter()
@@ -64,14 +75,16 @@ def command(
     progress = progress_of(ctx)
     with progress.task("Loading Orograph"):
         from orograph.store.prepare import prepare
-        from orograph.verbs.tin import check_goal, tin
+        from orograph.verbs.tin import check_goal, print_of, tin
 
     check_goal(max_error, triangles)
+    model = {"base": base, "model_size": model_size, "scale": scale, "exaggeration": exaggeration}
+    print_of(output, **model)
     reading = source_of(options, ())
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **reading)
     mesh = tin(
         terrain, max_error=max_error, triangles=triangles, bound=bound, breaklines=breaklines, output=output,
-        max_memory=max_memory, jobs=jobs, progress=progress,
+        **model, max_memory=max_memory, jobs=jobs, progress=progress,
     )  # fmt: skip
     stats, count = mesh.stats, len(mesh.triangles)
     if as_json:
@@ -86,3 +99,7 @@ def command(
             f"{output}  {count:,} triangles, off by at most {stats['largest']:.4g} m on the surface, "
             f"{stats['largest_at_samples']:.4g} m at samples"
         )
+        if "model" in stats:
+            x, y, z = stats["model"]["size_mm"]
+            click.echo(f"{x:.4g} × {y:.4g} × {z:.4g} mm, 1:{stats['model']['scale']:,.0f}, "
+                       f"{stats['model']['volume_cm3']:.4g} cm³")  # fmt: skip

@@ -27,7 +27,7 @@ from orograph.error.diamonds import BLOCK, SMALL, Part, Rest, Survey
 from orograph.errors import UsageError
 from orograph.geovis.color import TINTS_VERSION
 from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
-from orograph.parallel import cpu_count
+from orograph.parallel import threads_for
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
 from orograph.store.colors import COLORS, color_spec
@@ -173,7 +173,7 @@ def store_colors(
                 if overwrite or storage.get(f"{PARTIAL}/plan.json") != plan:
                     storage.remove(PARTIAL)
                     storage.put(f"{PARTIAL}/plan.json", [plan])
-                at_once = max(1, min(jobs or cpu_count(), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
+                at_once = max(1, min(threads_for(jobs), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
                 writer = ShardWriter(storage)
                 _Run(colors, writer, before).all(at_once, progress)
                 after = replace(COLORS.put(before, wanted), digests=before.digests.joined(writer.digests))

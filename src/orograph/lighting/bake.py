@@ -137,6 +137,8 @@ def bake(
             "The workers of a cluster elsewhere bake into stores in folders, for what they hand on lies beside them.",
             remedy="Use `workers` of this machine.",
         )
+    if workers is not None and storage.url.startswith("memory:"):
+        raise UsageError("Workers bake into stores in folders or buckets.", remedy="Leave out `workers`.")
     read_record(storage)  # a store that is not there is said before anything is written beside it
     cache = min(64 << 20, max_memory // 16)
     with alone(storage, "baking into this store"):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Heights, Terrain
@@ -161,10 +161,8 @@ class Context:
         only: tuple[int, int, int, int] | None = None,
     ) -> None:
         self.kept, self.only = kept, only
-        if jobs is not None and jobs < 1:
-            raise UsageError(f"At least one thread is needed, not {jobs}.")
         self.terrain, self.options = terrain, options or Options()
-        self.jobs, self.max_memory, self.progress = jobs or cpu_count(), max_memory, progress
+        self.jobs, self.max_memory, self.progress = threads_for(jobs), max_memory, progress
         self.shape = terrain.grid.shape
         self.linear = terrain.grid.linear
         # A terrain in memory is there already; a store takes its cache only (part of BASE).

@@ -22,7 +22,7 @@ from orograph.dem.writing import check_written, raster_file
 from orograph.folders import scratch
 from orograph.geo.grid import Grid
 from orograph.output import check_folder, check_room, remove
-from orograph.parallel import cpu_count
+from orograph.parallel import threads_for
 from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
@@ -187,7 +187,7 @@ def write(
                 copy(
                     plain, part, driver="COG", COMPRESS="DEFLATE", LEVEL=_LEVEL, BLOCKSIZE=512,
                     PREDICTOR="STANDARD" if byte else "FLOATING_POINT", BIGTIFF="IF_SAFER",
-                    OVERVIEW_RESAMPLING=overviews.upper(), NUM_THREADS=jobs or cpu_count(),
+                    OVERVIEW_RESAMPLING=overviews.upper(), NUM_THREADS=threads_for(jobs),
                 )  # fmt: skip
         finally:
             remove(plain)

@@ -35,7 +35,7 @@ from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 from orograph.lighting.sweep_lines import Lines, Pool
 from orograph.lighting.sweep_pass import Pass, Read, Strip, Terms, Values, Work, aligned
-from orograph.parallel import cpu_count, for_groups
+from orograph.parallel import for_groups, threads_for
 from orograph.progress import SILENT, Progress
 
 EARTH = 6_371_008.8
@@ -136,7 +136,7 @@ def horizons(
         raise UsageError(f"Horizons need heights of shape (rows, cols), not {shape}.")
     if cells.shape != (2, 2) or not np.isfinite(cells).all() or abs(np.linalg.det(cells)) == 0:
         raise UsageError("Horizons need the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
-    jobs = jobs or cpu_count()
+    jobs = threads_for(jobs)
     passes: list[Pass] = []
     for group in ways(azimuths, cells, shape, skip):
         passes += passes_of(group, shape, Terms(lowest, below, radius, curvature), jobs, memory, band)

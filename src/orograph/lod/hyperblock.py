@@ -33,7 +33,7 @@ from orograph.lod.method import MethodInfo
 from orograph.lod.options import option
 from orograph.lod.quadtin import QuadTin, QuadTinOptions, Refined
 from orograph.lod.smart_blocks import thresholds, weigh_boxes
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.raycast.select import Boxes, distances, in_frustum, off_axis
 from orograph.viewpoint import Camera
 
@@ -72,7 +72,7 @@ class HyperBlock(QuadTin):
         self.levels = np.zeros(count, np.uint8)
         self._boxes = Boxes(*np.ascontiguousarray(blocks.boxes.T))
         self._rest = Triangulation(blocks.rest, blocks.rest, joined(tree.corners[blocks.rest]))
-        jobs = self.resources.jobs or cpu_count()
+        jobs = threads_for(self.resources.jobs)
         with self.resources.progress.task("Triangulating blocks"):
             found = map_ordered(self._levels_of, range(count), jobs)
             self.ready: dict[tuple[int, int], Triangulation] = {

@@ -31,7 +31,7 @@ from orograph.hierarchy.kernels import diamonds
 from orograph.lod.criterion import NOTHING, SPLIT, Criterion, first_bits, weigh
 from orograph.lod.field import Field, Pages, find
 from orograph.lod.localise import prism_outside, sample_exceeds
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.store.terrain import Heights, Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera, View
@@ -276,7 +276,7 @@ def oracles(
     pages, n, (rows, cols) = field.pages, field.n, terrain.grid.shape
     z = terrain.read(0, 0, rows, 0, cols)
     accurate = np.zeros(((1 << n) + 1,) * 2, np.uint8)
-    jobs = jobs or cpu_count()
+    jobs = threads_for(jobs)
     for tolerance in tolerances:
         began = time.perf_counter()
         camera = camera_parameters(Camera.over(terrain.grid, view, exaggeration), tolerance=tolerance)

@@ -26,7 +26,7 @@ from orograph.lod.look_ahead import Ahead
 from orograph.lod.method import EVERYTHING, Goal, Method, Need, Ready, Resources
 from orograph.lod.options import check, described, option
 from orograph.lod.selection import TriangleMesh
-from orograph.parallel import cpu_count
+from orograph.parallel import threads_for
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
@@ -158,7 +158,7 @@ class RightTriangles(Method):
         self.error: str = self.options.error
         self.cull: bool = self.options.cull
         self.metric: Metric = self.options.metric_used
-        self.jobs = self.resources.jobs or cpu_count()
+        self.jobs = threads_for(self.resources.jobs)
         gamma = getattr(self.options, "color_tolerance", None)
         if gamma is not None and self.resources.color is None:
             raise UsageError("A color tolerance needs colours.", remedy="Give color errors with the resources.")

@@ -33,7 +33,7 @@ from orograph.measuring.probable import (
     check_draws,
     known_from,
 )
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.progress import Progress
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
@@ -70,7 +70,7 @@ def flood(
     if not math.isfinite(level):
         raise UsageError(f"A water level is a number of metres, not {level!r}.")
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
-    jobs = jobs or cpu_count()
+    jobs = threads_for(jobs)
     joined = "" if sources is None else " and joined to a source"
     band = Band(f"{PROBABILITY} of being flooded", "",
                 f"the part of the draws in which the ground is below {level:g} m{joined}")  # fmt: skip

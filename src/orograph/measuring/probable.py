@@ -27,7 +27,7 @@ from orograph.lighting.normal import gradient
 from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around
 from orograph.measuring.viewshed import viewshed
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.several import Numbers, numbers
 from orograph.store.opening import takes_terrain
@@ -187,7 +187,7 @@ def probable_viewshed(
 
     told = {"eye": f"{shed.point[0]:.10g}, {shed.point[1]:.10g}", "eye_height": f"{eye_height:g} m",
             "target_height": f"{target_height:g} m"}  # fmt: skip
-    return Probable("viewshed", shed.grid, (band,), error, draws, seed, told, made, jobs or cpu_count())
+    return Probable("viewshed", shed.grid, (band,), error, draws, seed, told, made, threads_for(jobs))
 
 
 @takes_terrain
@@ -351,7 +351,7 @@ def _by_blocks(
                 yield window[0], window[2], values
                 task.advance()
 
-    return Probable(measure, grid, bands, error, draws, seed, told, made, jobs or cpu_count())
+    return Probable(measure, grid, bands, error, draws, seed, told, made, threads_for(jobs))
 
 
 def check_draws(draws: int, least: int = 1) -> None:

@@ -38,7 +38,7 @@ from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places
 from orograph.measuring.sight import LEAST, REFRACTION, bend_of, check_heights
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
@@ -297,7 +297,7 @@ def viewshed(
     row0, row1, col0, col1 = _window(places, points[0], x, y, radius)
     frame = (row0 & ~1, min(row1 + 1, terrain.grid.rows), col0 & ~1, min(col1 + 1, terrain.grid.cols))
     scene, quantum, on_disk = _scene(
-        places, points[0], (x, y), ground, eye_height, bend, frame, max_memory, jobs or cpu_count(), progress
+        places, points[0], (x, y), ground, eye_height, bend, frame, max_memory, threads_for(jobs), progress
     )
     return Viewshed(
         terrain.grid.window(row0, row1, col0, col1), row0, col0, (float(points[0][0]), float(points[0][1])), ground,

@@ -7,5 +7,6 @@
 from __future__ import annotations
 
 from orograph.meshing.export import FORMATS, mesh_format, write
+from orograph.meshing.solid import MODELS, Print, solid, write_solid
 
-__all__ = ["FORMATS", "mesh_format", "write"]
+__all__ = ["FORMATS", "MODELS", "Print", "mesh_format", "solid", "write", "write_solid"]

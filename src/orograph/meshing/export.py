@@ -41,6 +41,11 @@ def mesh_format(path: str | os.PathLike[str]) -> str:
         UsageError: meshes are not written with such an ending, or what writes it is not installed.
     """
     ending = Path(path).suffix.lower()
+    if ending in (".stl", ".3mf"):
+        raise UsageError(
+            f"A {ending} is a model to print, which has walls and a base.", path=path,
+            remedy="Make it of all of the ground: `orograph.tin(dem, output=path)`.",
+        )  # fmt: skip
     if ending not in FORMATS:
         raise UsageError(
             f"Meshes cannot be written as {ending or 'a file without ending'}.",

@@ -29,7 +29,7 @@ from orograph.errors import NothingInViewError, UsageError
 from orograph.meshing.tin_lines import edges_by_tile, edges_of_tile
 from orograph.meshing.tin_outline import Window, unit_triangles
 from orograph.meshing.tin_tile import LEAST_ERROR, NO_LINES, NONE, Tile, tin_of_tile
-from orograph.parallel import aside, cpu_count, map_ordered
+from orograph.parallel import aside, map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation, turn
@@ -222,7 +222,7 @@ def ends_of(edges: dict[Key, NDArray[np.int64]], side: int) -> list[tuple[int, i
 def workers_for(side: int, max_memory: int | None, jobs: int | None) -> int:
     """How many tiles may be at work at once."""
     most = (max_memory or 1 << 30) // 2 // (PER_SAMPLE * (side + 3) ** 2)
-    return max(1, min(jobs or cpu_count(), most))
+    return max(1, min(threads_for(jobs), most))
 
 
 def read_tile(terrain: Terrain, key: Key, side: int) -> tuple[NDArray[np.float32], Window]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.raycast.stack import HeightWindow, Stack
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Caster:
     """
 
     def __init__(self, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> None:
-        self.jobs = jobs or cpu_count()
+        self.jobs = threads_for(jobs)
         self.stack = Stack.build(windows, shape, self.jobs)
 
     @classmethod

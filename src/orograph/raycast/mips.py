@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import Function, kernel
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 
 MAX_LEVEL0 = 1
 MIN_LEVEL0 = 2
@@ -120,7 +120,7 @@ def build_mips(heights: NDArray[np.float32], jobs: int | None = None) -> Mips:
         if nodes == (1, 1) and level >= LEAST_ROOT:
             break
         level += 1
-    jobs = jobs or cpu_count()
+    jobs = threads_for(jobs)
 
     def pyramid(first: int, sample_kernel: Function, sign: float) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         sizes = [0 if k < first else r * c for k, (r, c) in enumerate(shapes)]

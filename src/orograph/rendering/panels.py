@@ -179,7 +179,7 @@ def _of_several(data: tuple[Dataset, ...]) -> list[Panel]:
         UsageError: there are too few, or too many.
     """
     if not 2 <= len(data) <= MOST:
-        raise UsageError(f"Panels of data are 2 to {MOST}, and there are {len(data)}.", remedy="Give several --data.")
+        raise UsageError(f"Panels of data are 2 to {MOST}, and there are {len(data)}.", remedy="Give several `data`.")
 
     def title(number: int, one: Dataset) -> str:
         source = Path(one.source).stem if isinstance(one.source, str) else f"data {number}"

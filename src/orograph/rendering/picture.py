@@ -27,6 +27,17 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+ELSEWHERE = {
+    "savefig": "picture.save(path)",
+    "imshow": "picture.plot(ax) or picture.show()",
+    "to_numpy": "numpy.asarray(picture)",
+    "to_image": "PIL.Image.fromarray(picture.pixels)",
+    "image": "picture.pixels",
+    "array": "picture.pixels",
+}
+"""What other libraries call it, and what it is here."""
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class Picture:
     """What a backend made of a scene.
@@ -63,6 +74,11 @@ class Picture:
 
     def _repr_png_(self) -> bytes:
         return png(self.pixels)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ELSEWHERE:
+            raise AttributeError(f"A Picture has no {name}; use {ELSEWHERE[name]}.")
+        raise AttributeError(f"A Picture has no {name}.")
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """The pixels, (height, width, 3) uint8."""

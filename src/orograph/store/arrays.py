@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import DamagedChunkError
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.store import compact, smallest
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import MISSING, Packing
@@ -279,7 +279,7 @@ class ShardedArray:
         watch: Watch | None = None,
     ) -> None:
         self.spec, self.storage, self.digests, self.cache = spec, storage, digests, cache
-        self.jobs, self.watch = jobs or cpu_count(), watch
+        self.jobs, self.watch = threads_for(jobs), watch
         self.blank = np.full((spec.chunk, spec.chunk), spec.fill, spec.dtype)
         self.blank.flags.writeable = False
         self.coarser: ShardedArray | Window | None = None

@@ -19,7 +19,7 @@ import numpy as np
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
@@ -285,7 +285,7 @@ def lattices_of(raster: HeightSource) -> Sequence[SourceLattice]:
 
 def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
     """Side of the shards and number of tasks at once that fit the memory allowed."""
-    wanted = jobs or cpu_count()
+    wanted = threads_for(jobs)
     for side in SHARDS if shard is None else (shard,):
         for at_once in range(wanted, 0, -1):
             if _memory(shape, side, at_once, kinds) <= max_memory:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.meshing import mesh_format, write
+from orograph.meshing import MODELS, Print, mesh_format, solid, write, write_solid
 from orograph.meshing import tin as meshing
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.scene.parts import check_exaggeration
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
@@ -30,6 +31,10 @@ def tin(
     bound: Literal["surface", "samples"] = "surface",
     breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
     output: str | os.PathLike[str] | None = None,
+    base: float | None = None,
+    model_size: float | None = None,
+    scale: float | None = None,
+    exaggeration: float | None = None,
     max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
@@ -48,13 +53,17 @@ def tin(
         bound: where it holds: everywhere on the surface, or only at samples, which takes fewer triangles.
         breaklines: lines that become edges, and points that become vertices, at the nearest samples: a GeoJSON file, or
             arrays (n, 2) of easting and northing, each a line, or a point where n is 1.
-        output: also write it: .npz, .ply, .obj or .glb.
+        output: also write it: .npz, .ply, .obj or .glb; or, as a closed model to print, .stl or .3mf, in millimetres.
+        base: of a model: millimetres from the plate to the lowest ground; None: 3.
+        model_size: of a model: millimetres of its longer side; None: 150. scale: instead: the N of 1:N.
+        exaggeration: of a model's heights; None: 1.
         max_memory: bytes that heights and tiles at work may take; the mesh is held besides. jobs: threads.
         progress: hears of it; False: nothing is said.
 
     Returns:
         the mesh; ``stats`` has max_error, bound, and by how many metres it is off: ``largest`` on the surface,
-        ``largest_at_samples``.
+        ``largest_at_samples``; of a model ``model``: its
+        ``size_mm``, ``scale``, ``triangles`` and ``volume_cm3``.
 
     Raises:
         UsageError: an option makes no sense. ReadError, StoreError: the terrain cannot be read. NothingInViewError: it
@@ -63,8 +72,10 @@ def tin(
     max_memory = bytes_of(max_memory)
     check_goal(max_error, triangles)
     heard = reporting(progress)
+    how = print_of(output, base, model_size, scale, exaggeration)
     if output is not None:
-        mesh_format(output)
+        if how is None:
+            mesh_format(output)
         check_folder(Path(output))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="tin", **reading)
     lines = [] if breaklines is None else lines_of(ground, breaklines)
@@ -78,8 +89,38 @@ def tin(
         mesh = meshing.tin(ground, float(max_error), **more)  # (of a whole number kernels would be compiled again)
     if output is not None:
         with heard.task("Writing"):
-            write(mesh, ground.grid, output)
+            if how is None:
+                write(mesh, ground.grid, output)
+            else:
+                made = solid(mesh, ground.grid, how)
+                write_solid(made, Path(output), ground.name)
+                mesh.stats["model"] = {"size_mm": [round(v, 3) for v in made.size], "scale": made.scale,
+                                       "triangles": len(made.triangles), "volume_cm3": made.volume / 1000}  # fmt: skip
     return mesh
+
+
+def print_of(
+    output: str | os.PathLike[str] | None, base: float | None, model_size: float | None, scale: float | None,
+    exaggeration: float | None,
+) -> Print | None:  # fmt: skip
+    """How a model is printed; None where the output is none.
+
+    Raises:
+        UsageError: options of a model are given without one, or make no sense.
+    """
+    said = {"base": base, "model_size": model_size, "scale": scale, "exaggeration": exaggeration}
+    given = {name: value for name, value in said.items() if value is not None}
+    if output is None or Path(output).suffix.lower() not in MODELS:
+        if given:
+            raise UsageError(
+                f"`{next(iter(given))}` is about models to print.", path=output, remedy="Write an .stl or a .3mf."
+            )
+        return None
+    if "exaggeration" in given:
+        check_exaggeration(given["exaggeration"])
+    if "model_size" in given:
+        given["size"] = given.pop("model_size")
+    return Print(**given)
 
 
 def lines_of(terrain: Terrain, given: str | os.PathLike[str] | Sequence[ArrayLike]) -> list[NDArray[np.float64]]:

@@ -1,0 +1,78 @@
+"""What methods need of a store: ``orograph build --for``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from orograph.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from orograph.error import ErrorKind
+    from orograph.progress import Progress
+    from orograph.store.chunked import Kind
+
+
+class Needed(NamedTuple):
+    """What is to be stored, as ``orograph.build`` takes it.
+
+    Attributes:
+        errors: kinds of errors of diamonds. tins: segments of the patches whose TINs are wanted. chunked: the kind of
+            the chunks. quadtin: metres and way of splitting of a QuadTIN. None: none is wanted.
+    """
+
+    errors: tuple[ErrorKind, ...] = ()
+    tins: int | None = None
+    chunked: Kind | None = None
+    quadtin: tuple[float, str] | None = None
+
+
+def needed_by(methods: Sequence[str], progress: Progress, legs: str | None) -> Needed:
+    """What methods need.
+
+    Args:
+        legs: segments of the patches whose TINs are asked for outright.
+
+    Raises:
+        UsageError: one of them is no method, or two need other TINs, chunks or QuadTINs.
+    """
+    tins = {} if legs is None else {int(legs): None}
+    chunked: dict[Kind, None] = {}
+    quadtin: dict[tuple[float, str], None] = {}
+    if not methods:
+        return Needed(tins=next(iter(tins), None))
+    from orograph.lod.needs import kinds_of
+    from orograph.lod.registry import chosen
+    from orograph.store.chunked import Kind
+    from orograph.store.patches import LEGS
+
+    found: dict[ErrorKind, None] = {}
+    for text in methods:
+        choice = chosen(text)
+        needs = choice.method.needs(choice.options)
+        found.update(dict.fromkeys(kinds_of(needs)))
+        tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
+        chunked.update(dict.fromkeys(Kind(**need.options) for need in needs if need.name == "chunked"))
+        quadtin.update(
+            dict.fromkeys((need.options["finest"], need.options["split"]) for need in needs if need.name == "quadtin")
+        )
+        if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
+            progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
+        if getattr(choice.options, "color_tolerance", None) is not None:
+            progress.note(f"{choice}: errors of colours are stored with --color-errors.")
+    if len(tins) > 1:
+        raise UsageError(
+            f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
+            remedy="Ask for those of one kind.",
+        )  # fmt: skip
+    if len(chunked) > 1:
+        sizes = " and ".join(
+            f"{cells} cells from {finest:g} m on{', compressed' if compressed else ''}"
+            for cells, finest, compressed in chunked
+        )
+        raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
+    if len(quadtin) > 1:
+        kinds = " and ".join(f"finest={finest:g},split={split}" for finest, split in quadtin)
+        raise UsageError(f"A store has one QuadTIN, not {kinds}.", remedy="Ask for one.")
+    return Needed(tuple(found), next(iter(tins), None), next(iter(chunked), None), next(iter(quadtin), None))
