@@ -154,7 +154,8 @@ def test_a_store_gives_the_same_mesh(run, hilly, tmp_path):
     ("arguments", "code", "words"),
     [
         (("-o", "m.npz", "--tolerance", 1, "--triangles", 5), 2, ("one goal", "--triangles")),
-        (("-o", "m.stl"), 2, (".npz", ".glb")),
+        (("-o", "m.dwg"), 2, (".npz", ".glb")),
+        (("-o", "m.stl"), 2, ("model to print", "orograph tin")),
         (("-o", "no/m.npz"), 4, ("folder",)),
         (("-o", "m.npz", "--method", "top-down,geomorph=yes"), 2, ("no option 'geomorph'", "queue")),
         (("-o", "m.npz", "--method", "raycast"), 2, ("makes no triangles", "soar")),

@@ -337,6 +337,6 @@ def test_the_verb_and_the_function_are_the_same(tmp_path: Path) -> None:
     of_array = orograph.tin(placed, max_error=2, breaklines=[np.stack([x, y], -1)], progress=False)
     assert (of_file.vertices == of_array.vertices).all() and len(of_file.vertices) != len(mesh.vertices)
     with pytest.raises(UsageError, match="cannot be written"):
-        orograph.tin(dem, max_error=1, output="a.stl", progress=False)
+        orograph.tin(dem, max_error=1, output="a.dwg", progress=False)
     with pytest.raises(NothingInViewError):
         orograph.tin(np.full((5, 5), np.nan, np.float32), spacing=1, max_error=1, progress=False)
