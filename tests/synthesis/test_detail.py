@@ -184,14 +184,14 @@ def near(terrain: orograph.Terrain) -> View:
 def test_pictures_have_it_and_say_so(coarse: orograph.Terrain, lidar: orograph.Dem) -> None:
     view = near(coarse)
     plain = orograph.render(coarse, view, progress=False)
-    for given_, words in ((True, "fractal"), (Detail(lidar, 2), "after lidar")):
+    for given_, words in ((Detail(lidar, 2), "after lidar"), (True, "fractal")):
         picture = orograph.render(coarse, view, detail=given_, furniture=True, progress=False)
         assert words in picture.describe() and words in picture.facts["detail"]["words"]
         assert picture.facts["detail"]["doublings"] == doublings_for(coarse, view, 1.0) >= 3
         assert picture.facts["windows"][-1]["level"] < picture.facts["detail"]["doublings"]
         assert not np.array_equal(picture.depth, plain.depth)
     assert "detail" not in plain.facts and "invented" not in plain.describe()
-    again = orograph.render(coarse, view, detail=Detail(lidar, 2), furniture=True, progress=False, jobs=1)
+    again = orograph.render(coarse, view, detail=True, furniture=True, progress=False, jobs=1)
     np.testing.assert_array_equal(again.pixels, picture.pixels)
 
 
@@ -230,19 +230,19 @@ def test_what_makes_no_sense_is_refused(coarse: orograph.Terrain, lidar: orograp
 
 
 @pytest.mark.slow
-def test_the_gpu_draws_it(coarse: orograph.Terrain, lidar: orograph.Dem, device) -> None:
+@pytest.mark.parametrize("example", [False, pytest.param(True, marks=pytest.mark.stress)])
+def test_the_gpu_draws_it(coarse: orograph.Terrain, lidar: orograph.Dem, device, example: bool) -> None:
     """As the CPU does: the same ground in nearly all pixels, within a pixel, and alike in colour."""
-    view = near(coarse)
-    for detail in (True, Detail(lidar, 2)):
-        cpu, gpu = (orograph.render(coarse, view, detail=detail, backend=b, progress=False) for b in ("cpu", "gpu"))
-        assert gpu.facts["detail"] == cpu.facts["detail"]
-        assert gpu.describe() == cpu.describe()
-        plain = orograph.render(coarse, view, backend="gpu", progress=False)
-        both = np.isfinite(cpu.depth) & np.isfinite(gpu.depth)
-        assert both.mean() > 0.98 * np.isfinite(cpu.depth).mean()
-        off, was = (np.abs(one.depth - cpu.depth)[both] / cpu.depth[both] for one in (gpu, plain))
-        assert np.median(off) < 1e-3 < np.nanmedian(was)
-        assert np.abs(gpu.pixels.astype(int) - cpu.pixels)[both].mean() < 4
+    view, detail = near(coarse), Detail(lidar, 2) if example else True
+    cpu, gpu = (orograph.render(coarse, view, detail=detail, backend=b, progress=False) for b in ("cpu", "gpu"))
+    assert gpu.facts["detail"] == cpu.facts["detail"]
+    assert gpu.describe() == cpu.describe()
+    plain = orograph.render(coarse, view, backend="gpu", progress=False)
+    both = np.isfinite(cpu.depth) & np.isfinite(gpu.depth)
+    assert both.mean() > 0.98 * np.isfinite(cpu.depth).mean()
+    off, was = (np.abs(one.depth - cpu.depth)[both] / cpu.depth[both] for one in (gpu, plain))
+    assert np.median(off) < 1e-3 < np.nanmedian(was)
+    assert np.abs(gpu.pixels.astype(int) - cpu.pixels)[both].mean() < 4
 
 
 @pytest.mark.parametrize(
