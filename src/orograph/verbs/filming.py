@@ -118,8 +118,10 @@ def _by_workers(
     """Have workers draw all frames; the imbalance."""
     pictures = frames.pictures
     recipe = recipe_of(frames.film, str(pictures.path), backend, pictures.dpi, max_memory // (by.workers or 1))
-    if by.workers is not None:  # processes of this machine share its processors
-        recipe = recipe._replace(scene=recipe.scene.but(jobs=jobs or 1))
+    if by.workers is not None:  # processes of this machine share its processors, and its memory
+        allowed = recipe.scene.budget.max_memory
+        each = None if allowed is None else allowed // by.workers
+        recipe = recipe._replace(scene=recipe.scene.but(jobs=jobs or 1, max_memory=each))
     with on_workers(recipe, by.workers, by.dask, 1, max_memory, "A film") as cluster:
         cluster.run(frames, progress)
         return cluster.imbalance()
