@@ -25,7 +25,7 @@ from pyproj import CRS
 from orograph.dem.area import Area, said
 from orograph.dem.deciding import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
-from orograph.dem.layers import fill, layer_of, reaches
+from orograph.dem.layers import filled, layer_of, reaches
 from orograph.dem.placing import placed, scale_at_centre, scales, turned
 from orograph.dem.points import heights_at
 from orograph.dem.resample import METHODS
@@ -219,14 +219,7 @@ class Mosaic:
         rows, cols = self.grid.shape
         if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= cols):
             raise ValueError(f"window [{row0}, {row1}) × [{col0}, {col1}) of a raster of {rows} × {cols}")
-        out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
-        for i, layer in enumerate(self._layers):
-            a, b = max(row0, layer.box[0]), min(row1, layer.box[1])
-            c, d = max(col0, layer.box[2]), min(col1, layer.box[3])
-            if a < b and c < d:
-                part = out[a - row0 : b - row0, c - col0 : d - col0]
-                if i == 0 or np.isnan(part).any():
-                    fill(self.resampling, layer, a, b, c, d, part)
+        out = filled(self.resampling, self._layers, row0, row1, col0, col1)
         if self.undulation is not None:
             self.undulation.apply(row0, col0, out)
         return out
@@ -241,9 +234,14 @@ class Mosaic:
         return heights_at(self.grid, self._own, x, y)
 
     @property
+    def lattices(self) -> tuple[SourceLattice, ...]:
+        """Those of its sources, the finest first, with heights above its own vertical datum."""
+        return tuple(layer.lattice for layer in self._own)
+
+    @property
     def resampled_from(self) -> tuple[SourceLattice, ...]:
         """The lattices that were resampled, the finest first; none if every sample is a source's own."""
-        return () if self.lossless else tuple(layer.lattice for layer in self._own)
+        return () if self.lossless else self.lattices
 
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:
