@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
-ALL_AGAIN = ("patches", "chunks")  # stages of which an update can keep nothing
+ALL_AGAIN = ("patches", "chunks", "tins", "quadtin")  # stages of which an update can keep nothing
 READER = 160 << 20  # what a mosaic may hold while it reads one window
 
 Path_ = str | os.PathLike[str]
