@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from orograph.verbs.check import check
     from orograph.verbs.compare import compare
     from orograph.verbs.contours import contours
+    from orograph.verbs.difference import difference
     from orograph.verbs.doctor import doctor
     from orograph.verbs.export import export
     from orograph.verbs.info import info
@@ -84,6 +85,7 @@ __all__ = [
     "check",
     "compare",
     "contours",
+    "difference",
     "doctor",
     "export",
     "fetch",
@@ -130,6 +132,7 @@ _HOMES = {
     "check": "orograph.verbs.check",
     "compare": "orograph.verbs.compare",
     "contours": "orograph.verbs.contours",
+    "difference": "orograph.verbs.difference",
     "doctor": "orograph.verbs.doctor",
     "export": "orograph.verbs.export",
     "fetch": "orograph.fetching",

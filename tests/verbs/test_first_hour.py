@@ -29,6 +29,7 @@ def dem():
         ("profile", "orograph.measure.profile"),
         ("isolines", "orograph.contours"),
         ("mosaic", "orograph.build"),
+        ("subtract", "orograph.difference"),
         ("rendr", "Did you mean orograph.render or"),
     ],
 )

@@ -28,7 +28,7 @@ from orograph.store.source import ArraySource
 
 pytestmark = pytest.mark.stress
 
-KILLS = 30
+KILLS = 40
 
 
 @pytest.fixture
@@ -93,6 +93,7 @@ def test_a_bake(terrain, tmp_path):
             shutil.rmtree(target)
             if kills[0] >= KILLS:
                 break
+    print(f"{kills[0]} kills, {trial + 1} times from beginning to end")
     assert kills[0] >= KILLS
 
 
@@ -107,6 +108,7 @@ def test_a_film(terrain, tmp_path):
             assert files(out) == expected
             if kills[0] >= KILLS:
                 break
+    print(f"{kills[0]} kills, {trial + 1} times from beginning to end")
     assert kills[0] >= KILLS
 
 

@@ -293,7 +293,9 @@ def command(
 
         terrain.close()
         try:
-            terrain = store_colors(store, drape, max_memory=max_memory, jobs=jobs, progress=progress)
+            terrain = store_colors(
+                store, drape, max_memory=max_memory, jobs=jobs, progress=progress, workers=workers, dask=dask
+            )
         except KeyboardInterrupt:
             click.echo(
                 f"\n{store} is complete but for its color errors; run the same command with --resume to finish them.",

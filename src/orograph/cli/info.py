@@ -25,13 +25,15 @@ def command(
 ) -> None:
     """Describe a DEM, a file of points or a store, and what is suspicious about it.
 
-    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a file of points, or a terrain store. Heights
-    are in metres, after scale, offset and unit. --bbox and --clip describe one area of it.
+    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a folder of rasters, which are one terrain, a file
+    of points, or a terrain store. Heights are in metres, after scale, offset and unit. --bbox and --clip describe one
+    area of it.
 
     \b
     Examples:
       orograph info N44W072.hgt
       orograph info tiles/*.tif --json
+      orograph info tiles/
       orograph info dem.tif --bbox 7.5,45.9,7.8,46.1
       orograph info height.png --spacing 30
     """

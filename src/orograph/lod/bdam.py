@@ -37,7 +37,8 @@ from orograph.lod.triangle_patches import Patches, TrianglePatches
 from orograph.lod.vertex_cache import for_cache
 from orograph.parallel import map_ordered
 from orograph.store.terrain import TILE, Terrain
-from orograph.store.tin_build import Workplace, make_tins, tins_of
+from orograph.store.tin_build import make_tins
+from orograph.store.tin_diamonds import Workplace, tins_of
 from orograph.store.tins import ALL_LEGS, LEGS, Tins
 from orograph.tessellation import turn
 from orograph.viewpoint import Camera

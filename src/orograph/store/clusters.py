@@ -183,7 +183,7 @@ class Cluster:
 
     def __init__(self, client: Any, recipe: Recipe, levels: int = 0) -> None:
         self.client, self.recipe, self.ident = client, recipe, f"orograph-{uuid.uuid4().hex}"
-        self.levels, self.busy, self.moved = levels, defaultdict[str, float](float), 0
+        self.here, self.levels, self.busy, self.moved = 0, levels, defaultdict[str, float](float), 0
         self._counting = threading.Lock()
 
     def count(self, who: str, seconds: float, moved: int) -> None:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from orograph.dem.raster import Dem
 
 TAKES = (
-    "a path or URL of a DEM, of a file of points or of a store, a list of DEMs, a Dem, a Terrain, an "
-    "xarray.DataArray or Dataset, an open rasterio dataset or (dataset, window), or an array of heights (with "
+    "a path or URL of a DEM, of a folder of DEMs, of a file of points or of a store, a list of DEMs, a Dem, a Terrain, "
+    "an xarray.DataArray or Dataset, an open rasterio dataset or (dataset, window), or an array of heights (with "
     "transform= and crs=)"
 )
 """What every function that wants a terrain takes."""

@@ -44,7 +44,7 @@ def info(
     """What heights are, and what is suspicious about them.
 
     Args:
-        source: whatever ``orograph.terrain`` takes but lists. Of a file as little is read as need be.
+        source: whatever ``orograph.terrain`` takes. Of a file as little is read as need be; several are one terrain.
         exact: whether every sample of a raster is read however large it is; None: only of small ones.
         bbox: west, south, east, north in degrees: of this area only. clip: of what lies in polygons only (GeoJSON, a
             file or an object; shapely's, geopandas'). Of a store the area is told as terrain, not the store's insides.
@@ -59,6 +59,7 @@ def info(
         UsageError: it is nothing that holds heights, none lie in the area, or an option does not fit.
     """
     from orograph.dem.area import Area
+    from orograph.dem.folders import is_folder
     from orograph.dem.handles import is_manifest
     from orograph.dem.scattered import is_points
     from orograph.store.detect import is_store
@@ -69,7 +70,8 @@ def info(
     area = Area.of(bbox, clip)
     store = files is not None and len(files) == 1 and is_store(files[0])
     points = files is not None and len(files) == 1 and is_points(files[0])
-    if files is None or len(files) > 1 or is_manifest(files[0]) or ((store or points) and area is not None):
+    many = files is None or len(files) > 1 or is_manifest(files[0]) or (not store and is_folder(files[0]))
+    if files is None or many or ((store or points) and area is not None):
         from orograph.store.opening import terrain
 
         part = {} if area is None else {"bbox": bbox, "clip": clip}
