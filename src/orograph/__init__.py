@@ -178,13 +178,14 @@ def _meant(name: str) -> str:
 
     products = importlib.import_module("orograph.lighting.products")
     elsewhere = importlib.import_module("orograph.scene.wording").ELSEWHERE
-    product = name.replace("_", "-")
-    if product in products.names() or product in products.MEANT:
-        return f'. Use orograph.light(dem, "{products.MEANT.get(product, product)}").'
-    if name in elsewhere:
-        return f". Use orograph.{elsewhere[name]}."
-    close = difflib.get_close_matches(name, __all__, 2, 0.6)
-    return f". Did you mean {' or '.join(f'orograph.{one}' for one in close)}?" if close else ""
+    made = {one.replace("-", "_"): one for one in products.names()}
+    made |= {one.replace("-", "_"): meant for one, meant in products.MEANT.items()}
+    called = {one: f"orograph.{one}" for one in __all__} | {one: f"orograph.{here}" for one, here in elsewhere.items()}
+    called |= {one: f'orograph.light(dem, "{product}")' for one, product in made.items()}
+    if name in called:
+        return f". Use {called[name]}."
+    close = dict.fromkeys(called[one] for one in difflib.get_close_matches(name, called, 2, 0.6))
+    return f". Did you mean {' or '.join(close)}?" if close else ""
 
 
 def __dir__() -> list[str]:

@@ -89,8 +89,11 @@ class View:
                                  f"the picture of {width} × {height}.")  # fmt: skip
 
     def __repr__(self) -> str:
-        said = [f.name + "=" + repr(getattr(self, f.name)) for f in fields(self)
-                if f.name in ("eye", "target", "width", "height") or getattr(self, f.name) != f.default]  # fmt: skip
+        told = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("eye", "target"):
+            told[name] = tuple(round(float(v), 3) for v in told[name])
+        said = [f"{f.name}={told[f.name]!r}" for f in fields(self)
+                if f.name in ("eye", "target", "width", "height") or told[f.name] != f.default]  # fmt: skip
         return f"View({', '.join(said)})"
 
     def _repr_html_(self) -> str:

@@ -18,7 +18,6 @@ from orograph.cli.options import (
     cluster_options,
     jobs_option,
     memory_option,
-    points_options,
     progress_of,
     source_options,
     vertical_options,
@@ -103,7 +102,6 @@ if TYPE_CHECKING:
     default=None,
     help="Leave out files that cannot be opened; they are named.",
 )
-@points_options
 @vertical_options
 @memory_option
 @jobs_option
