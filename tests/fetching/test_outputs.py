@@ -17,7 +17,7 @@ from orograph.errors import OutputError, ReadError, UsageError
 from orograph.fetching import Request, products, register
 from orograph.fetching.areas import area_of
 from orograph.geo.ellipsoid import EARTH
-from orograph.verbs.info import describe
+from orograph.verbs.info_text import describe
 
 BOX = (-119.3, 36.8, -118.6, 37.25)
 NAMED = "© DLR e.V. 2010-2014 and © Airbus Defence and Space GmbH 2014-2018"

@@ -38,7 +38,8 @@ def command(
       orograph info height.png --spacing 30
     """
     progress = progress_of(ctx)
-    from orograph.verbs.info import describe, info
+    from orograph.verbs.info import info
+    from orograph.verbs.info_text import describe
 
     facts = [info(path, progress=progress, exact=exact or None, jobs=jobs, **options) for path in paths]
     for fact in facts:

@@ -30,7 +30,7 @@ from orograph.errors import StoreError
 from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 from orograph.store.diamond_table import DiamondTable, check_kind
 from orograph.store.diamonds import blank_top, place
