@@ -17,7 +17,6 @@ from orograph.cli.options import (
     cluster_options,
     jobs_option,
     memory_option,
-    points_options,
     progress_of,
     source_options,
     vertical_options,
@@ -135,7 +134,6 @@ class MaxError(click.ParamType[str | float]):
     default=None,
     help="Leave out files that cannot be opened; they are named.",
 )
-@points_options
 @vertical_options
 @memory_option
 @jobs_option

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.options import area_options, jobs_option, point_file_options, progress_of, source_options
+from orograph.cli.options import area_options, file_options, jobs_option, point_file_options, progress_of
 from orograph.cli.wording import spoken
 
 
@@ -16,7 +16,7 @@ from orograph.cli.wording import spoken
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object (a list for several paths).")
 @click.option("--exact", is_flag=True, help="Read every sample of a raster however large it is.")
 @area_options
-@source_options
+@file_options
 @point_file_options
 @jobs_option
 @click.pass_context

@@ -47,6 +47,8 @@ TRIANGLE_BYTES = 36
 """Of an unpacked patch, for each of its triangles, about: vertices and triangles."""
 
 Diamond = tuple[int, int]
+Apex = tuple[int, int, int]
+"""A finest patch: its apex and ω."""
 Pair = tuple[TinBatch, TinBatch]
 
 
@@ -96,6 +98,7 @@ class Bdam(TrianglePatches):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         self._kept: OrderedDict[Diamond, Pair] = OrderedDict()
+        self._samples: OrderedDict[Apex, TinBatch] = OrderedDict()
         self._most = max(256, self.resources.max_memory // (16 * TRIANGLE_BYTES * self.legs**2))
         self._workplace = Workplace()
         self._flip = turn(self.terrain.grid) > 0
@@ -240,8 +243,21 @@ class Bdam(TrianglePatches):
 
     def _finest(self, instances: NDArray[Any]) -> list[TinBatch]:
         """The samples of finest patches; those beyond the raster, and triangles with a missing corner, are left out."""
-        if not len(instances):
-            return []
+        names = list(zip(*(instances[name].tolist() for name in ("row", "col", "omega"))))
+        lacking = np.array([name not in self._samples for name in names], bool)
+        if lacking.any():
+            new = [name for name, lacks in zip(names, lacking.tolist()) if lacks]
+            self._samples.update(zip(new, self._read(instances[lacking])))
+        found = []
+        for name in names:
+            self._samples.move_to_end(name)
+            found.append(self._samples[name])
+        while len(self._samples) > 2 * self._most:
+            self._samples.popitem(last=False)
+        return found
+
+    def _read(self, instances: NDArray[Any]) -> list[TinBatch]:
+        """The meshes of finest patches."""
         e1, e2 = STEPS[instances["omega"]].astype(np.int64).transpose(1, 0, 2)
         rows = instances["row"][:, None] + self._points[:, 0] * e1[:, :1] + self._points[:, 1] * e2[:, :1]
         cols = instances["col"][:, None] + self._points[:, 0] * e1[:, 1:] + self._points[:, 1] * e2[:, 1:]

@@ -121,7 +121,7 @@ class TinBatch:
     @property
     def drawn(self) -> NDArray[np.float64]:
         """The vertices where they are drawn."""
-        if self.coarse is None:
+        if self.coarse is None or self.share == 1:
             return self.vertices
         found = self.vertices.copy()
         found[:, 2] = self.coarse + self.share * (self.vertices[:, 2] - self.coarse)
