@@ -25,6 +25,8 @@ from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+"""Endings of what is no view but a picture."""
 MARGIN = 0.93
 """The part of the picture's half-width and half-height that the fitted terrain may fill."""
 
@@ -207,10 +209,10 @@ def view_of(
     if isinstance(given, str) and given == "plan":
         return plan(terrain, size, insets=insets)
     if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
-        raise UsageError(
-            f"There is no view {given!r}.",
-            remedy='A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.',
-        )
+        remedy = 'A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.'
+        if Path(given).suffix.lower() in PICTURES:
+            remedy = f"Pictures are written by what is returned: `picture.save({given!r})`. {remedy}"
+        raise UsageError(f"There is no view {given!r}.", remedy=remedy)
     if isinstance(given, str | os.PathLike):
         return View.load(os.fspath(given), crs=terrain.grid.crs)
     raise UsageError(

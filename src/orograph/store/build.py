@@ -185,6 +185,8 @@ def build(
         quadtin = checked_quadtin(quadtin)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
+    if (check_void := getattr(raster, "check_void", None)) is not None:
+        check_void()
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link

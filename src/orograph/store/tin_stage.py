@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.progress import Progress
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.derived_stages import CACHE, TerrainStage
 from orograph.store.digests import Digests, Spot
