@@ -1,6 +1,6 @@
 """BDAM, measured: its triangles beside other methods', its bytes, how it was halved, its promise.
 
-    python bench/bdam.py [--data FOLDER] [--part PART] [--count 10] [--terrain NAME]
+    python bench/bdam.py [--data FOLDER] [--part PART] [--count 10] [--terrain NAME] [--method bdam]
 
 *table*: ``bdam`` beside ``triangle-patches`` and ``soar`` on the five terrains of ``bench/promise.py``, at 1 pixel over
 ``--count`` random views: triangles and patches (means), the largest error anywhere on the surface in view (the referee,
@@ -11,7 +11,11 @@ make what each needs besides heights, in memory, and its bytes a sample, compres
 diamonds lock, and the largest error.
 
 *promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), tolerances of 0.5 to 8 pixels: the
-largest error by the tolerance, and every defect of a mesh.
+largest error by the tolerance, and every defect of a mesh; of ``--method``.
+
+*geomorph*: ``bdam`` without and with geomorphs at 1 pixel: triangles, patches that are between two TINs, ms of a second
+selection, and how far the surface jumps at most, over random places, while the tolerance grows by steps of a
+thousandth.
 
 Views are those of ``bench/promise.py``.
 """
@@ -26,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import promise
 from orograph import verify
@@ -37,7 +42,7 @@ from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import Camera
 
-PARTS = ("table", "halving", "promise")
+PARTS = ("table", "halving", "promise", "geomorph")
 
 METHODS = ("triangle-patches", "soar", "bdam,legs=8", "bdam", "bdam,legs=32")
 
@@ -126,7 +131,7 @@ def halving(data: Path, only: str | None) -> None:
                     )
 
 
-def kept(data: Path, count: int, only: str | None) -> None:
+def kept(data: Path, count: int, only: str | None, text: str) -> None:
     """The referee's verdicts."""
     from orograph.dem.mosaic import Mosaic
     from orograph.store import terrain as in_memory
@@ -144,7 +149,7 @@ def kept(data: Path, count: int, only: str | None) -> None:
         if terrain is None:
             continue
         worst, defects, largest_mesh = 0.0, 0, 0
-        method = chosen("bdam").make(terrain)
+        method = chosen(text).make(terrain)
         for number, (_, view) in enumerate(promise.views(terrain, count, 5)):
             tolerance = 0.5 * 2.0 ** (number % 5) if number < 5 else float(0.5 * 16 ** rng.uniform())
             found = method.select(Camera.over(terrain.grid, view), Goal(tolerance))
@@ -161,12 +166,66 @@ def kept(data: Path, count: int, only: str | None) -> None:
     print(f"{total} views, the promise broken in {broken}")
 
 
+def heights_of(mesh: Any, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights of a mesh at places (n, 2), column and row; NaN off it."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    found = np.full(len(places), np.nan)
+    for n, (x, y) in enumerate(places.tolist()):
+        v = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (y - a[:, 1]) * (c[:, 0] - a[:, 0])) / area
+        w = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (b[:, 1] - a[:, 1]) * (x - a[:, 0])) / area
+        inside = np.flatnonzero((v >= 0) & (w >= 0) & (v + w <= 1))[:1]
+        for t in inside:
+            found[n] = a[t, 2] + v[t] * (b[t, 2] - a[t, 2]) + w[t] * (c[t, 2] - a[t, 2])
+    return found
+
+
+def growing(data: Path, count: int, only: str | None) -> None:
+    """Geomorphs."""
+    print(f"{'':20} {'triangles':>10} {'grow':>6} {'ms':>6} {'largest px':>10} {'jump px':>8}")
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        print(f"{name}, {terrain.grid.cols} x {terrain.grid.rows}")
+        made = [chosen(text).make(terrain) for text in ("bdam", "bdam,geomorph=yes")]
+        views = [view for _, view in promise.views(terrain, count, 1)]
+        rows, cols = terrain.grid.shape
+        places = np.random.default_rng(1).uniform(0, 1, (100, 2)) * (cols - 1, rows - 1)
+        for method in made:
+            triangles, shares, times, largest, jump = [], [], [], 0.0, 0.0
+            for number, view in enumerate(views):
+                camera = Camera.over(terrain.grid, view)
+                found: Any = method.select(camera, Goal(1.0))
+                began = time.perf_counter()
+                found = method.select(camera, Goal(1.0))
+                times.append(1e3 * (time.perf_counter() - began))
+                triangles.append(found.stats["triangles"])
+                shares.append(sum(one.coarse is not None for one in found.batches) / max(len(found.batches), 1))
+                if number % 2 == 0:
+                    largest = max(largest, verify.judge_mesh(found.tessellation(), terrain, view).largest)
+                last = None
+                for k in range(6 if number < 4 else 0):
+                    mesh = method.select(camera, Goal(1.001**k)).tessellation()
+                    up = heights_of(mesh, places)
+                    screen, depth = view.project(np.stack([*terrain.grid.xy(*places.T), up], 1))
+                    screen[~(depth > view.near)] = np.nan
+                    if last is not None:
+                        jump = max(jump, float(np.nanmax(np.hypot(*(screen - last).T), initial=0.0)))
+                    last = screen
+            print(
+                f"  {'geomorphs' if method.options.geomorph else 'none':18} {statistics.mean(triangles):10,.0f} "
+                f"{statistics.mean(shares):6.2f} {statistics.median(times):6.1f} {largest:10.3f} {jump:8.3f}",
+                flush=True,
+            )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
     parser.add_argument("--part", choices=PARTS, action="append")
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--terrain")
+    parser.add_argument("--method", default="bdam")
     given = parser.parse_args()
     for part in given.part or PARTS:
         print(f"\n{part}")
@@ -174,8 +233,10 @@ def main() -> None:
             table(given.data, given.count, given.terrain)
         elif part == "halving":
             halving(given.data, given.terrain)
+        elif part == "geomorph":
+            growing(given.data, given.count, given.terrain)
         else:
-            kept(given.data, given.count, given.terrain)
+            kept(given.data, given.count, given.terrain, given.method)
 
 
 if __name__ == "__main__":

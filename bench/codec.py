@@ -19,7 +19,7 @@ import numpy as np
 import rasterio
 
 from orograph._blosc import blosc
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.coding import CODECS, Packing, floored
 
 SIDE = 256

@@ -48,6 +48,7 @@ class Bench:
 
 BENCHES = {
     "aperture": Bench("--size 64 --rounds 1 --cost"),
+    "batches": Bench("--frames 4", data=True, gpu=True, least="lsd-topo/gabilan.tif"),
     "bdam": Bench("--part table --count 2 --terrain bigtujunga", data=True, least="bigtujunga-srtm30m-utm"),
     "budgets": Bench("--size 1025 --frames 10 --ms 5 --no-best"),
     "cluster": Bench("--quick --kills 2", data=True, modules=("distributed",), least="california-3s-tiles"),

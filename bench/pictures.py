@@ -1,29 +1,40 @@
 """Pictures by the GPU beside those by the CPU: how much their colours differ, on real data.
 
-    python bench/pictures.py [DATA] [--size 480x300] [--set NAME …]
+    python bench/pictures.py [DATA] [--size 480x300] [--set NAME …] [--methods] [--tolerance 1]
 
 DATA is the folder of open data sets (default: ``../shared/data`` beside the checkout). Seven of them, which
 ``tests/rendering/gpu/test_picture.py`` does not hold, are drawn whole, from above, at a slant, to the horizon, and from
 a few samples away, with the options' defaults (sun, shadows, sky light, water). Told of each picture is the difference
 of colour, ΔE*ab (CIE 1976), over all pixels: mean, 95th percentile and largest; and how many pixels show ground in one
 of both alone.
+
+With ``--methods`` each view is drawn by every method within the tolerance. On the GPU in the light of the ground
+(``normals="computed"``): all these, and the CPU's picture of the full resolution, are compared with each other; told
+are the largest mean and the largest 95th percentile of any two, and which two those are. And in the light of its own
+faces, as pictures of meshes are unless told otherwise, by both backends: told are the largest of any method's two. What
+the terrain or a backend refuses is named.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from orograph.scene.prepare import prepare
 
+from orograph.errors import OrographError
 from orograph.geovis.color_errors import lab
-from orograph.gpu.device import open_device
+from orograph.gpu.device import Device, open_device
+from orograph.lod.registry import METHODS
 from orograph.rendering.cpu.draw import draw as cpu_draw
 from orograph.rendering.gpu.draw import draw as gpu_draw
 from orograph.scene.camera import around, plan, whole
 from orograph.scene.scene import Scene
+from orograph.store.prepare import prepare
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
@@ -58,15 +69,60 @@ def linear(pixels: np.ndarray) -> np.ndarray:
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
+def distance(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """ΔE of two pictures: mean, and 95th percentile."""
+    off = np.linalg.norm(one - other, axis=-1)
+    return float(off.mean()), float(np.percentile(off, 95))
+
+
+def drawn(terrain: Terrain, view: View, device: Device, tolerance: float) -> dict[str, np.ndarray]:
+    """A view by every method, in CIELAB: "ground", "gpu" and "cpu", each with the method's name."""
+    ways: dict[str, tuple[Callable[[Scene], Any], dict[str, Any]]] = {
+        "ground": (partial(gpu_draw, device=device), {"normals": "computed"}),
+        "gpu": (partial(gpu_draw, device=device), {}),
+        "cpu": (cpu_draw, {}),
+    }
+    pictures = {"ground cpu": lab(linear(cpu_draw(Scene.of(terrain, view)).pixels))}
+    for method, (way, (draw, options)) in itertools.product(METHODS, ways.items()):
+        try:
+            picture = draw(Scene.of(terrain, view, method=method, tolerance=tolerance, **options))
+        except OrographError as error:
+            if (method, way) != ("hybrid", "cpu"):
+                print(f"  {way} {method}: {error}")
+            continue
+        pictures[f"{way} {method}"] = lab(linear(picture.pixels))
+    return pictures
+
+
+def compared(pictures: dict[str, np.ndarray]) -> str:
+    """The largest differences of any two in the light of the ground, and of any method's two in its own."""
+    grounds = [name for name in pictures if name.startswith("ground")]
+    own = [(f"gpu {m}", f"cpu {m}") for m in METHODS if {f"gpu {m}", f"cpu {m}"} <= pictures.keys()]
+    found = []
+    for pairs in (list(itertools.combinations(grounds, 2)), own):
+        off = {pair: distance(pictures[pair[0]], pictures[pair[1]]) for pair in pairs}
+        mean, high = (max(off, key=lambda pair, k=k: off[pair][k]) for k in (0, 1))  # type: ignore[misc]
+        found.append(f"mean {off[mean][0]:.2f} ({' / '.join(mean)}), 95 % {off[high][1]:.2f} ({' / '.join(high)})")
+    return f"{len(grounds)} in the ground's light: {found[0]}; {len(own)} in their own: {found[1]}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", nargs="?", type=Path, default=DATA)
     parser.add_argument("--size", default="480x300")
     parser.add_argument("--set", action="append", choices=SETS)
+    parser.add_argument("--methods", action="store_true", help="by every method, compared with each other")
+    parser.add_argument("--tolerance", type=float, default=1.0, help="of methods, pixels")
     given = parser.parse_args()
     size = tuple(int(n) for n in given.size.split("x"))
     device = open_device()
     print(f"{device.adapter.name}, {given.size}")
+    if given.methods:
+        for name in given.set or SETS:
+            terrain = prepare([str(given.data / SETS[name])])
+            for kind, view in views(terrain, size):
+                print(f"{name}, {kind}: {compared(drawn(terrain, view, device, given.tolerance))}", flush=True)
+        return
     print(f"{'':14}{'':10}{'mean':>7}{'95 %':>7}{'largest':>9}{'ground in one':>15}")
     worst = [0.0, 0.0]
     for name in given.set or SETS:

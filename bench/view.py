@@ -1,28 +1,32 @@
 """The interactive view off screen: flights over large terrains, frame by frame, on whatever GPU there is.
 
     python bench/view.py [--terrain california|synthetic-16385|synthetic-65537|PATH…] [--flight orbit|low|jump|steady]…
-        [--method auto]… [--tolerance 2] [--size 1280x720] [--frames 120] [--judge 3] [--folder FOLDER] [--waited]
-        [--no-look-ahead]
+        [--method auto|all|NAME]… [--tolerance 2]… [--size 1280x720]… [--frames 120] [--judge 3] [--folder FOLDER]
+        [--memory 4096] [--waited] [--no-look-ahead] [--table]
 
 Terrains: the 40 tiles of California (default; 11815 × 5567 samples in metres), the synthetic terrain of so many samples
 a side as a store (``bench/synthetic.py``; built first, if it is not there, in FOLDER or the cache), or any files.
 
 Flights: *orbit*, all of the terrain in view, half a degree a frame; *low*, a straight flight close above the ground at
 300 m/s and 60 frames a second; *steady*, the same at ten times the height and speed; *jump*, to another place of the
-terrain every ten frames. Every frame is drawn as the window draws it (the first, too, after ``Renderer.prepare``; tiles
-stream in meanwhile; shadows and sky are on) and then waited for, and no frame is begun before its time on a clock of 60
-frames a second.
+terrain every ten frames (of a flight of fewer than 40, four times). Every frame is drawn as the window draws it (the
+first, too, after ``Renderer.prepare``; tiles stream in meanwhile; shadows and sky are on) and then waited for, and no
+frame is begun before its time on a clock of 60 frames a second.
 
-Each flight is flown by every ``--method``, whose frames are compared best where other programs rest.
+Each flight is flown by every ``--method`` (all: each there is) at every tolerance and size; their frames are compared
+best where other programs rest, or by the processors' time. A method that cannot fly over the terrain says why.
 
-Told as median and worst: ms until the GPU is done, ms of the GPU by its own clock (timestamps), ms of Python (*to
-submit*: until the frame is handed over, what the GPU waits for; *all*: with what is done after that) and of the loop
-(with what the driver does when it is given the work), ms of selection, patches, triangles, tiles loaded and lacking, MB
-uploaded, the bound of the largest error in pixels with the tiles that were there; and of ``--judge`` views, with all
-their tiles, the largest error that the referee finds among all full-resolution samples in view (of other methods, in
-the picture: of all that its pixels show). Of a tree that lives on the GPU (``cbt``), also what it takes: triangles in
-its pool and their bytes, ms of an update, updates until nothing changes any more, from two triangles and from frame to
-frame, and the error of what was drawn in flight, read back.
+Told as median and worst: ms until the GPU is done, ms of all threads of the process meanwhile (on software: of the GPU,
+too), ms of the GPU by its own clock (timestamps), ms of Python (*to submit*: until the frame is handed over, what the
+GPU waits for; *all*: with what is done after that) and of the loop (with what the driver does when it is given the
+work), ms of selection, patches, triangles, tiles loaded and lacking, MB uploaded, the bound of the largest error in
+pixels with the tiles that were there; and of ``--judge`` views, with all their tiles, the largest error that the
+referee finds among all full-resolution samples in view (of other methods, in the picture: of all that its pixels show).
+Of a tree that lives on the GPU (``cbt``), also what it takes: triangles in its pool and their bytes, ms of an update,
+updates until nothing changes any more, from two triangles and from frame to frame, and the error of what was drawn in
+flight, read back. Meshes of most other methods are made by a thread aside: frames show the last one that is ready, and
+*late* counts those whose mesh is another camera's. ``--table`` prints a row
+of a Markdown table for each flight instead.
 """
 
 from __future__ import annotations
@@ -39,9 +43,11 @@ from pathlib import Path
 import numpy as np
 
 from orograph import verify
+from orograph.errors import OrographError
 from orograph.gpu.clock import Clock
 from orograph.gpu.device import Device, open_device
 from orograph.lod.patches.expand import expand
+from orograph.lod.registry import METHODS
 from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.gpu.surface.tree import Tree
@@ -68,10 +74,12 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Frame:
-    """What one took: ms of Python to the last submission, until the GPU was done, by the GPU's clock (or None)."""
+    """What one took: ms of Python to the last submission, until the GPU was done, of the processors until then, by the
+    GPU's clock (or None)."""
 
     python: float
     done: float
+    worked: float
     gpu: float | None
     stats: FrameStats
 
@@ -113,7 +121,7 @@ def steady(terrain: Terrain, size: Size, count: int) -> list[View]:
 
 
 def jump(terrain: Terrain, size: Size, count: int) -> list[View]:
-    """Ten frames at each of many places, from 600 m and from 6 km above them."""
+    """Ten frames (or a quarter) at each of many places, from 600 m and from 6 km above them."""
     rng = np.random.default_rng(4)
     level = terrain.levels - 1
     rows, cols = terrain.shape(level)
@@ -127,7 +135,7 @@ def jump(terrain: Terrain, size: Size, count: int) -> list[View]:
         high = 600.0 if rng.random() < 0.5 else 6000.0
         ground, turn = float(coarse[i, j]), float(rng.uniform(0, 2 * math.pi))
         target = x + 5 * high * math.cos(turn), y + 5 * high * math.sin(turn), ground
-        views += [View((x, y, ground + high), target, width=size[0], height=size[1])] * 10
+        views += [View((x, y, ground + high), target, width=size[0], height=size[1])] * min(10, -(-count // 4))
     return views[:count]
 
 
@@ -158,20 +166,19 @@ def fly(
     for k, view in enumerate(views):
         time.sleep(max(0.0, start + k / RATE - time.perf_counter()))
         clock.begin()
-        begun = time.perf_counter()
+        begun, before = time.perf_counter(), time.process_time()
         stats = renderer.draw(target, "rgba8unorm", scene.but(view=view), wait=waited)
         python = time.perf_counter()
         device.wait()
-        done = time.perf_counter()
+        done, worked = time.perf_counter(), time.process_time() - before
         clock.end()
         seconds = clock.seconds()
         if renderer.tree is not None:  # no frame knows how many it has
             stats = replace(stats, triangles=renderer.tree.tree.counts().triangles)
             if (k + 1) * judge // len(views) > k * judge // len(views):
                 meshes.append((view, renderer.tree.tessellation()))
-        frames.append(
-            Frame((python - begun) * 1e3, (done - begun) * 1e3, None if seconds is None else seconds * 1e3, stats)
-        )
+        gpu = None if seconds is None else seconds * 1e3
+        frames.append(Frame((python - begun) * 1e3, (done - begun) * 1e3, worked * 1e3, gpu, stats))
     return frames, meshes
 
 
@@ -241,6 +248,7 @@ def told(frames: list[Frame]) -> str:
     finite = [s.error_px for s in stats if math.isfinite(s.error_px)]
     lines = [
         row("ms a frame", [f.done for f in frames]) + f"   (frame {worst})",
+        row("ms of all threads", [f.worked for f in frames]),
         row("ms of the GPU, by its clock", gpu) if gpu else "  ms of the GPU, by its clock    (it tells none)",
         row("ms of Python, to submit", [s.submit_ms for s in stats], "{:.2f}"),
         row("ms of Python, all", [s.cpu_ms for s in stats], "{:.2f}"),
@@ -261,51 +269,98 @@ def told(frames: list[Frame]) -> str:
     return "\n".join(lines)
 
 
+COLUMNS = (
+    "flight", "method", "ms a frame, median", "worst", "of all threads", "of Python, to submit", "triangles", "late",
+    "MB", "px, by the referee",
+)  # fmt: skip
+
+
+def line(name: str, method: str, frames: list[Frame], errors: list[float]) -> str:
+    """The row of a flight in a table."""
+    stats = [f.stats for f in frames]
+    done = [f.done for f in frames]
+    windows = max(s.windows for s in stats)
+    triangles = f"{np.median([s.triangles for s in stats]):,.0f}" if max(s.triangles for s in stats) else "-"
+    cells = [
+        name, f"`{method}`", f"{np.median(done):.0f}", f"{max(done):.0f}",
+        f"{np.median([f.worked for f in frames]):.0f}", f"{np.median([s.submit_ms for s in stats]):.1f}",
+        triangles + (f", {windows} windows" if windows else ""),
+        f"{sum(not s.current for s in stats)} of {len(stats)}",
+        f"{sum(s.bytes_uploaded for s in stats) / 1e6:.1f}", ", ".join(f"{e:.2f}" for e in errors) or "-",
+    ]  # fmt: skip
+    return f"| {' | '.join(cells)} |"
+
+
+def flight(
+    device: Device, terrain: Terrain, name: str, method: str, tolerance: float, size: Size, options: argparse.Namespace
+) -> None:
+    """Fly once, and tell of it."""
+    views = FLIGHTS[name](terrain, size, options.frames)
+    begun = time.perf_counter()
+    renderer = Renderer(device, terrain, gpu_memory=options.gpu_memory << 20)
+    opened = time.perf_counter() - begun
+    renderer.tiles.look_ahead = not options.no_look_ahead
+    scene = Scene.of(terrain, views[0], sky=True, tolerance=tolerance, method=method, max_memory=options.memory << 20)
+    try:
+        frames, meshes = fly(renderer, device, views, scene, options.waited, options.judge)
+        failed = next((f.stats.failed for f in frames if f.stats.failed), "")
+        if failed:
+            print(f"{name}, {method}: {failed}", flush=True)
+        some = views[:: max(1, len(views) // max(options.judge, 1))][: options.judge]
+        if method == "auto":
+            errors = judged(renderer, terrain, some, tolerance)
+        else:
+            errors = judged_pictures(renderer, device, [scene.but(view=view) for view in some])
+        if options.table:
+            print(line(name, method, frames, errors), flush=True)
+            return
+        print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
+        print(told(frames), flush=True)
+        if renderer.tree is not None:
+            print(grown(renderer, device, views, tolerance), flush=True)
+        if meshes:
+            flown = [verify.judge_mesh(mesh, terrain, view).largest_at_samples for view, mesh in meshes]
+            print("  px of error, in flight          " + ", ".join(f"{e:.2f}" for e in flown), flush=True)
+        if errors:
+            print("  px of error, by the referee    " + ", ".join(f"{e:.2f}" for e in errors), flush=True)
+    finally:
+        renderer.close()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--terrain", nargs="+", default=["california"])
     parser.add_argument("--flight", action="append", choices=list(FLIGHTS), help="default: orbit")
-    parser.add_argument("--method", action="append", help="as --method has it; default: auto, what is streamed")
+    parser.add_argument("--method", action="append", help="auto (default): what is streamed; all")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
-    parser.add_argument("--tolerance", type=float, default=2.0)
-    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--tolerance", action="append", type=float, help="pixels; default: 2")
+    parser.add_argument("--size", action="append", help="default: 1280x720")
     parser.add_argument("--frames", type=int, default=120)
     parser.add_argument("--judge", type=int, default=0, help="how many frames the referee looks at")
     parser.add_argument("--gpu-memory", type=int, default=512, help="MiB of tiles on the GPU")
+    parser.add_argument("--memory", type=int, default=4096, help="MiB that methods may take for what stores lack")
+    parser.add_argument("--table", action="store_true", help="a row for each flight")
     parser.add_argument("--waited", action="store_true", help="wait for all tiles in each frame")
     parser.add_argument("--no-look-ahead", action="store_true", help="read nothing ahead of the camera")
     options = parser.parse_args()
-    width, height = (int(v) for v in options.size.split("x"))
+    sizes: list[Size] = [tuple(int(v) for v in size.split("x")) for size in options.size or ["1280x720"]]
     terrain = terrain_of(options.terrain, options)
     sys.setswitchinterval(SWITCH)
     gc.freeze()  # as the window does
     device = open_device()
     rows, cols = terrain.grid.shape
-    print(f"{device.adapter.name}: {rows} × {cols} samples, {width} × {height} pixels, {options.tolerance:g} px")
-    for name, method in itertools.product(options.flight or ["orbit"], options.method or ["auto"]):
-        views = FLIGHTS[name](terrain, (width, height), options.frames)
-        begun = time.perf_counter()
-        renderer = Renderer(device, terrain, gpu_memory=options.gpu_memory << 20)
-        opened = time.perf_counter() - begun
-        renderer.tiles.look_ahead = not options.no_look_ahead
-        scene = Scene.of(terrain, views[0], sky=True, tolerance=options.tolerance, method=method)
-        frames, meshes = fly(renderer, device, views, scene, options.waited, options.judge)
-        print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
-        print(told(frames), flush=True)
-        if renderer.tree is not None:
-            print(grown(renderer, device, views, options.tolerance), flush=True)
-        if meshes:
-            errors = [verify.judge_mesh(mesh, terrain, view).largest_at_samples for view, mesh in meshes]
-            print("  px of error, in flight          " + ", ".join(f"{e:.2f}" for e in errors), flush=True)
-        if options.judge:
-            some = views[:: max(1, len(views) // options.judge)][: options.judge]
-            if method == "auto":
-                errors = judged(renderer, terrain, some, options.tolerance)
-            else:
-                errors = judged_pictures(renderer, device, [scene.but(view=view) for view in some])
-            print("  px of error, by the referee    " + ", ".join(f"{e:.2f}" for e in errors), flush=True)
-        renderer.close()
+    methods = options.method or ["auto"]
+    methods = list(METHODS) if methods == ["all"] else methods
+    for (width, height), tolerance in itertools.product(sizes, options.tolerance or [2.0]):
+        print(f"{device.adapter.name}: {rows} × {cols} samples, {width} × {height} pixels, {tolerance:g} px")
+        if options.table:
+            print(f"\n| {' | '.join(COLUMNS)} |\n|---|---{'|--:' * (len(COLUMNS) - 2)}|")
+        for name, method in itertools.product(options.flight or ["orbit"], methods):
+            try:
+                flight(device, terrain, name, method, tolerance, (width, height), options)
+            except OrographError as error:
+                print(f"{name}, {method}: {error}", flush=True)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+from fresh import is_stale
+
 project = "Orograph"
 author = "the Orograph authors"
 release = version = version_of("orograph")
@@ -18,6 +20,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",
+    "fresh",
 ]
 root_doc = "index"
 exclude_patterns = [
@@ -53,6 +56,7 @@ sphinx_gallery_conf = {
     "ignore_repr_types": r"Picture|matplotlib|BarContainer|Text|list|AxesImage|FillBetween",
     "within_subsection_order": "FileNameSortKey",
     "filename_pattern": r"\.py$",
+    "run_stale_examples": is_stale(),
     "min_reported_time": 1e9,
     "show_signature": False,
     "download_all_examples": False,

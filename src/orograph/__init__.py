@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from orograph.verbs.check import check
     from orograph.verbs.compare import compare
     from orograph.verbs.contours import contours
+    from orograph.verbs.difference import difference
     from orograph.verbs.doctor import doctor
     from orograph.verbs.export import export
     from orograph.verbs.info import info
@@ -84,6 +85,7 @@ __all__ = [
     "check",
     "compare",
     "contours",
+    "difference",
     "doctor",
     "export",
     "fetch",
@@ -130,6 +132,7 @@ _HOMES = {
     "check": "orograph.verbs.check",
     "compare": "orograph.verbs.compare",
     "contours": "orograph.verbs.contours",
+    "difference": "orograph.verbs.difference",
     "doctor": "orograph.verbs.doctor",
     "export": "orograph.verbs.export",
     "fetch": "orograph.fetching",
@@ -153,16 +156,18 @@ _HOMES = {
 """Where each name is: MODULE; MODULE:NAME where it has another name there; MODULE: where it is that module."""
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+if not TYPE_CHECKING:  # (who check types look for names themselves)
 
-        return version("orograph")
-    if name not in _HOMES:
-        raise AttributeError(f"module 'orograph' has no attribute {name!r}{_meant(name)}")
-    module, colon, called = _HOMES[name].partition(":")
-    home = importlib.import_module(module)
-    return home if colon and not called else getattr(home, called or name)
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("orograph")
+        if name not in _HOMES:
+            raise AttributeError(f"module 'orograph' has no attribute {name!r}{_meant(name)}")
+        module, colon, called = _HOMES[name].partition(":")
+        home = importlib.import_module(module)
+        return home if colon and not called else getattr(home, called or name)
 
 
 def _meant(name: str) -> str:
@@ -175,13 +180,14 @@ def _meant(name: str) -> str:
 
     products = importlib.import_module("orograph.lighting.products")
     elsewhere = importlib.import_module("orograph.scene.wording").ELSEWHERE
-    product = name.replace("_", "-")
-    if product in products.names() or product in products.MEANT:
-        return f'. Use orograph.light(dem, "{products.MEANT.get(product, product)}").'
-    if name in elsewhere:
-        return f". Use orograph.{elsewhere[name]}."
-    close = difflib.get_close_matches(name, __all__, 2, 0.6)
-    return f". Did you mean {' or '.join(f'orograph.{one}' for one in close)}?" if close else ""
+    made = {one.replace("-", "_"): one for one in products.names()}
+    made |= {one.replace("-", "_"): meant for one, meant in products.MEANT.items()}
+    called = {one: f"orograph.{one}" for one in __all__} | {one: f"orograph.{here}" for one, here in elsewhere.items()}
+    called |= {one: f'orograph.light(dem, "{product}")' for one, product in made.items()}
+    if name in called:
+        return f". Use {called[name]}."
+    close = dict.fromkeys(called[one] for one in difflib.get_close_matches(name, called, 2, 0.6))
+    return f". Did you mean {' or '.join(close)}?" if close else ""
 
 
 def __dir__() -> list[str]:

@@ -26,6 +26,12 @@ def check_folder(path: Path) -> None:
         raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
 
 
+def check_vacant(path: Path, overwrite: bool) -> None:
+    """Raise OutputError if something is there that may not be replaced."""
+    if path.exists() and not overwrite:
+        raise OutputError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
+
+
 def beside(out: Path, ending: str) -> Path:
     """A name beside ``out`` for a file of this process; what processes left there that have ended is removed.
 

@@ -153,8 +153,13 @@ class Tessellation:
         ``crs`` (WKT, empty if unknown).
 
         Raises:
-            UsageError: the statistics are not JSON. OutputError: the file cannot be written.
+            UsageError: the statistics are not JSON, or the ending is another. OutputError: the file cannot be written.
         """
+        if Path(path).suffix.lower() != ".npz":
+            raise UsageError(
+                "This writes an .npz.", path=path,
+                remedy="Others are written where meshes are made: tessellate or tin with `output`.",
+            )  # fmt: skip
         try:
             stats = json.dumps(self.stats, allow_nan=False)
         except (TypeError, ValueError) as error:

@@ -29,9 +29,9 @@ from orograph.documents import load_object, naming, write
 from orograph.errors import UsageError
 from orograph.geo.chart import AffineChart, Chart
 from orograph.geo.grid import Grid
+from orograph.geo.vectors import Vector, cross, dot, length, unit
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
 Point = tuple[float, float, float]
 
 
@@ -89,8 +89,11 @@ class View:
                                  f"the picture of {width} × {height}.")  # fmt: skip
 
     def __repr__(self) -> str:
-        said = [f.name + "=" + repr(getattr(self, f.name)) for f in fields(self)
-                if f.name in ("eye", "target", "width", "height") or getattr(self, f.name) != f.default]  # fmt: skip
+        told = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("eye", "target"):
+            told[name] = tuple(round(float(v), 3) for v in told[name])
+        said = [f"{f.name}={told[f.name]!r}" for f in fields(self)
+                if f.name in ("eye", "target", "width", "height") or told[f.name] != f.default]  # fmt: skip
         return f"View({', '.join(said)})"
 
     def _repr_html_(self) -> str:
@@ -286,7 +289,7 @@ class View:
             if plan:
                 normal = sign * axis[0], sign * axis[1], sign * axis[2]
                 middle = self.target[0], self.target[1], self.target[2] * exaggeration
-                planes.append((*normal, -_dot(normal, middle) - least))
+                planes.append((*normal, -dot(normal, middle) - least))
             else:
                 size = math.hypot(1.0, least)
                 across, along = sign / size, -least / size
@@ -294,8 +297,8 @@ class View:
                     across * axis[0] + along * forward[0], across * axis[1] + along * forward[1],
                     across * axis[2] + along * forward[2],
                 )  # fmt: skip
-                planes.append((*normal, -_dot(normal, eye)))
-        ahead = _dot(forward, eye)
+                planes.append((*normal, -dot(normal, eye)))
+        ahead = dot(forward, eye)
         planes.append((*forward, -ahead - self.near))
         if math.isfinite(self.far):
             planes.append((-forward[0], -forward[1], -forward[2], ahead + self.far))
@@ -345,38 +348,20 @@ def _axes(
 ) -> tuple[Vector, Vector, Vector]:  # fmt: skip
     """Right, up and forward of a camera, in stretched space."""
     (x, y, z), (u, v, w) = eye, target
-    forward = _unit((u - x, v - y, (w - z) * exaggeration))
+    forward = unit((u - x, v - y, (w - z) * exaggeration))
     if plan:
         heading = up[0], up[1], 0.0
-        if _length(heading) < 1e-9 * max(1.0, _length(up)):
+        if length(heading) < 1e-9 * max(1.0, length(up)):
             heading = forward[0], forward[1], 0.0
-        up = heading if _length(heading) >= 1e-9 else (0.0, 1.0, 0.0)
+        up = heading if length(heading) >= 1e-9 else (0.0, 1.0, 0.0)
         forward = 0.0, 0.0, -1.0
-    right = _cross(forward, up)
-    if _length(right) < 1e-9 * _length(up):  # looking along up: north is up in the picture
-        right = _cross(forward, (0.0, 1.0, 0.0))
-        if _length(right) < 1e-9:
+    right = cross(forward, up)
+    if length(right) < 1e-9 * length(up):  # looking along up: north is up in the picture
+        right = cross(forward, (0.0, 1.0, 0.0))
+        if length(right) < 1e-9:
             right = 1.0, 0.0, 0.0
-    right = _unit(right)
-    return right, _cross(right, forward), forward
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    (p, q, r), (x, y, z) = a, b
-    return q * z - r * y, r * x - p * z, p * y - q * x
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _length(a: Vector) -> float:
-    return math.sqrt(_dot(a, a))
-
-
-def _unit(a: Vector) -> Vector:
-    size = _length(a)
-    return a[0] / size, a[1] / size, a[2] / size
+    right = unit(right)
+    return right, cross(right, forward), forward
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from orograph.dem import Source
 from orograph.dem import statistics as statistics_module
 from orograph.dem.statistics import statistics
 from orograph.errors import UsageError
-from orograph.verbs.info import _crs_line
+from orograph.verbs.info_text import _crs_line
 
 KEYS = {
     "kind",

@@ -58,11 +58,21 @@ def test_synth_replaces_nothing(tmp_path):
     assert orograph("synth", "-o", out, "--size", "40x50").returncode == 0
     first = out.read_bytes()
     ran = orograph("synth", "-o", out, "--size", "40x50", "--seed", 2)
-    assert ran.returncode == 2 and "--overwrite" in ran.stderr and out.read_bytes() == first
+    assert ran.returncode == 4 and "--overwrite" in ran.stderr and out.read_bytes() == first
     assert orograph("synth", "-o", out, "--size", "40x50", "--seed", 2, "--overwrite").returncode == 0
     assert out.read_bytes() != first
     ran = orograph("synth", "-o", tmp_path / "a.xyz", "--size", "40x50")
     assert ran.returncode == 2 and ".tif" in ran.stderr and not (tmp_path / "a.xyz").exists()
+
+
+def test_what_is_there_is_kept_with_one_code(tmp_path):
+    dem, store = tmp_path / "dem.tif", tmp_path / "a.oro"
+    first = (("synth", "-o", dem, "--size", "40x50"), ("build", dem, "-o", store))
+    for command in first:
+        assert orograph(*command).returncode == 0
+    for command in (*first, ("export", store, "-o", dem), ("synth", "-o", store, "--size", "40x50")):
+        ran = orograph(*command)
+        assert ran.returncode == 4 and "there already" in ran.stderr and "--overwrite" in ran.stderr, command
 
 
 def test_the_demo(tmp_path):

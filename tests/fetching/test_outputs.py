@@ -13,11 +13,11 @@ from sources import copernicus, heights
 
 import orograph
 from orograph.cli.fetch import command
-from orograph.errors import ReadError, UsageError
+from orograph.errors import OutputError, ReadError, UsageError
 from orograph.fetching import Request, products, register
 from orograph.fetching.areas import area_of
 from orograph.geo.ellipsoid import EARTH
-from orograph.verbs.info import describe
+from orograph.verbs.info_text import describe
 
 BOX = (-119.3, 36.8, -118.6, 37.25)
 NAMED = "© DLR e.V. 2010-2014 and © Airbus Defence and Space GmbH 2014-2018"
@@ -50,7 +50,7 @@ def test_a_geotiff_has_the_samples_their_datum_and_whom_to_name(california, tmp_
         assert NAMED.replace("©", "(c)") in file.tags()["TIFFTAG_COPYRIGHT"]
         assert {"PRODUCT", "LICENSE", "YEARS", "MODEL", "SOURCE"} <= set(file.tags())
     assert list(tmp_path.glob(".*")) == []
-    with pytest.raises(UsageError, match="there already"):
+    with pytest.raises(OutputError, match="there already"):
         fetch("--bbox", "-119.3,36.8,-118.6,37.25", "--product", "copernicus-90", "-o", out)
     fetch("--bbox", "-119.3,36.8,-118.6,37.25", "--product", "copernicus-90", "-o", out, "--overwrite")
 

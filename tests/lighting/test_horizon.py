@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,10 +43,20 @@ def brute(heights: np.ndarray, linear: np.ndarray, azimuth: float, lowest: float
         own, found, k = profile(x, i), (-math.inf, 0), 1
         while 0 <= i + ahead * k < steps:
             z = profile(x + tilt * ahead * k, i + ahead * k)
-            if not math.isnan(z) and (z - own) / (k * metres) >= found[0]:
-                found = (z - own) / (k * metres), k
+            for there, point in ((k, z), (k - 0.5, middle(x, i, k))):
+                if not math.isnan(point) and (point - own) / (there * metres) >= found[0]:
+                    found = (point - own) / (there * metres), k
             k += 1
         return found
+
+    def middle(x: float, i: int, k: int) -> float:
+        """What a line along a diagonal meets before its step k: the middle of a cell that is cut the other way."""
+        if not through or abs(tilt) < 0.5:
+            return math.nan
+        j, other, i = round(x + tilt * ahead * (k - 1)), round(x + tilt * ahead * k), i + ahead * (k - 1)
+        if not (0 <= j < lanes and 0 <= other < lanes and (i + j) % 2):
+            return math.nan
+        return between(h[other, i], h[j, i + ahead], 0.5)
 
     def seen(x: float, i: int) -> float:
         slope, k = best(x, i)
@@ -140,7 +151,9 @@ def height_at(h: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.where(off, np.nan, np.where((i + j) % 2 == 0, falling, rising))
 
 
-def dense(h: np.ndarray, linear: np.ndarray, azimuth: float, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+def dense(
+    h: np.ndarray, linear: np.ndarray, azimuth: float, row: np.ndarray, col: np.ndarray, radius: float = math.inf
+) -> np.ndarray:
     """Slopes of horizons seen from samples, looking wherever the ray crosses a side of a triangle: exact."""
     a = math.radians(azimuth)
     dx, dy = np.linalg.solve(linear, [math.sin(a), math.cos(a)])
@@ -148,8 +161,21 @@ def dense(h: np.ndarray, linear: np.ndarray, azimuth: float, row: np.ndarray, co
     for rate in (dx, dy, dx - dy, dx + dy):  # columns, rows, falling and rising diagonals per metre
         t = np.arange(1, 2 * max(h.shape)) / max(abs(rate), 1e-12)
         z = height_at(h, col[:, None] + dx * t, row[:, None] + dy * t)
+        z[:, t > radius * (1 + 1e-9)] = np.nan
         best = np.fmax(best, np.nanmax(np.c_[(z - h[row, col][:, None]) / t, best], axis=1))
     return best
+
+
+@pytest.mark.parametrize("azimuth", [45, 135, 225, 315])
+@pytest.mark.parametrize("radius", [None, 14 * math.sqrt(2.0)])
+def test_exact_along_diagonals(shared_data, azimuth, radius):
+    """Roofs: walls stand between the samples of every other diagonal."""
+    with rasterio.open(shared_data / "nrw-dom1-1m" / "dom1_32_356_5699_1_nw_2020.tif") as dem:
+        h = dem.read(1)[300:430, 500:650]
+    row, col = np.indices(h.shape).reshape(2, -1)
+    truth = dense(h.astype(np.float64), SQUARE, azimuth, row, col, radius or math.inf)
+    got = horizon(h, SQUARE, azimuth, radius=radius)
+    np.testing.assert_allclose(got.ravel(), truth, atol=2e-6, rtol=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -163,8 +189,6 @@ def dense(h: np.ndarray, linear: np.ndarray, azimuth: float, row: np.ndarray, co
 )
 def test_near_a_dense_search_of_the_true_surface(shared_data, path, off, bias):
     """Without bias, and in the mean not more degrees off than this: what docs/light.md says."""
-    import rasterio
-
     with rasterio.open(shared_data / path) as dem:
         h = dem.read(1)[100:400, 100:400].astype(np.float64)
         h[h == dem.nodata] = np.nan
@@ -245,8 +269,6 @@ def test_threads_do_not_change_the_result():
 
 def test_published_sky_view(shared_data):
     """GRASS r.skyview: 1 − mean sin h over 16 directions."""
-    import rasterio
-
     with rasterio.open(shared_data / "fortbragg-1m-dem-ortho" / "elevation_2016.tif") as dem:
         h = dem.read(1)
     with rasterio.open(shared_data / "fortbragg-1m-dem-ortho" / "skyview_2016.tif") as published:

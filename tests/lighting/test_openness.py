@@ -48,14 +48,25 @@ def test_infinite_valley():
 
 
 def eight(h: np.ndarray, reach: int, row: int, col: int, sign: int) -> float:
-    """Yokoyama's definition, one sample at a time."""
+    """Yokoyama's definition, one sample at a time: of the surface, whose cells are cut through even row + column."""
+
+    def height(r: float, c: float) -> float:
+        if r % 1 == 0:
+            return float(h[int(r), int(c)])
+        r0, c0 = math.floor(r), math.floor(c)  # the middle of a cell
+        ends = [h[r0, c0], h[r0 + 1, c0 + 1]] if (r0 + c0) % 2 == 0 else [h[r0, c0 + 1], h[r0 + 1, c0]]
+        corners = [float(z) for z in ends if not math.isnan(z)]
+        along = (row + col) % 2 == 0  # the diagonal itself, which adds nothing
+        return math.nan if along or not corners else sum(corners) / len(corners)
+
     angles = []
     for dr, dc in ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1)):
         best = -math.inf
-        for k in range(1, reach + 1):
+        for k in np.arange(0.5, reach + 1, 0.5) if dr and dc else range(1, reach + 1):
             r, c, d = row + k * dr, col + k * dc, k * math.hypot(dr, dc)
-            if 0 <= r < h.shape[0] and 0 <= c < h.shape[1] and d <= reach and not math.isnan(h[r, c]):
-                best = max(best, math.atan2(sign * (float(h[r, c]) - float(h[row, col])), d))
+            inside = 0 <= r <= h.shape[0] - 1 and 0 <= c <= h.shape[1] - 1
+            if inside and math.ceil(k) * math.hypot(dr, dc) <= reach and not math.isnan(height(r, c)):
+                best = max(best, math.atan2(sign * (height(r, c) - float(h[row, col])), d))
         if best > -math.inf:
             angles.append(90 - math.degrees(best))
     return sum(angles) / len(angles) if angles else math.nan

@@ -22,7 +22,8 @@ from orograph.lod.selection import TinBatches
 from orograph.scene.camera import whole
 from orograph.store import open as open_store
 from orograph.store.build import build
-from orograph.store.tin_build import Building, Workplace, make_tins, tins_of
+from orograph.store.tin_build import Building, make_tins
+from orograph.store.tin_diamonds import Workplace, tins_of
 from orograph.viewpoint import Camera
 
 SHAPES = [(65, 65), (100, 77), (33, 130), (129, 40), (17, 17), (9, 5), (2, 2)]

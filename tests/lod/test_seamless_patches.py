@@ -12,6 +12,7 @@ from orograph import verify
 from orograph.lod.method import Goal, Resources
 from orograph.lod.reference.seamless_patches import Quadtree, vertices
 from orograph.lod.registry import chosen
+from orograph.lod.seamless_errors import BlockErrors
 from orograph.lod.seamless_layout import Layout
 from orograph.lod.seamless_pieces import SeamlessPieces, turned
 from orograph.lod.squares import Squares
@@ -211,3 +212,25 @@ def test_errors_of_blocks_are_the_largest_of_their_cells():
             off = np.abs(coarse - part[:-1, :-1].ravel()).max()
             assert off <= here[0] * (1 + 1e-5) + 1e-6
             assert np.isfinite(box.low[0]) and box.low[0] <= part.min() and box.high[0] >= part.max()
+
+
+def test_errors_of_blocks_are_those_of_cells_however_few_are_kept(monkeypatch):
+    """By squares of 16 × 16 cells, of which one is kept, as by whole levels."""
+    t = plain.terrain(plain.rough(np.random.default_rng(21), (300, 421), gaps=0.002))
+    whole = BlockErrors(t, "exact", 3, Resources(jobs=1))
+    levels = {level: whole.blocks(level, max(level, 2)) for level in range(1, t.n + 1)}
+    monkeypatch.setattr("orograph.lod.seamless_errors.CELLS", 4)
+    small = BlockErrors(t, "exact", 3, Resources(max_memory=1, jobs=3))
+    rng = np.random.default_rng(22)
+    for level, block in levels.items():
+        side = max(level, 2)
+        again = small.blocks(level, side)
+        np.testing.assert_array_equal(again.error, block.error)
+        np.testing.assert_array_equal(again.mixed, block.mixed)
+        rows, cols = block.error.shape
+        i, j = rng.integers(0, [[rows], [cols]], (2, 20))
+        boxes = small.heights.around(j << side, i << side, (j + 1) << side, (i + 1) << side, side)
+        errors, mixed = small.around(range(level, level + 1), boxes, side)
+        np.testing.assert_array_equal(errors[0], block.error[i, j])
+        np.testing.assert_array_equal(mixed[0], block.mixed[i, j])
+        assert len(small._squares) == 1

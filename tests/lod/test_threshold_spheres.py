@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from orograph import verify
 from orograph.error.screen import camera_parameters
 from orograph.errors import UsageError
+from orograph.lod.pace import Deadline
 from orograph.lod.reference.camera import Camera as ReferenceCamera
 from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.terrain import Ground
@@ -81,6 +82,33 @@ def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
     same = plain.refiner(Soar, t, metric=metric, cull=cull).refine(view, tolerance=2.0)
     if metric == "anisotropic":
         assert plain.triangles_of(found) == plain.triangles_of(same)
+
+
+@pytest.mark.parametrize("metric", ["anisotropic", "isotropic"])
+@pytest.mark.parametrize("gaps", [0.0, 0.1])
+def test_trees_that_grow_from_frame_to_frame_equal_fresh_starts(metric, gaps, monkeypatch):
+    """With a budget of time: few steps a frame, while the camera moves on; then their mesh is shown."""
+    grow, frames = ThresholdSpheres._grow, []
+
+    def once(self, state, camera, seconds):
+        self._pace.unit = seconds / 600  # some 300 steps
+        monkeypatch.setattr(Deadline, "is_near", lambda deadline, taken=0.0: next(frames[-1]))
+        frames.append(iter([False, True]))
+        return grow(self, state, camera, seconds)
+
+    monkeypatch.setattr(ThresholdSpheres, "_grow", once)
+    rng = np.random.default_rng(31)
+    t = plain.terrain(plain.rough(rng, (65, 50), amplitude=300, gaps=gaps))
+    method = plain.refiner(ThresholdSpheres, t, metric=metric)
+    view = plain.random_view(rng, t, fov_y=50.0)
+    method.refine(view, tolerance=20.0)
+    tolerances = set()
+    for view in flight(rng, t, 60, 0.02):
+        found = method.refine(view, seconds=1.0)
+        tolerances.add(found.stats["tolerance"])
+        fresh = plain.refiner(ThresholdSpheres, t, metric=metric).refine(view, tolerance=found.stats["tolerance"])
+        assert plain.triangles_of(found) == plain.triangles_of(fresh)
+    assert 20.0 in tolerances and len(tolerances) > 1 and len(frames) > 3 * len(tolerances)
 
 
 def decided(grid, exaggeration, gamma, cull, diamond, view, share=0.5):

@@ -313,9 +313,17 @@ def test_a_stack_with_holes_is_open_only_where_it_has_holes() -> None:
     assert np.isfinite(t[~fine]).all()
 
 
-def test_every_pyramid_reaches_the_level_that_rows_march_on() -> None:
-    from orograph.raycast.march import MARCH_LEVEL
+def test_the_smallest_pyramids_tell_the_range_of_heights() -> None:
     from orograph.raycast.mips import build_mips
 
     for shape in ((2, 2), (2, 9), (3, 4), (9, 9), (10, 2)):
-        assert build_mips(np.zeros(shape, np.float32)).levels > MARCH_LEVEL
+        h = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+        assert build_mips(h).height_range == (h.min(), h.max())
+
+
+def test_rays_that_come_in_through_the_side_of_the_terrain() -> None:
+    """Above the surface at its side wall, or below it: seen from beside, across a hole in the first row of cells."""
+    h = np.random.default_rng(2).normal(0, 1.5, (40, 50)).astype(np.float32)
+    h[3:6, :2] = np.nan
+    for eye in ((-9.0, 12.0, 0.5), (-3.0, 4.5, 2.5), (20.0, 60.0, 1.0)):
+        assert compare(h, np.array(eye), np.array([25.0, 20.0, 0.0]), 60, 0) > 100

@@ -14,7 +14,8 @@ from surfaces import rough, source
 
 from orograph import store
 from orograph.errors import DamagedChunkError, StoreError
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import Digests, digest_of, tail_length
 from orograph.store.layout import array_specs

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import py_compile
 import subprocess
 import sys
 from pathlib import Path
@@ -42,5 +41,46 @@ def test_a_dask_cluster(tmp_path):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
-def test_the_script_for_kubernetes_is_python():
-    py_compile.compile(str(SCRIPTS / "build_on_kubernetes.py"), doraise=True)
+STAND_INS = {
+    "coiled.py": """
+from distributed import LocalCluster
+
+class Cluster(LocalCluster):
+    def __init__(self, name, n_workers, worker_cpu, worker_memory, worker_options, backend_options, spot_policy):
+        assert worker_options == {"nthreads": worker_cpu} and backend_options == {"region": "eu-central-1"}
+        super().__init__(n_workers=2, threads_per_worker=1)
+""",
+    "dask_kubernetes/operator.py": """
+from distributed import LocalCluster
+
+def make_cluster_spec(name, image, env):
+    worker = {"name": "worker", "image": image, "args": ["dask-worker", "--name", "$(DASK_WORKER_NAME)"], "env": env}
+    return {"kind": "DaskCluster", "metadata": {"name": name}, "spec": {"worker": {"spec": {"containers": [worker]}}}}
+
+class KubeCluster(LocalCluster):
+    def __init__(self, custom_cluster_spec):
+        pod = custom_cluster_spec["spec"]["worker"]["spec"]
+        (mount,) = pod["containers"][0]["volumeMounts"]
+        assert [volume["name"] for volume in pod["volumes"]] == [mount["name"]]
+        assert pod["volumes"][0]["persistentVolumeClaim"] == {"claimName": "claim"}
+        super().__init__(n_workers=2, threads_per_worker=1)
+
+    def scale(self, count):
+        return super().scale(min(count, 2))
+""",
+}
+"""What stands for packages that need a cloud: clusters of this machine, which look at what they are asked for."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", [("build_on_coiled.py", "eu-central-1"), ("build_on_kubernetes.py", "claim")])
+def test_clusters_of_clouds(tmp_path, script):
+    pytest.importorskip("distributed")
+    dem = written(tmp_path / "a.tif")
+    store.build(dem, tmp_path / "whole").close()
+    for name, text in STAND_INS.items():
+        (tmp_path / "packages" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "packages" / name).write_text(text)
+    found = os.pathsep.join(filter(None, [str(tmp_path / "packages"), os.environ.get("PYTHONPATH")]))
+    run([sys.executable, SCRIPTS / script[0], script[1], tmp_path / "s", dem], PYTHONPATH=found)
+    assert files(tmp_path / "s") == files(tmp_path / "whole")

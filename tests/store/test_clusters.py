@@ -21,11 +21,12 @@ from orograph.store.stored import StoredTerrain
 SIZES = {"shard": 64, "chunk": 16, "jobs": 1}
 
 
-def written(path, seed=3):
+def written(path, seed=3, shape=(700, 530)):
     """A DEM in degrees, which has to be resampled."""
-    heights = rough((700, 530), seed).astype(np.float32)
+    heights = rough(shape, seed).astype(np.float32)
     place = Affine(0.0003, 0, -120, 0, -0.0003, 38)
-    profile = {"driver": "GTiff", "width": 530, "height": 700, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
+    profile = {"driver": "GTiff", "width": shape[1], "height": shape[0], "count": 1, "dtype": "float32"}
+    profile["crs"] = "EPSG:4326"
     with rasterio.open(path, "w", transform=place, **profile) as file:
         file.write(heights, 1)
     return str(path)

@@ -10,7 +10,8 @@ from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds
 from orograph.lod.reference import bdam as reference
 from orograph.store.memory import MemoryTerrain
-from orograph.store.tin_build import Building, Place, Workplace
+from orograph.store.tin_build import Building
+from orograph.store.tin_diamonds import Place, Workplace
 from orograph.store.tin_kernels import deviation, simplify, triangulate, worst
 from orograph.store.tin_windows import clipped, in_region, legs_of, look, on_leg
 from orograph.store.tins import EDGE, FINER, SQUARE, lattice, octaves

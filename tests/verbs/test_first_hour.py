@@ -29,6 +29,8 @@ def dem():
         ("profile", "orograph.measure.profile"),
         ("isolines", "orograph.contours"),
         ("mosaic", "orograph.build"),
+        ("subtract", "orograph.difference"),
+        ("hilshade", 'Did you mean orograph.light(dem, "hillshade")?'),
         ("rendr", "Did you mean orograph.render or"),
     ],
 )
@@ -129,3 +131,28 @@ def test_a_pattern_names_the_files_that_it_matches(dem, tmp_path):
     assert both.grid.shape == (60, 160)
     with pytest.raises(ReadError, match="no such file"):
         orograph.terrain(str(tmp_path / "*.hgt"))
+
+
+def test_areas_and_pictures_that_are_given_otherwise(dem):
+    for call in (lambda: orograph.fetch(bbox=(7, 45, 8, 46)), orograph.fetch):
+        with pytest.raises(UsageError, match=r"The area comes first: fetch\(\(west, south, east, north\)\)"):
+            call()
+    with pytest.raises(UsageError, match=r"picture\.save\('relief\.png'\)"):
+        orograph.render(dem, "relief.png")
+    assert len(orograph.contours(dem, "20", simplify="0")) == len(orograph.contours(dem, 20))
+    with pytest.raises(UsageError, match="`interval` is a number, or several, not '20m'"):
+        orograph.contours(dem, "20m")
+    mesh = orograph.tessellate(dem, tolerance=2, progress=False)
+    with pytest.raises(UsageError, match=r"This writes an \.npz\. .*`output`"):
+        mesh.save("mesh.ply", dem.grid)
+    assert repr(orograph.View((1 / 3, 0, 9), (0, 0, 1))).startswith("View(eye=(0.333, 0.0, 9.0), target=")
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "meant"),
+    [("measure", "profil", "orograph.measure.profile"), ("camera", "arround", "orograph.camera.around")],
+)
+def test_names_that_modules_do_not_have(module, name, meant):
+    with pytest.raises(AttributeError, match=f"Did you mean {meant}"):
+        getattr(getattr(orograph, module), name)
+    assert not hasattr(getattr(orograph, module), "zzzz")

@@ -50,9 +50,9 @@ def given(dem, tmp_path_factory):
     folder = tmp_path_factory.mktemp("texts")
     store = orograph.build(dem, folder / "hill.oro", progress=False).url
     return {
-        "terrain": dem, "source": dem, "data": dem, "store": store, "names": "slope", "name": "slope",
-        "url": folder / "new.oro", "output": folder / "out.tif", "path": folder / "none.tif", "area": (0, 0, 1, 1),
-        "target": [(500_700.0, 3_999_400.0)], "point": (500_700.0, 3_999_400.0), "level": 480.0,
+        "terrain": dem, "a": dem, "b": dem, "source": dem, "data": dem, "store": store, "names": "slope",
+        "name": "slope", "url": folder / "new.oro", "output": folder / "out.tif", "path": folder / "none.tif",
+        "area": (0, 0, 1, 1), "target": [(500_700.0, 3_999_400.0)], "point": (500_700.0, 3_999_400.0), "level": 480.0,
         "error": HeightError(sigma=1), "eye": (-116.9, 36.1, 900.0), "look_at": None, "tolerance": 1,
     }  # fmt: skip
 

@@ -30,6 +30,7 @@ VERBS = {
     "publish": "Copy a finished store into a bucket.",
     "export": "Write heights, or data on the ground, for other tools.",
     "contours": "Write contour lines as vectors.",
+    "difference": "Take the difference of two DEMs of one place.",
     "bake": "Bake light into a store: sky, occlusion, apertures.",
     "info": "Describe a DEM or a store, and what is suspicious about it.",
     "manifest": "List what many DEM files are, once, for the other verbs.",

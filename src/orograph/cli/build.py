@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from orograph.cli.build_types import ErrorKinds, MaxError
 from orograph.cli.memory import megabytes, peak_memory
 from orograph.cli.needed import needed_by
 from orograph.cli.options import (
@@ -17,7 +18,6 @@ from orograph.cli.options import (
     cluster_options,
     jobs_option,
     memory_option,
-    points_options,
     progress_of,
     source_options,
     vertical_options,
@@ -33,39 +33,6 @@ if TYPE_CHECKING:
 
     from orograph.error import ErrorKind
     from orograph.store.stored import StoredTerrain
-
-
-class ErrorKinds(click.ParamType[tuple[str, ...]]):
-    """Kinds of errors with commas between, or "none"; a tuple of their names."""
-
-    name = "KINDS"
-
-    def convert(
-        self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, ...]:
-        from orograph.error import KINDS
-
-        if not isinstance(value, str):
-            return value
-        wanted = () if value == "none" else tuple(word.strip() for word in value.split(","))
-        for word in wanted:
-            if word not in KINDS:
-                self.fail(f"{word!r} is none of {', '.join(KINDS)}, none.", param, ctx)
-        return wanted
-
-
-class MaxError(click.ParamType[str | float]):
-    """A number of metres, or a word."""
-
-    name = "METRES"
-
-    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
-        if value in ("lossless", "auto"):
-            return value
-        try:
-            return float(value)
-        except ValueError:
-            self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)
 
 
 @click.command("build", cls=Verb, short_help="Build a terrain store from DEM files, or from points.")
@@ -135,7 +102,6 @@ class MaxError(click.ParamType[str | float]):
     default=None,
     help="Leave out files that cannot be opened; they are named.",
 )
-@points_options
 @vertical_options
 @memory_option
 @jobs_option
@@ -295,7 +261,9 @@ def command(
 
         terrain.close()
         try:
-            terrain = store_colors(store, drape, max_memory=max_memory, jobs=jobs, progress=progress)
+            terrain = store_colors(
+                store, drape, max_memory=max_memory, jobs=jobs, progress=progress, workers=workers, dask=dask
+            )
         except KeyboardInterrupt:
             click.echo(
                 f"\n{store} is complete but for its color errors; run the same command with --resume to finish them.",

@@ -31,13 +31,25 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Mapping[str, Sequen
                         f"{option} would overwrite {what}.", path=path, remedy="Choose another place to write to."
                     )
                 if Path(file).is_dir() and Path(file).resolve() in Path(path).resolve().parents:
-                    raise UsageError(
-                        f"{option} lies within {what} {file}, which would damage it.", path=path,
-                        remedy="Choose another place to write to.",
-                    )  # fmt: skip
+                    _check_within(option, path, what, file)
         for other, another in written[:i]:
             if same_file(path, another):
                 raise UsageError(f"{other} and {option} are the same file.", path=path, remedy="Give them two names.")
+
+
+def _check_within(option: str, path: str, what: str, folder: str) -> None:
+    """Raise UsageError where an output in a folder that is read would damage a store, or be read the next time."""
+    from orograph.dem.folders import RASTERS, is_folder
+
+    if not is_folder(folder):
+        damage = "which would damage it"
+    elif Path(path).suffix.lower() in RASTERS:
+        damage = "which would take it for one of its rasters the next time"
+    else:
+        return
+    raise UsageError(
+        f"{option} lies within {what} {folder}, {damage}.", path=path, remedy="Choose another place to write to."
+    )
 
 
 def check_ending(option: str, path: str, endings: Sequence[str] = TIFF) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.options import area_options, jobs_option, point_file_options, progress_of, source_options
+from orograph.cli.options import area_options, file_options, jobs_option, point_file_options, progress_of
 from orograph.cli.wording import spoken
 
 
@@ -16,7 +16,7 @@ from orograph.cli.wording import spoken
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object (a list for several paths).")
 @click.option("--exact", is_flag=True, help="Read every sample of a raster however large it is.")
 @area_options
-@source_options
+@file_options
 @point_file_options
 @jobs_option
 @click.pass_context
@@ -25,18 +25,21 @@ def command(
 ) -> None:
     """Describe a DEM, a file of points or a store, and what is suspicious about it.
 
-    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a file of points, or a terrain store. Heights
-    are in metres, after scale, offset and unit. --bbox and --clip describe one area of it.
+    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a folder of rasters, which are one terrain, a file
+    of points, or a terrain store. Heights are in metres, after scale, offset and unit. --bbox and --clip describe one
+    area of it.
 
     \b
     Examples:
       orograph info N44W072.hgt
       orograph info tiles/*.tif --json
+      orograph info tiles/
       orograph info dem.tif --bbox 7.5,45.9,7.8,46.1
       orograph info height.png --spacing 30
     """
     progress = progress_of(ctx)
-    from orograph.verbs.info import describe, info
+    from orograph.verbs.info import info
+    from orograph.verbs.info_text import describe
 
     facts = [info(path, progress=progress, exact=exact or None, jobs=jobs, **options) for path in paths]
     for fact in facts:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.options import FILE, jobs_option, progress_of, source_options
+from orograph.cli.options import FILE, file_options, jobs_option, progress_of
 
 
 @click.command("manifest", short_help="List what many DEM files are, once, for the other verbs.")
@@ -19,7 +19,7 @@ from orograph.cli.options import FILE, jobs_option, progress_of, source_options
 @click.option(
     "--skip-damaged", is_flag=True, help="Files that cannot be opened are no error; they are listed all the same."
 )
-@source_options
+@file_options
 @jobs_option
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context

@@ -1,7 +1,8 @@
 """Options that several verbs share, each declared once.
 
-``@source_options`` gives a verb the options of ``orograph.dem.Source.open`` as keyword arguments ``band``, ``nodata``,
-``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; ``@vertical_options`` gives
+``@file_options`` gives a verb the options of ``orograph.dem.Source.open`` as keyword arguments ``band``, ``nodata``,
+``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; ``@points_options`` those of files
+of points, ``@source_options`` both; ``@vertical_options`` gives
 ``to_vertical`` and ``geoid``, ``@area_options`` ``bbox`` and ``clip``, ``@grid_options(…)`` these, ``crs`` and
 ``resolution``, ``@memory_option`` ``max_memory`` (bytes, int), ``@jobs_option`` ``jobs`` (int or None: all processors).
 """
@@ -166,6 +167,11 @@ def source_of(options: Mapping[str, Any], own: Collection[str]) -> dict[str, Any
 
 
 def source_options(function: F) -> F:
+    """Give a verb the options that say how files of heights and of points are to be understood."""
+    return with_options(function, file_options, points_options)
+
+
+def file_options(function: F) -> F:
     """Give a verb the options that say how elevation files are to be understood."""
     return with_options(
         function,

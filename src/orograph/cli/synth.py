@@ -8,7 +8,7 @@ import click
 
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import Float, FloatRange, Numbers, jobs_option, progress_of
-from orograph.errors import UsageError
+from orograph.output import check_vacant
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, ...] | None:
@@ -108,8 +108,7 @@ def command(
       orograph synth -o like.oro --exemplar lidar.tif --size 65537
       orograph synth -o colours.tif --over dem.tif --exemplar photo.tif --ground lidar.tif
     """
-    if output.exists() and not overwrite:
-        raise UsageError("Something is there already.", path=output, remedy="Replace it with --overwrite.")
+    check_vacant(output, overwrite)
     from orograph.verbs.synth import STORE, colours, maker, write
 
     if output.suffix.lower() != STORE:

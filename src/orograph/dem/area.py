@@ -95,7 +95,7 @@ class Area:
         if not found:
             where = "the polygons" if self.box is None else ", ".join(f"{v:g}" for v in self.box)
             raise UsageError(
-                f"No sample lies within {where}{_reach(rasters[0].grid) if len(rasters) == 1 else ''}.",
+                f"No sample lies within {where}{reach(rasters[0].grid) if len(rasters) == 1 else ''}.",
                 path=getattr(rasters[0], "path", rasters[0].name),
                 remedy="An area is west, south, east, north in degrees; see where the file is with orograph info.",
             )  # fmt: skip
@@ -209,8 +209,8 @@ def degrees_of(grid: Grid) -> CRS:
     return WGS84 if geodetic is None or same_body(grid.crs, WGS84) else geodetic
 
 
-def _reach(grid: Grid) -> str:
-    """Where a raster lies, as an area says it; "" where that is not known."""
+def reach(grid: Grid) -> str:
+    """Where a raster lies, as the end of a message; "" where that is not known."""
     x, y = grid.xy(*np.meshgrid(np.linspace(0, grid.cols - 1, 9), np.linspace(0, grid.rows - 1, 9)))
     lon, lat = transformer(grid.crs, degrees_of(grid))(np.ravel(x), np.ravel(y))
     if not (np.isfinite(lon).all() and np.isfinite(lat).all()):

@@ -1,6 +1,8 @@
-"""The names in folders of files, as GDAL looks for headers and masks there; each folder is listed once.
+"""Folders of files: the rasters in one that is named as terrain, and the names beside a file.
 
-Mosaics have thousands of files in one folder, so its names are kept as long as its time of change stays what it was.
+A folder stands for the rasters in it and below it whose endings are those of elevation; what products put beside these
+(masks, counts, qualities) is left out. GDAL looks for headers and masks beside each file. Mosaics have thousands of
+files in one folder, so its names are listed once, and kept as long as its time of change stays what it was.
 """
 
 from __future__ import annotations
@@ -8,10 +10,29 @@ from __future__ import annotations
 import bisect
 import itertools
 import os
+import re
 import time
+from pathlib import Path
+from typing import NamedTuple
+
+from orograph.progress import Progress
 
 _FRESH = 2.0
 """Seconds within which a folder may change without its time of change telling."""
+
+RASTERS = frozenset(
+    f".{one}"
+    for one in (
+        "tif", "tiff", "gtiff", "hgt", "dt0", "dt1", "dt2", "asc", "grd", "dem", "bil", "bip", "bsq", "flt", "img",
+        "nc", "nc4", "h5", "hdf5", "bag", "jp2", "ter", "sdat", "rst", "map", "bt", "hf2", "sigdem", "ers", "cub",
+    )
+)  # fmt: skip
+"""Endings of the files that a folder stands for; pictures of heights, points and other files have to be named."""
+
+BESIDE = re.compile(
+    r"_(edm|flm|hem|wbm|acm|src|msk|stk|num|swb|qai|lst)\.tiff?(\.gz|\.zip)?$|\.(num|swb)(\.gz|\.zip)?$", re.IGNORECASE
+)
+"""What the products of Copernicus, ALOS, ASTER and NASADEM have beside heights."""
 
 _folders: dict[str, tuple[int, list[str]]] = {}
 
@@ -44,3 +65,71 @@ def beside(location: str) -> list[str]:
         for one in itertools.takewhile(lambda one: one.lower().startswith(stem), held[1][at : at + 64])
         if one != name
     ]
+
+
+class Inside(NamedTuple):
+    """What a folder holds.
+
+    Attributes:
+        rasters: the files it stands for, in the order of their names. others: how many are left out.
+    """
+
+    rasters: list[str]
+    others: int
+
+
+def is_folder(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is a folder of files, not one that is a raster (ESRI grid, Zarr) or a store."""
+    text = os.fspath(path)
+    if "://" in text or text.startswith("/vsi"):
+        return False
+    folder = Path(text)
+    try:
+        return folder.is_dir() and not (folder / "hdr.adf").exists() and not _is_zarr(folder)
+    except (OSError, ValueError):
+        return False
+
+
+def inside(path: str | os.PathLike[str]) -> Inside:
+    """The rasters in a folder and the folders below; a VRT only where there is nothing else, as it names the rest."""
+    rasters: list[Path] = []
+    virtual: list[Path] = []
+    others = 0
+    for root, folders, names in os.walk(path):
+        here = Path(root)
+        if "hdr.adf" in names:  # (its other files are parts of it)
+            rasters.append(here)
+            folders.clear()
+            continue
+        folders[:] = sorted(
+            name for name in folders if not name.startswith(".") and name != "info" and not _is_zarr(here / name)
+        )
+        for name in names:
+            plain = re.sub(r"\.(zip|gz)$", "", name, flags=re.IGNORECASE)
+            ending = Path(plain).suffix.lower()
+            if name.startswith(".") or (ending not in RASTERS and ending != ".vrt") or BESIDE.search(name):
+                others += 1
+            else:
+                (virtual if ending == ".vrt" else rasters).append(here / name)
+    if rasters:
+        others, virtual = others + len(virtual), []
+    return Inside([str(one) for one in sorted(rasters or virtual)], others)
+
+
+def taken(path: str | os.PathLike[str], progress: Progress) -> list[str]:
+    """The files that a path stands for: the rasters of a folder, of which is told how many there are, or itself."""
+    found = inside(path) if is_folder(path) else Inside([], 0)
+    if not found.rasters:  # (an empty folder's own error is said when it is opened)
+        return [os.fspath(path)]
+    left = f"; {_counted(found.others, 'other file')} left out" if found.others else ""
+    progress.note(f"{os.fspath(path)}: {_counted(len(found.rasters), 'raster')} taken{left}")
+    return found.rasters
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def _is_zarr(folder: Path) -> bool:
+    endings = (".zarr", ".oro", ".partial")
+    return folder.suffix.lower() in endings or any((folder / f).exists() for f in ("zarr.json", ".zgroup", ".zarray"))

@@ -7,7 +7,7 @@ blocks of its samples have been averaged where the target is coarser. Units: sam
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,6 +136,19 @@ def needed(layer: LatticeMap, mesh: NodeMesh) -> tuple[int, int, int, int] | Non
     i0, i1 = math.floor((u0 - (k_cols - 1) / 2) / k_cols) - 1, math.floor((u1 - (k_cols - 1) / 2) / k_cols) + 3
     j0, j1, i0, i1 = max(j0, -2), min(j1, rows + 2), max(i0, -2), min(i1, cols + 2)
     return (j0, j1, i0, i1) if j0 < j1 and i0 < i1 else None
+
+
+def filled(method: str, layers: Sequence[LatticeMap], row0: int, row1: int, col0: int, col1: int) -> Heights:
+    """A window of the target: of the first lattice, and where that has no value of the next; NaN where none has."""
+    out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
+    for i, layer in enumerate(layers):
+        a, b = max(row0, layer.box[0]), min(row1, layer.box[1])
+        c, d = max(col0, layer.box[2]), min(col1, layer.box[3])
+        if a < b and c < d:
+            part = out[a - row0 : b - row0, c - col0 : d - col0]
+            if i == 0 or np.isnan(part).any():
+                fill(method, layer, a, b, c, d, part)
+    return out
 
 
 def fill(method: str, layer: LatticeMap, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:

@@ -30,7 +30,7 @@ from orograph.dem.area import degrees_of
 from orograph.dem.asking import State, asked, fetched, known, url_of
 from orograph.dem.asking import know as know_state
 from orograph.dem.deciding import files_of, know
-from orograph.dem.folders import beside
+from orograph.dem.folders import beside, taken
 from orograph.dem.handles import MANIFEST, Seen, is_manifest
 from orograph.dem.header import parsed_crs
 from orograph.dem.missing import Valid
@@ -112,7 +112,7 @@ class Named(NamedTuple):
 
 
 def opened(names: Sequence[str | os.PathLike[str]], options: Mapping[str, Any], progress: Progress = SILENT) -> Named:
-    """Open files, and those that manifests among them list; of these only what changed.
+    """Open files, those that folders among them hold, and those that manifests list; of these only what changed.
 
     Args:
         options: of ``Source.open``. progress: is told of the files.
@@ -122,7 +122,7 @@ def opened(names: Sequence[str | os.PathLike[str]], options: Mapping[str, Any], 
     """
     lines: list[Line] = []
     for name in names:
-        lines += read(name) if is_manifest(name) else [Line(os.fspath(name), {}, Path())]
+        lines += read(name) if is_manifest(name) else [Line(f, {}, Path()) for f in taken(name, progress)]
     unusual = _unusual(options)
 
     def one(line: Line) -> Source | ReadError:

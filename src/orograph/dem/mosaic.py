@@ -25,12 +25,13 @@ from pyproj import CRS
 from orograph.dem.area import Area, said
 from orograph.dem.deciding import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
-from orograph.dem.layers import fill, layer_of, reaches
+from orograph.dem.layers import filled, layer_of, reaches
 from orograph.dem.placing import placed, scale_at_centre, scales, turned
 from orograph.dem.points import heights_at
 from orograph.dem.resample import METHODS
 from orograph.dem.target import choose, ground_spacing, parse_crs
 from orograph.dem.undulation import ConvertedLattice, Direction, Undulation, check_datums, check_request, latitudes_of
+from orograph.dem.void import check_void, told, void_of
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geo.operations import approximation, same_body
@@ -55,6 +56,7 @@ class Mosaic:
         projection: why the grid has its CRS ("UTM zone 11N", "as the source").
         lossless: whether every sample is a source's own, none interpolated.
         resampling: "nearest", "bilinear" or "cubic".
+        void: the part of the grid that lies in no source, at least, 0 to 1.
         undulation: the conversion of heights that was asked for, or None.
         attribution: whom the sources' makers want to be named, each once.
         dtypes: the stored types of the sources, e.g. ("int16",).
@@ -108,6 +110,7 @@ class Mosaic:
         self.grid = target.grid
         self.projection = target.reason
         self._layers = [layer_of(lattice, target.grid, resampling) for lattice in lattices]
+        self.void = void_of(lattices, target.grid)
         self.lossless = all(layer.offset is not None for layer in self._layers)
         others = f" and {len(self.sources) - 1} more" if len(self.sources) > 1 else ""
         self.name = self.sources[0].name + others
@@ -154,8 +157,8 @@ class Mosaic:
         """Open files (headers only) and choose the grid that holds them all.
 
         Args:
-            paths: one file or many, or manifests of them (``dem.manifest``); of those on one lattice the first named
-                wins where several have a sample.
+            paths: one file or many, folders of them (``dem.folders``), or manifests (``dem.manifest``); of those on one
+                lattice the first named wins where several have a sample.
             crs: projected CRS of the terrain; one in feet is used with metre axes.
             resolution: metres between samples of the terrain.
             resampling: "nearest", "bilinear" or "cubic"; has no effect where samples are kept.
@@ -217,14 +220,7 @@ class Mosaic:
         rows, cols = self.grid.shape
         if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= cols):
             raise ValueError(f"window [{row0}, {row1}) × [{col0}, {col1}) of a raster of {rows} × {cols}")
-        out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
-        for i, layer in enumerate(self._layers):
-            a, b = max(row0, layer.box[0]), min(row1, layer.box[1])
-            c, d = max(col0, layer.box[2]), min(col1, layer.box[3])
-            if a < b and c < d:
-                part = out[a - row0 : b - row0, c - col0 : d - col0]
-                if i == 0 or np.isnan(part).any():
-                    fill(self.resampling, layer, a, b, c, d, part)
+        out = filled(self.resampling, self._layers, row0, row1, col0, col1)
         if self.undulation is not None:
             self.undulation.apply(row0, col0, out)
         return out
@@ -239,9 +235,14 @@ class Mosaic:
         return heights_at(self.grid, self._own, x, y)
 
     @property
+    def lattices(self) -> tuple[SourceLattice, ...]:
+        """Those of its sources, the finest first, with heights above its own vertical datum."""
+        return tuple(layer.lattice for layer in self._own)
+
+    @property
     def resampled_from(self) -> tuple[SourceLattice, ...]:
         """The lattices that were resampled, the finest first; none if every sample is a source's own."""
-        return () if self.lossless else tuple(layer.lattice for layer in self._own)
+        return () if self.lossless else self.lattices
 
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:
@@ -278,6 +279,10 @@ class Mosaic:
                 return None
             options = {k: v for k, v in {**options, **own[1]}.items() if v is not None}  # an area of points
         return paths, options
+
+    def check_void(self) -> None:
+        """Raise UsageError where it is huge and nearly all void, and neither samples nor area were asked for."""
+        check_void(self.void, self.grid, any(self._options.get(name) is not None for name in ("resolution", "bbox")))
 
     def _check_bodies(self, grids: Sequence[Grid], wanted: CRS | None) -> None:
         """Raise ReadError or UsageError unless everything lies on one planet or moon."""
@@ -318,6 +323,8 @@ class Mosaic:
                 if text not in seen:
                     seen.add(text)
                     self.warnings.append(text if len(self.sources) == 1 else f"{source.name}: {text}")
+        if len(self.sources) > 1 and (text := told(self.void, self.grid)) is not None:
+            self.warnings.append(text)
         scale = scale_at_centre(self.grid)
         if self.projection == "as asked for":
             return

@@ -90,15 +90,21 @@ def scales(grid: Grid) -> tuple[float, float]:
     return (float(scale.min()), float(scale.max())) if scale.size else (1.0, 1.0)
 
 
-def _scale(grid: Grid, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Map metres per ground metre at those samples where that is defined."""
+def areal_scales(grid: Grid, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map metres² per ground metre² (n,) at samples (n,) of a grid; NaN where that is not defined."""
+    found = np.full(len(col), np.nan)
     if grid.crs is None or not grid.crs.is_projected:
-        return np.ones(0)
+        return found
     proj = Proj(grid.crs)
     lon, lat = proj(*grid.xy(col, row), inverse=True)
     known = np.isfinite(lon) & np.isfinite(lat) & (np.abs(lat) <= 89.9)
-    if not known.any():
-        return np.ones(0)
-    factors = proj.get_factors(lon[known], lat[known])
-    scale = np.sqrt(np.abs(np.asarray(factors.areal_scale)))
-    return np.asarray(scale[np.isfinite(scale) & (scale > 0)])
+    if known.any():
+        scale = np.abs(np.asarray(proj.get_factors(lon[known], lat[known]).areal_scale))
+        found[known] = np.where(np.isfinite(scale) & (scale > 0), scale, np.nan)
+    return found
+
+
+def _scale(grid: Grid, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map metres per ground metre at those samples where that is defined."""
+    scale = np.sqrt(areal_scales(grid, col, row))
+    return np.asarray(scale[np.isfinite(scale)])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def fetch(
-    area: Any,
+    area: Any = None,
     product: str = "copernicus-30",
     *,
     radius: float | None = None,
@@ -37,6 +37,7 @@ def fetch(
     max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
+    **other: Any,
 ) -> Dem | StoredTerrain:
     """Heights of an area out of an open elevation product; what was read is kept, and not read again.
 
@@ -63,6 +64,12 @@ def fetch(
         OutputError, StoreError: a result cannot be written.
     """
     max_memory, most = bytes_of(max_memory), bytes_of(most, "most")
+    if area is None or other:
+        wrong = f"fetch has no option {next(iter(other))!r}." if other else "fetch needs an area."
+        raise UsageError(
+            wrong, remedy="The area comes first: fetch((west, south, east, north)), fetch((lon, lat), radius=metres), "
+            "fetch(polygons).",
+        )  # fmt: skip
     out = None if output is None else Path(os.fspath(output))
     if out is not None and out.suffix.lower() not in (".tif", ".tiff", ".oro"):
         raise UsageError("What is fetched is written as a GeoTIFF or a store.", path=out, remedy="Use .tif or .oro.")

@@ -27,6 +27,7 @@ from orograph.fetching.reading import CONNECTIONS, Reader
 from orograph.fetching.tiling import Layout, lay_out
 from orograph.geo.ellipsoid import BODIES
 from orograph.geo.vertical import Geoid
+from orograph.output import check_vacant
 from orograph.progress import SILENT, Progress
 from orograph.store.kept import make_room
 
@@ -158,9 +159,12 @@ class Request:
         return Dem(heights, raster.grid, self.vertical(raster), raster.name, raster.attribution)
 
     def write(self, path: Path, overwrite: bool = False) -> None:
-        """Write a GeoTIFF."""
-        if path.exists() and not overwrite:
-            raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
+        """Write a GeoTIFF.
+
+        Raises:
+            OutputError: it cannot be written, or something is there.
+        """
+        check_vacant(path, overwrite)
         with self.fetched() as raster:
             source = self._converted(raster)
             write_geotiff(path, source, raster, self.vertical(raster), self.progress)

@@ -12,9 +12,9 @@ are computed when they are wanted.
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,67 +22,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import HANDLES, locate
-from orograph.error.diamonds import BLOCK, SMALL, Part, Rest, Survey
+from orograph.error.diamonds import BLOCK
 from orograph.errors import UsageError
-from orograph.geovis.color import TINTS_VERSION
-from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
+from orograph.geovis.color_errors import Colors, decoded
+from orograph.geovis.color_shop import recipe_of
+from orograph.geovis.color_stage import PARTIAL, SAMPLE, ColorStage, made_with
 from orograph.parallel import threads_for
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
-from orograph.store.colors import COLORS, color_spec
-from orograph.store.diamonds import blank_top, place
-from orograph.store.digests import Spot
-from orograph.store.layout import Record, dumps, publish
+from orograph.store.clusters import check_workers, on_workers
+from orograph.store.colors import COLORS
+from orograph.store.executing import Executor, Threads
+from orograph.store.layout import dumps, publish
 from orograph.store.lock import alone
-from orograph.store.parts import pack, unpack
-from orograph.store.pyramid import spans, tasks
-from orograph.store.shards import go_through
+from orograph.store.storage import Storage
 from orograph.store.stored import StoredTerrain, open, read_record
-from orograph.store.terrain import Terrain, diamond_shape, level_count, level_shape
-from orograph.store.writer import Canvas, ShardWriter
-
-PARTIAL = "colors/.partial"
-"""Where the plan and the parts of a run are until it is complete."""
-SAMPLE = 160
-"""Bytes a task holds for each sample of its block."""
-
-Floats = NDArray[np.float32]
-Codes = NDArray[np.uint8]
-
-
-def made_with(
-    drape: str | os.PathLike[str] | None = None,
-    *,
-    colormap: str | None = None,
-    sun: tuple[float, float] | None = SUN,
-    relief: float = 1.0,
-) -> dict[str, Any] | None:
-    """What color errors depend on besides the terrain, as JSON; None if the image cannot be told from others.
-
-    Raises:
-        ReadError: the image cannot be read.
-    """
-    image: dict[str, Any] | None = None
-    if drape is not None:
-        with HANDLES.borrow(locate(drape)) as file:
-            names = sorted(str(name) for name in file.files)
-        paths = [Path(name) for name in names or [os.fspath(drape)]]
-        if Path(drape).is_file():  # an archive's members are no files
-            paths = [path for path in paths if path.is_file()] or [Path(drape)]
-        if not all(path.is_file() for path in paths):
-            return None
-        digest = hashlib.blake2b(digest_size=16)
-        for path in paths:
-            with path.open("rb") as data:
-                digest.update(f"{path.suffix}:{path.stat().st_size}:".encode())
-                while piece := data.read(1 << 20):
-                    digest.update(piece)
-        image = {"name": Path(drape).name, "digest": digest.hexdigest()}
-    return {
-        "drape": image, "colormap": colormap, "sun": None if sun is None else [float(v) for v in sun],
-        "relief": float(relief), "tints": TINTS_VERSION,
-    }  # fmt: skip
+from orograph.store.terrain import Terrain
+from orograph.store.writer import ShardWriter
 
 
 def same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -101,7 +57,7 @@ class StoredColorErrors:
     def __init__(self, terrain: StoredTerrain) -> None:
         self.terrain, self.codes = terrain, terrain.derived("colors")
 
-    def __call__(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Floats:
+    def __call__(self, level: int, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
         return decoded(self.codes.read(level, row0, row1, col0, col1))
 
 
@@ -133,6 +89,8 @@ def store_colors(
     jobs: int | None = None,
     progress: Progress = SILENT,
     storage_options: dict[str, Any] | None = None,
+    workers: int | None = None,
+    dask: Any = None,
     **options: Any,
 ) -> StoredTerrain:
     """Put color errors into a store, and open it again.
@@ -146,6 +104,9 @@ def store_colors(
         overwrite: make them anew.
         max_memory: bytes the process should stay within.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
+        workers: so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        dask: on the workers of a cluster: a ``distributed.Client``, or its scheduler's address. The image is opened by
+            each of them, under the same path.
         options: ``colormap``, ``sun``, ``relief``, as for ``Colors``.
 
     Raises:
@@ -159,6 +120,7 @@ def store_colors(
             f"{os.fspath(drape or '')} is no file, so that it could not be told from another image later.",
             remedy="Fetch the image, and name the copy.",
         )
+    check_workers(workers, dask, "A store's color errors")
     storage = storage_at(store, storage_options)
     read_record(storage)  # a store that is not there is said before anything is written beside it
     with alone(storage, "putting color errors into this store"):
@@ -175,7 +137,9 @@ def store_colors(
                     storage.put(f"{PARTIAL}/plan.json", [plan])
                 at_once = max(1, min(threads_for(jobs), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
                 writer = ShardWriter(storage)
-                _Run(colors, writer, before).all(at_once, progress)
+                stage = ColorStage(colors, writer, before)
+                with _executor(storage, drape, options, plan, at_once, (workers, dask, jobs, max_memory)) as executor:
+                    executor.run(stage, progress)
                 after = replace(COLORS.put(before, wanted), digests=before.digests.joined(writer.digests))
                 publish(storage, after)
                 storage.remove(PARTIAL)
@@ -183,125 +147,19 @@ def store_colors(
         return open(store, storage_options=storage_options)
 
 
-class _Run:
-    """One run over the shards of a store."""
-
-    def __init__(self, colors: Colors, writer: ShardWriter, record: Record) -> None:
-        self.colors, self.writer, self.record = colors, writer, record
-        self.shape = shape = record.grid.shape
-        self.area = max(record.shard, 32)
-        self.top = level_count(shape) - 1
-        nested = colors.nested()
-        self.channels = [
-            Survey(np.ascontiguousarray(nested[..., k]), blank(colors.terrain), ("exact",), radii=False,
-                   block=min(BLOCK, self.area))
-            for k in range(3)
-        ]  # fmt: skip
-        self.whole = blank_top(shape, np.uint8, 0)
-        self.canvases = {
-            level: Canvas(self._spec(level), writer, spans(shape, self.area, level, diamond_shape(shape, level)))
-            for level in range(min(SMALL, self.top))
-        }
-
-    def all(self, jobs: int, progress: Progress) -> None:
-        """Do all tasks and what no task could make."""
-        go_through("Color errors", tasks(self.shape, self.area), self.run, jobs, progress, self._finish)
-
-    def _finish(self) -> None:
-        for parts in zip(*(channel.finish() for channel in self.channels), strict=True):
-            self._put(parts[0].octave, 0, 0, _coded(parts))
-        self.writer.array(self._spec(self.top), self.whole)
-
-    def run(self, spot: Spot) -> None:
-        """Do one task, or take over what an interrupted run did of it."""
-        codes, rests = self._kept(spot) or self._make(spot)
-        for octave, values in codes.items():
-            self._put(octave, spot[0] * self.area >> octave, spot[1] * self.area >> octave, values)
-        for block in rests:
-            for channel, rest in zip(self.channels, block, strict=True):
-                channel.add(rest)
-
-    def _put(self, octave: int, i: int, j: int, values: Codes) -> None:
-        if octave >= self.top:
-            place(self.whole, values, octave, i, j, self.top)
-        elif octave < SMALL:
-            self.canvases[octave].add(i, j, values)
-        else:
-            self.writer.array(self._spec(octave), values)
-
-    def _make(self, spot: Spot) -> tuple[dict[int, Codes], list[list[Rest]]]:
-        rows, cols = self.shape
-        row, col = spot[0] * self.area, spot[1] * self.area
-        codes: dict[int, Codes] = {}
-        rests: list[list[Rest]] = []
-        step = self.channels[0].size
-        for i in range(row // step, -(-min(row + self.area, rows) // step)):
-            for j in range(col // step, -(-min(col + self.area, cols) // step)):
-                seen: dict[tuple[int, ...], Floats] = {}  # one window for all channels
-                found = []
-                for k, channel in enumerate(self.channels):
-
-                    def read(*window: int, k: int = k, seen: dict[tuple[int, ...], Floats] = seen) -> Floats:
-                        if window not in seen:
-                            seen[window] = self.colors.colors(*window)
-                        return np.ascontiguousarray(seen[window][..., k])
-
-                    found.append(channel.block((i, j), read))
-                for parts in zip(*(parts for parts, _ in found), strict=True):
-                    self._gather(parts, row, col, codes)
-                block = [rest for _, rest in found if rest is not None]
-                if block:
-                    rests.append(block)
-        kept: dict[str, NDArray[Any]] = {f"codes.{octave}": values for octave, values in codes.items()}
-        for number, block in enumerate(rests):
-            for k, rest in enumerate(block):
-                kept.update({f"rest.{number}.{k}.{name}": array for name, array in rest.to_arrays().items()})
-        self.writer.keep(_part(spot), pack(kept))
-        return codes, rests
-
-    def _gather(self, parts: tuple[Part, ...], row: int, col: int, codes: dict[int, Codes]) -> None:
-        """Put the codes of a block's parts into those of its area, which begins with sample (row, col)."""
-        k = parts[0].octave
-        if k not in codes:
-            shape = level_shape(self.shape, k)
-            area = (
-                (whole if at + self.area >= side else (at + self.area) >> k) - (at >> k)
-                for at, side, whole in zip((row, col), self.shape, shape, strict=True)
-            )
-            codes[k] = np.zeros(tuple(area), np.uint8)
-        values, i, j = _coded(parts), parts[0].i - (row >> k), parts[0].j - (col >> k)
-        codes[k][i : i + values.shape[0], j : j + values.shape[1]] = values
-
-    def _kept(self, spot: Spot) -> tuple[dict[int, Codes], list[list[Rest]]] | None:
-        """What an interrupted run found in an area; None if it did not, or that is damaged."""
-        data = self.writer.storage.get(_part(spot))
-        if data is None:
-            return None
-        codes: dict[int, Codes] = {}
-        kept: dict[tuple[int, int], dict[str, NDArray[Any]]] = {}
-        try:
-            for key, array in unpack(data).items():
-                what, number, *name = key.split(".", 3)
-                if what == "codes":
-                    codes[int(number)] = array
-                else:
-                    kept.setdefault((int(number), int(name[0])), {})[name[1]] = array
-            count = len(kept) // 3
-            rests = [[Rest.from_arrays(kept[number, k]) for k in range(3)] for number in range(count)]
-        except (ValueError, KeyError):
-            return None
-        return codes, rests
-
-    def _spec(self, level: int) -> Any:
-        return color_spec(self.shape, level, self.record.shard, self.record.chunk)
-
-
-def _coded(parts: tuple[Part, ...]) -> Codes:
-    return codes_of([part.errors["exact"] for part in parts])
-
-
-def _part(spot: Spot) -> str:
-    return f"{PARTIAL}/{spot[0]}.{spot[1]}.part"
+@contextmanager
+def _executor(
+    storage: Storage, drape: str | os.PathLike[str] | None, options: dict[str, Any], plan: bytes, at_once: int,
+    how: tuple[int | None, Any, int | None, int],
+) -> Iterator[Executor]:  # fmt: skip
+    """What does the tasks. Args: how: workers, dask, threads, bytes."""
+    workers, dask, jobs, max_memory = how
+    if workers is None and dask is None:
+        yield Threads(at_once, True)
+        return
+    recipe = recipe_of(storage, drape, options, plan, max_memory)
+    with on_workers(recipe, workers, dask, jobs or 1, max_memory, "A store's color errors") as cluster:
+        yield cluster
 
 
 __all__ = ["StoredColorErrors", "made_with", "store_colors", "stored"]

@@ -5,7 +5,7 @@ and beyond that at the resolution of the windows around it, out to the border of
 walked from its far end towards the light's lee; the upper convex hull of what was passed holds every possible horizon
 (Timonen & Westerholm 2010, §4), so a sample costs amortised constant time. Lines run one sample apart; a sample's value
 is interpolated between the two lines that pass it, its profile between the two samples beside the line. What stands in
-its own cell is taken from the surface (``own_cell``).
+its own cell is taken from the surface, and so is what lines along diagonals meet between samples (``own_cell``).
 
 Heights are metres, NaN where missing (nothing stands there); slopes are tangents of elevation angles.
 """
@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import inlined, kernel
 from orograph.lighting.own_cell import OwnCell, cell_slope
 from orograph.parallel import map_ordered
 from orograph.raycast.stack import HeightWindow
@@ -47,15 +47,42 @@ def _profile(heights, major_is_col, j, y):
     return a + (b - a) * f
 
 
+@inlined
+def _middle(heights, major_is_col, j, i, cell):
+    """What stands in the middle of a cell cut the other way, on a line along diagonals, towards the light of major
+    index j and minor index i (``OwnCell.points``); NaN: nothing."""
+    count = heights.shape[0] if major_is_col else heights.shape[1]
+    beside, ahead = i + cell.side, j + cell.toward
+    if not (cell.odd + i + j) & 1 or i < 0 or i >= count or beside < 0 or beside >= count:
+        return np.nan
+    if major_is_col:
+        a, b = np.float64(heights[beside, j]), np.float64(heights[i, ahead])
+    else:
+        a, b = np.float64(heights[j, beside]), np.float64(heights[ahead, i])
+    if a != a:
+        return b
+    return a if b != b else 0.5 * (a + b)
+
+
+@inlined
+def _seen(hull_t, hull_z, size, s, z):
+    """How many points of a hull are left when those are gone that a new point at s of height z hides."""
+    while size > 1 and (hull_z[size - 2] - z) * (s - hull_t[size - 1]) >= (hull_z[size - 1] - z) * (
+        s - hull_t[size - 2]
+    ):
+        size -= 1
+    return size
+
+
 @kernel
 def _sweep(
-    heights, major_is_col, forward, slant, metres, own, first, last, line0, outer_pool, outer_ints, outer_floats,
+    heights, major_is_col, forward, slant, metres, cell, own, first, last, line0, outer_pool, outer_ints, outer_floats,
     lowest, out,
 ):  # fmt: skip
     """Lines [first, last) of a window: ``out[line - line0, j]`` is the slope towards the light at major index j.
 
     Args:
-        own: metres that a sample's own cell reaches, within which ``_gather`` looks.
+        cell: samples' own cells. own: metres that they reach, within which ``_gather`` looks.
         forward: whether the light lies towards larger major indices. slant: minor steps per major step towards larger
             indices. metres: of a step along the line.
         outer_pool, outer_ints (w, 3: offset, rows, cols), outer_floats (w, 5: scale in this window's samples, first row
@@ -64,7 +91,7 @@ def _sweep(
     """
     majors = heights.shape[1] if major_is_col else heights.shape[0]
     minors = heights.shape[0] if major_is_col else heights.shape[1]
-    capacity = majors + 8
+    capacity = cell.points * majors + 8
     for w in range(outer_ints.shape[0]):
         capacity += max(outer_ints[w, 1], outer_ints[w, 2]) + 4
     hull_t, hull_z = np.empty(capacity), np.empty(capacity)
@@ -99,10 +126,7 @@ def _sweep(
                 if z != z:
                     continue
                 s = -way * t * metres
-                while size > 1 and (hull_z[size - 2] - z) * (s - hull_t[size - 1]) >= (hull_z[size - 1] - z) * (
-                    s - hull_t[size - 2]
-                ):
-                    size -= 1
+                size = _seen(hull_t, hull_z, size, s, z)
                 hull_t[size], hull_z[size] = s, z
                 size += 1
         for k in range(majors):
@@ -116,10 +140,13 @@ def _sweep(
                 out[line - line0, j] = np.nan
                 continue
             s = -way * j * metres
-            while size > 1 and (hull_z[size - 2] - z) * (s - hull_t[size - 1]) >= (hull_z[size - 1] - z) * (
-                s - hull_t[size - 2]
-            ):
-                size -= 1
+            if cell.points > 1 and k > 0:
+                middle = _middle(heights, major_is_col, j, np.int64(np.round(y)), cell)
+                if middle == middle:
+                    size = _seen(hull_t, hull_z, size, s - 0.5 * metres, middle)
+                    hull_t[size], hull_z[size] = s - 0.5 * metres, middle
+                    size += 1
+            size = _seen(hull_t, hull_z, size, s, z)
             top = size - 1
             if k > 0 and top >= 0 and s - hull_t[top] <= own:
                 top -= 1
@@ -208,9 +235,11 @@ def _one(
     pool, ints, floats = _around(outer, window, majors, major_is_col, forward)
     places = slant * np.arange(majors)
     toward = 1 if forward else -1
+    through = np.abs(places - np.round(places)).max(initial=0.0) <= 1e-6
     cell = OwnCell(
-        np.float64(np.abs(places - np.round(places)).max(initial=0.0) > 1e-6), toward, -1, int(np.sign(slant * toward)),
-        np.float32(abs(slant)), (window.row0 + window.col0) & 1, np.float32(1.0 / metres), np.float32(0.0),
+        np.float64(not through), toward, -1, int(np.sign(slant * toward)), np.float32(abs(slant)),
+        (window.row0 + window.col0) & 1, 2 if through and abs(slant) > 0.5 else 1, np.float32(1.0 / metres),
+        np.float32(0.0),
     )  # fmt: skip
     low = min(0.0, -slant * (majors - 1))
     high = minors - 1 + max(0.0, -slant * (majors - 1))
@@ -219,7 +248,7 @@ def _one(
 
     def some(first: int) -> None:
         _sweep(
-            heights, major_is_col, forward, slant, metres, cell.reach * metres * (1.0 + 1e-9), first,
+            heights, major_is_col, forward, slant, metres, cell, cell.reach * metres * (1.0 + 1e-9), first,
             min(first + _LINES, line0 + count), line0, pool, ints, floats, lowest, lines,
         )  # fmt: skip
 

@@ -21,6 +21,8 @@ class OwnCell(NamedTuple):
         toward: 1 or −1, from a step to the one nearer to the light. edge: the step that has no such one.
         side: 1, −1 or 0, lanes to the sample on that side. part: lanes that a line moves by in a step, from 0 to 1.
         odd: 1 if row + column of the sample in lane 0 at step 0 is odd.
+        points: of a line in a step: 1, or 2 where lines run along the cells' diagonals. Of a line through samples of
+            odd row + column all cells are cut the other way, and what stands in their middles is a point of its own.
         scale: steps per metre. sag: what a round body takes off the slope to a point one step away.
     """
 
@@ -30,6 +32,7 @@ class OwnCell(NamedTuple):
     side: int
     part: np.float32
     odd: int
+    points: int
     scale: np.float32
     sag: np.float32
 

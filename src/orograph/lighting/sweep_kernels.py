@@ -28,11 +28,9 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.lighting.own_cell import OwnCell, cell_slope
+from orograph.lighting.sweep_profiles import F32, F64, I64, fill
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
 
 PAGE = 32
 """Points in a page of the stacks' pool."""
@@ -49,50 +47,6 @@ def working(steps: int) -> tuple[F64, F32]:
     A cache line is added to each row: rows a power of two apart would share their places in the processor's cache.
     """
     return np.empty((GROUP, steps + 8)), np.zeros((GROUP + 1, steps + 16), np.float32)
-
-
-@inlined
-def _profile(a: np.float32, b: np.float32, f: np.float32) -> np.float64:
-    """Height between two samples, ``f`` from a to b; a missing one is replaced by the other."""
-    if a != a:
-        return np.float64(b)
-    if b != b:
-        return np.float64(a)
-    return np.float64(a) + (np.float64(b) - np.float64(a)) * f
-
-
-@kernel
-def _gather(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, line0: int,
-    lines: int, first: int, last: int, profile: F64,
-) -> None:  # fmt: skip
-    """Heights at steps [first, last) of ``lines`` lines from ``line0``: profile (lines, steps), NaN off the raster."""
-    nan = np.float32(np.nan)
-    if lane_stride == 1:  # neighbouring lines lie beside each other in memory
-        for i in range(first, last):
-            lane0, f = line0 + shift[i], part[i]
-            base = start + lane0 + i * step_stride
-            if lane0 >= 0 and lane0 + lines < lanes:
-                if f == 0.0:
-                    for b in range(lines):
-                        profile[b, i] = heights[base + b]
-                else:
-                    for b in range(lines):
-                        profile[b, i] = _profile(heights[base + b], heights[base + b + 1], f)
-            else:
-                for b in range(lines):
-                    j = lane0 + b
-                    p = heights[base + b] if 0 <= j < lanes else nan
-                    q = heights[base + b + 1] if f > 0.0 and 0 <= j + 1 < lanes else nan
-                    profile[b, i] = _profile(p, q, f)
-        return
-    for b in range(lines):
-        for i in range(first, last):
-            j, f = line0 + b + shift[i], part[i]
-            k = start + j * lane_stride + i * step_stride
-            p = heights[k] if 0 <= j < lanes else nan
-            q = heights[k + lane_stride] if f > 0.0 and 0 <= j + 1 < lanes else nan
-            profile[b, i] = _profile(p, q, f)
 
 
 @kernel
@@ -252,7 +206,8 @@ def _scatter(
     values: F32, heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32,
     cell: OwnCell, begin: int, lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
-    """Horizons of samples from values (1 + lines, steps), of lines begin − 1 …, and own cells; NaN where heights are.
+    """Horizons of samples from values (1 + lines, steps · ``cell.points``), of lines begin − 1 …, and own cells; NaN
+    where heights are.
 
     ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart, and steps ``out_step``.
     """
@@ -264,18 +219,19 @@ def _scatter(
         s0 = min(max(b0, 1 - lane0), b1) if cell.side < 0 else b0
         s1 = max(min(b1, lanes - 1 - lane0), s0) if cell.side > 0 else b1
         base, target = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * out_step
+        k = i if cell.points == 1 else 2 * i + (1 if cell.toward < 0 else 0)
         aside, odd = cell.side * lane_stride, cell.odd + lane0 + i
         for b in range(b0, s0):
             out[target + b * out_lane] = _horizon(
-                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, i], values[b, i], f
+                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, k], values[b, k], f
             )
         for b in range(s0, s1):
             out[target + b * out_lane] = _horizon(
-                heights, base + b * lane_stride, ahead, aside, odd + b, cell, values[b + 1, i], values[b, i], f
+                heights, base + b * lane_stride, ahead, aside, odd + b, cell, values[b + 1, k], values[b, k], f
             )
         for b in range(s1, b1):
             out[target + b * out_lane] = _horizon(
-                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, i], values[b, i], f
+                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, k], values[b, k], f
             )
 
 
@@ -306,27 +262,30 @@ def sweep_lines(
         the number of lines done; fewer than ``lines`` if the pool has too few free pages to go on: call again with
         ``begin`` set to it.
     """
-    steps = len(shift)
-    enough = (GROUP + 1) * (steps // PAGE + 2)
+    steps, points = len(shift), cell.points
+    # Of two points in a step the sample is the one that is farther from the light.
+    origin, scale = points * origin + (points - 1 if backward else 0), points * scale
+    enough = (GROUP + 1) * (points * steps // PAGE + 2)
     while begin < lines:
         if free[0] < enough:
             return begin
         count = min(GROUP, lines - begin)
         if begin == 0:
             first, last = _range(shift, lanes, line0 - 1, 1)
-            _gather(heights, start, lane_stride, step_stride, lanes, shift, part, line0 - 1, 1, first, last, profile)
-            _unlimited(profile[0], first, last, backward, origin, scale, lowest, bend, cell.reach, 0, top, position,
-                       height, link, free, slope[0])  # fmt: skip
+            fill(heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 - 1, 1, first, last, profile)
+            _unlimited(profile[0], points * first, points * last, backward, origin, scale, lowest, bend, cell.reach, 0,
+                       top, position, height, link, free, slope[0])  # fmt: skip
         first, last = _range(shift, lanes, line0 + begin, count)
-        _gather(
-            heights, start, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile
-        )
+        fill(
+            heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count, first, last,
+            profile,
+        )  # fmt: skip
         for b in range(count):
-            _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, cell.reach, begin + b + 1, top,
-                       position, height, link, free, slope[b + 1])  # fmt: skip
+            _unlimited(profile[b], points * first, points * last, backward, origin, scale, lowest, bend, cell.reach,
+                       begin + b + 1, top, position, height, link, free, slope[b + 1])  # fmt: skip
         _scatter(slope, heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count,
                  first, last, 0, out_lane, out_step, out)  # fmt: skip
-        for i in range(first, last):
+        for i in range(points * first, points * last):
             slope[0, i] = slope[count, i]
         begin += count
     return begin
@@ -339,10 +298,12 @@ def sweep_windows(
     skip: int, own: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
     """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
-    steps = len(shift)
+    steps, points = len(shift), cell.points
+    origin, scale = points * origin + (points - 1 if backward else 0), points * scale
+    reach *= points
     # Rows a power of two apart would share their places in the cache.
-    profile = np.empty((GROUP, steps + 8), np.float64)
-    slope = np.zeros((GROUP + 1, steps + 16), np.float32)
+    profile = np.empty((GROUP, points * steps + 8), np.float64)
+    slope = np.zeros((GROUP + 1, points * steps + 16), np.float32)
     near, end, undo = np.empty((reach, 2)), np.empty((reach, 2)), np.empty((reach, 4))
     for begin in range(-1, lines, GROUP):
         count = min(GROUP, lines - begin)
@@ -350,12 +311,13 @@ def sweep_windows(
         if first == last:
             continue
         first, last = 0, steps  # blocks of ``reach`` points begin where the band does, or at the raster's border
-        _gather(
-            heights, start, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile
-        )
+        fill(
+            heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count, first, last,
+            profile,
+        )  # fmt: skip
         for b in range(count):
-            _limited(profile[b], first, last, backward, origin, scale, lowest, bend, cell.reach, reach, near, end, undo,
-                     slope[b + 1])  # fmt: skip
+            _limited(profile[b], points * first, points * last, backward, origin, scale, lowest, bend, cell.reach,
+                     reach, near, end, undo, slope[b + 1])  # fmt: skip
         # The first line of all only takes part in interpolation.
         a = 1 if begin < 0 else 0
         _scatter(slope[a:], heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin + a,

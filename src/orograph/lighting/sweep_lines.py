@@ -31,7 +31,7 @@ class Lines:
     Attributes:
         by_columns: steps are columns and lanes rows, or the other way round.
         backward: the light is at the end of increasing steps.
-        scale: steps per metre.
+        scale: steps per metre. points: of a line in a step (``OwnCell``).
         only: the lines [first, last) that are wanted; None: all.
     """
 
@@ -53,6 +53,7 @@ class Lines:
         self.tilt = tilt
         self.shift = np.floor(offset).astype(np.int64)
         self.part = (offset - self.shift).astype(np.float32)
+        self.points = 2 if abs(tilt) > 0.5 and not self.part.any() else 1
 
     def position(self, step: int) -> int:
         """Steps between the light's end of the raster and a step."""
@@ -65,7 +66,7 @@ class Lines:
         edge = (self.steps - 1 if self.backward else 0) - step0
         return OwnCell(
             np.float64(self.part.any()), toward, edge, int(np.sign(across)), np.float32(abs(across)), step0 & 1,
-            np.float32(self.scale), np.float32(0.5 * curvature / self.scale),
+            self.points, np.float32(self.scale), np.float32(0.5 * curvature / self.scale),
         )  # fmt: skip
 
     def touched(self, step0: int, step1: int) -> tuple[int, int]:

@@ -110,10 +110,13 @@ class Pass:
         # A third of the memory for bands' heights and slopes, a third for stacks; the rest is what their user needs.
         third, step = memory // 3, 4 * self.pitch(self.lanes)
 
+        points = max(a.points for a in group)
+
         def needed(width: int, count: int, strips: int = 3) -> int:
             halo = min(2 * reach, self.steps)
             # Heights of a band and of the next, read and copied; slopes of a band and of the one before.
-            return step * ((width + halo) * strips + 2 * count * width) + jobs * 12 * (GROUP + 1) * (width + halo)
+            own = jobs * 12 * points * (GROUP + 1) * (width + halo)
+            return step * ((width + halo) * strips + 2 * count * width) + own
 
         width = band or min(max(_BAND, reach, _CACHE // (2 * step * len(group)) // _BAND * _BAND), self.steps)
         count = len(group)
@@ -216,7 +219,7 @@ class Pass:
                 del self.pools[key]
         on_disk = sum(p.size for p in list(self.pools.values())) > self.stacks
         place = {a.index: k for k, a in enumerate(self.lines)}
-        longest = max(end - begin for begin, end in self.bands)
+        longest = max(end - begin for begin, end in self.bands) * max(a.points for a in self.lines)
 
         def run(a: Lines, s: int) -> None:
             pool = self.pools.get((a.index, s)) or self.pool()
@@ -233,7 +236,7 @@ class Pass:
                 )  # fmt: skip
                 if done >= self.share:
                     break
-                pool.grow((GROUP + 1) * (width // PAGE + 2) + (0 if last else self.share), on_disk)
+                pool.grow((GROUP + 1) * (a.points * width // PAGE + 2) + (0 if last else self.share), on_disk)
             self._rows.append(rows)
             if last:
                 self.pools.pop((a.index, s), None)

@@ -8,7 +8,8 @@ patches that touch list the same vertices, whatever their levels. The finest pat
 
 A diamond is split if its error, measured on the surface and saturated, projected over its nested sphere, exceeds the
 tolerance, and its parents are split. Nothing is kept from frame to frame but patches that were unpacked. Diamonds over
-ground and missing ground have no TINs: there it is refined to the samples. Pixels, samples, metres.
+ground and missing ground have no TINs: there it is refined to the samples. Geomorphs (which print has not) are those of
+``tin_morphs``. Pixels, samples, metres.
 """
 
 from __future__ import annotations
@@ -22,20 +23,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.hierarchy import triangles
+from orograph.hierarchy import diamonds, triangles
 from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import option
 from orograph.lod.patches.expand import heights_of
 from orograph.lod.patches.pager import Pager
-from orograph.lod.patches.shape import STEPS, patch_indices, patch_vertices
+from orograph.lod.patches.shape import INSTANCE, STEPS, patch_indices, patch_vertices
 from orograph.lod.right_triangles import METRIC, RightTriangleOptions, by_tolerance
 from orograph.lod.selection import TinBatch, TinBatches
+from orograph.lod.tin_morphs import Morphs, Name, Separated, share_of
 from orograph.lod.triangle_patches import Patches, TrianglePatches
 from orograph.lod.vertex_cache import for_cache
 from orograph.parallel import map_ordered
-from orograph.store.terrain import Terrain
-from orograph.store.tin_build import Workplace, make_tins, tins_of
+from orograph.store.terrain import TILE, Terrain
+from orograph.store.tin_build import make_tins
+from orograph.store.tin_diamonds import Workplace, tins_of
 from orograph.store.tins import ALL_LEGS, LEGS, Tins
 from orograph.tessellation import turn
 from orograph.viewpoint import Camera
@@ -44,19 +47,21 @@ TRIANGLE_BYTES = 36
 """Of an unpacked patch, for each of its triangles, about: vertices and triangles."""
 
 Diamond = tuple[int, int]
+Apex = tuple[int, int, int]
+"""A finest patch: its apex and ω."""
 Pair = tuple[TinBatch, TinBatch]
 
 
 class TinTerrain:
     """A terrain whose diamonds are those of TINs: what ``lod.field`` makes pages of."""
 
-    def __init__(self, terrain: Terrain, tins: Tins) -> None:
+    def __init__(self, terrain: Terrain, tins: Tins | Separated) -> None:
         self._terrain, self._tins = terrain, tins
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._terrain, name)
 
-    def derived(self, name: str, **options: Any) -> Tins:
+    def derived(self, name: str, **options: Any) -> Tins | Separated:
         """The table of its diamonds."""
         return self._tins
 
@@ -72,10 +77,10 @@ class BdamOptions(RightTriangleOptions):
         choices=ALL_LEGS,
     )  # fmt: skip
 
-    @property
-    def geomorph(self) -> bool:
-        """Whether vertices grow; they do not."""
-        return False
+    geomorph: bool = option(
+        False, "Patches grow into those below them while the bound of their error grows from four fifths of the "
+        "tolerance to the whole, which they keep all the time; those that do have several times the triangles.",
+    )  # fmt: skip
 
 
 class Bdam(TrianglePatches):
@@ -93,12 +98,15 @@ class Bdam(TrianglePatches):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         self._kept: OrderedDict[Diamond, Pair] = OrderedDict()
+        self._samples: OrderedDict[Apex, TinBatch] = OrderedDict()
         self._most = max(256, self.resources.max_memory // (16 * TRIANGLE_BYTES * self.legs**2))
         self._workplace = Workplace()
         self._flip = turn(self.terrain.grid) > 0
         points, corners = patch_vertices(self.legs), patch_indices(self.legs).astype(np.int32)
         points, self._corners = for_cache(points, corners[:, ::-1] if self._flip else corners)
         self._points = points.astype(np.int64)
+        share = self.resources.max_memory // 8
+        self._morphs = Morphs(self.terrain.grid.shape, self._meshes, flip=self._flip, most=share, jobs=self.jobs)
 
     def _pages(self) -> Pager:
         self.legs = min(self.options.legs, 1 << self.terrain.n)
@@ -109,7 +117,8 @@ class Bdam(TrianglePatches):
             if self.terrain.has("tins", legs=self.legs)
             else make_tins(self.terrain, self.legs, jobs=jobs, progress=progress)
         )
-        ground: Any = TinTerrain(self.terrain, self.tins)
+        table = Separated(self.terrain, self.tins) if self.options.geomorph else self.tins
+        ground: Any = TinTerrain(self.terrain, table)
         return Pager(ground, self.error, max_memory=self.resources.max_memory, jobs=jobs)
 
     @classmethod
@@ -128,7 +137,9 @@ class Bdam(TrianglePatches):
         def at(tolerance: float, estimated: bool = False) -> Patches:
             found = self.patches(camera, tolerance, geomorph=False, estimated=estimated)
             if goal.tolerance is None:
-                found.stats["triangles"] = sum(len(batch.triangles) for batch in self._batches(found.instances))
+                found.stats["triangles"] = sum(
+                    len(batch.triangles) for batch in self._batches(found.instances, tolerance)
+                )
             return found
 
         patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
@@ -139,13 +150,13 @@ class Bdam(TrianglePatches):
         tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance if bounded else None
         promised = self.conservative and patches.within and bounded
         selected = time.perf_counter()
-        batches = self._batches(patches.instances)
+        batches = self._batches(patches.instances, patches.tolerance if goal.tolerance is None else goal.tolerance)
         stats: dict[str, Any] = {
             "method": self.info.name, "error": self.error, "metric": self.metric.name, "tolerance": tolerance,
             "conservative": promised, "exaggeration": camera.exaggeration,
             "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
             "select_ms": round((selected - began) * 1e3, 3), "tiles_read": self.field.tiles_read,
-            "tiles_resident": self.field.resident, "patches": len(batches),
+            "tiles_resident": self.field.resident, "geomorph": self.geomorph, "patches": len(batches),
             "triangles": sum(len(batch.triangles) for batch in batches),
             **{name: patches.stats[name] for name in ("split", "nodes")},
         }  # fmt: skip
@@ -161,22 +172,55 @@ class Bdam(TrianglePatches):
             method=self.info.name, bound=tolerance if promised else None, lacking=wanted, stats=stats, batches=batches
         )
 
-    def _batches(self, instances: NDArray[Any]) -> list[TinBatch]:
-        """The meshes of patches, finest patches last; those without a triangle are left out."""
+    def _batches(self, instances: NDArray[Any], tolerance: float | None = None) -> list[TinBatch]:
+        """The meshes of patches, finest patches last; those without a triangle are left out.
+
+        Args:
+            tolerance: pixels, by which they grow; None: they do not.
+        """
         omega = instances["omega"].astype(np.int64)
         finest = (instances["step"] == 0) & (omega & 1 == 1)
         others = instances[~finest]
-        sides = omega[~finest] >> 2
         extent = np.int64(self.legs) << others["step"].astype(np.int64)
         x, y, _, _ = triangles.with_apex(
             others["col"].astype(np.int64), others["row"].astype(np.int64), extent, omega[~finest]
         )
-        keys = list(zip(y.tolist(), x.tolist()))
+        names = list(zip(y.tolist(), x.tolist(), (omega[~finest] >> 2).tolist()))
+        found = self._tins(names)
+        if self.geomorph and tolerance is not None:
+            shares = [share_of(pixels, tolerance) for pixels in others["pixels"].tolist()]
+            grown = [k for k, share in enumerate(shares) if share > 0.0]
+            between = self._morphs.between(
+                [names[k] for k in grown], [found[k] for k in grown], [shares[k] for k in grown]
+            )
+            for k, batch in zip(grown, between):
+                found[k] = batch
+        return [batch for batch in (*found, *self._finest(instances[finest])) if len(batch.triangles)]
+
+    def _meshes(self, names: list[Name]) -> list[TinBatch]:
+        """The meshes of any patches, finest ones too."""
+        kinds = [int(diamonds.kind(row, col)) for row, col, _ in names]
+        extents = [int(diamonds.spacing(row, col)) for row, col, _ in names]
+        finest = [kind == diamonds.SQUARE and 2 * s == self.legs for kind, s in zip(kinds, extents)]
+        coarse = iter(self._tins([name for name, fine in zip(names, finest) if not fine]))
+        instances = np.zeros(sum(finest), INSTANCE)
+        for at, (row, col, side) in enumerate(name for name, fine in zip(names, finest) if fine):
+            top = diamonds.top(row, col, side)
+            instances["col"][at], instances["row"][at] = triangles.apex(*top)
+            instances["omega"][at] = top[3]
+            corners = triangles.apex(*top), triangles.left_end(*top), triangles.right_end(*top)
+            instances["tile_col"][at], instances["tile_row"][at] = (min(c) // TILE for c in zip(*corners))
+        samples = iter(self._finest(instances))
+        return [next(samples) if fine else next(coarse) for fine in finest]
+
+    def _tins(self, names: list[Name]) -> list[TinBatch]:
+        """The TINs of patches that have some."""
+        keys = [(row, col) for row, col, _ in names]
         self._unpack(keys)
-        found = [self._kept[key][side] for key, side in zip(keys, sides.tolist())]
+        found = [self._kept[key][name[2]] for key, name in zip(keys, names)]
         while len(self._kept) > self._most:
             self._kept.popitem(last=False)
-        return [batch for batch in (*found, *self._finest(instances[finest])) if len(batch.triangles)]
+        return found
 
     def _unpack(self, keys: list[Diamond]) -> None:
         """Have the TINs of diamonds ready, by several threads."""
@@ -199,8 +243,21 @@ class Bdam(TrianglePatches):
 
     def _finest(self, instances: NDArray[Any]) -> list[TinBatch]:
         """The samples of finest patches; those beyond the raster, and triangles with a missing corner, are left out."""
-        if not len(instances):
-            return []
+        names = list(zip(*(instances[name].tolist() for name in ("row", "col", "omega"))))
+        lacking = np.array([name not in self._samples for name in names], bool)
+        if lacking.any():
+            new = [name for name, lacks in zip(names, lacking.tolist()) if lacks]
+            self._samples.update(zip(new, self._read(instances[lacking])))
+        found = []
+        for name in names:
+            self._samples.move_to_end(name)
+            found.append(self._samples[name])
+        while len(self._samples) > 2 * self._most:
+            self._samples.popitem(last=False)
+        return found
+
+    def _read(self, instances: NDArray[Any]) -> list[TinBatch]:
+        """The meshes of finest patches."""
         e1, e2 = STEPS[instances["omega"]].astype(np.int64).transpose(1, 0, 2)
         rows = instances["row"][:, None] + self._points[:, 0] * e1[:, :1] + self._points[:, 1] * e2[:, :1]
         cols = instances["col"][:, None] + self._points[:, 0] * e1[:, 1:] + self._points[:, 1] * e2[:, 1:]

@@ -266,14 +266,11 @@ class ChunkedLod(Method):
 
     def _batch(self, chunk: Chunk, left: float) -> TinBatch:
         """A chunk's mesh where its vertices have moved to."""
-        vertices, triangles = chunk.vertices, chunk.triangles
+        vertices, triangles, targets = chunk.vertices, chunk.triangles, chunk.targets
         if not self.options.skirts:
             triangles = triangles[: len(triangles) - chunk.skirt]
-        if left < 1:
-            vertices = vertices.copy()
-            vertices[:, 2] = chunk.targets + left * (vertices[:, 2] - chunk.targets)
         used = ~np.isnan(vertices[:, 2])
         if not used.all():
             places = np.cumsum(used) - 1
-            vertices, triangles = vertices[used], places[triangles].astype(np.int32)
-        return TinBatch(vertices, triangles[:, ::-1] if self._flip else triangles)
+            vertices, targets, triangles = vertices[used], targets[used], places[triangles].astype(np.int32)
+        return TinBatch(vertices, triangles[:, ::-1] if self._flip else triangles, targets, min(left, 1.0))

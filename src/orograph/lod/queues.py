@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined
 from orograph.errors import UsageError
+from orograph.lod.method import Goal
 from orograph.store.terrain import Terrain
 
 HEAD, TAIL = 2, 3
@@ -45,7 +46,14 @@ class Queue(NamedTuple):
     slots: NDArray[np.int64]
 
 
-QUEUE = "How triangles wait; budgets of a fifo are reached by bisecting the tolerance"
+QUEUE = "How triangles wait, where no tolerance is given: by priority, one pass; fifo, passes at better tolerances"
+ANY = "priority for triangles, fifo for a time"
+"""What the option is, and what it is if it is not given: in the same time a FIFO makes several times the triangles."""
+
+
+def is_ordered(queue: str | None, goal: Goal) -> bool:
+    """Whether triangles of such an option wait by priority. (A tolerance needs no order.)"""
+    return goal.tolerance is None and (queue == "priority" or (queue is None and goal.seconds is None))
 
 
 def check_size(method: str, terrain: Terrain) -> None:

@@ -1,12 +1,15 @@
 """How far a level's surface is off in a block of the raster, for all levels and blocks that patches ask for.
 
 Cell (i, j) of level k is two triangles, those of the square diamond at its centre: their ``exact`` error is that of the
-level's surface over the cell. What is kept are the largest over square blocks, of sides from half a smallest patch up
-to half a patch of 2^Q segments of 2^k samples: some thirtieth of the raster's bytes for Q = 6. Metres, samples.
+level's surface over the cell. What is asked for are the largest over square blocks, of sides from half a smallest patch
+up to half a patch of 2^Q segments of 2^k samples: some thirtieth of the raster's bytes for Q = 6. They are made when
+they are first asked for, in squares of 512 × 512 cells of a level, and those asked for last are kept: fine levels are
+asked for near the eye only. Metres, samples.
 """
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +17,18 @@ from numpy.typing import NDArray
 
 from orograph.error import ErrorKind
 from orograph.lod.method import Resources
-from orograph.lod.squares import BlockHeights, Index, pooled, touched
+from orograph.lod.squares import BlockHeights, pooled, touched
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Boxes
 from orograph.store.diamond_table import DiamondTable
 from orograph.store.patches import finite_errors, octave_window
 from orograph.store.terrain import Heights, Terrain
 
-ROWS = 512
-"""Cells of a level that are read at a time, in rows."""
+CELLS = 9
+"""Squares of 2^9 × 2^9 cells of a level are made at once."""
+
+SHARE = 4
+"""The part of the memory allowed that their errors may take: one over this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,66 +43,88 @@ class Block:
         return Block(pooled(self.error, np.maximum), pooled(self.mixed, np.logical_or))
 
 
+Square = tuple[int, int, int]
+"""A level, and the row and column of a square of its cells."""
+
+
 class BlockErrors:
     """Errors of all levels by blocks.
 
     Args:
         terrain: the ground. kind: of errors. big: Q.
-        resources: threads, progress.
+        resources: memory, threads, progress.
 
     Attributes:
         heights: of blocks.
     """
 
     def __init__(self, terrain: Terrain, kind: ErrorKind, big: int, resources: Resources) -> None:
-        self.terrain, self.big = terrain, big
+        self.terrain, self.big, self.resources = terrain, big, resources
         self._table: DiamondTable = terrain.derived("diamonds", error=kind)
         self._spread = terrain.height_range[1] - terrain.height_range[0]
-        self._blocks: dict[tuple[int, int], Block] = {}
-        levels = range(1, terrain.n + 1)
-        strips = {level: range(0, self._cells(level)[0], ROWS) for level in levels}
-        with resources.progress.task("Errors of blocks", sum(len(s) for s in strips.values())) as task:
-            for level in levels:
-                parts = []
-                for part in map_ordered(lambda row: self._strip(level, row), strips[level], resources.jobs):  # noqa: B023
-                    parts.append(part)
-                    task.advance()
-                self._keep(level, parts)
+        self._squares: OrderedDict[Square, list[Block]] = OrderedDict()
+        self._bytes = 0
         self.heights = BlockHeights(terrain)
 
     def _cells(self, level: int) -> tuple[int, int]:
         rows, cols = self.terrain.grid.shape
         return -((1 - rows) >> level), -((1 - cols) >> level)
 
-    def _strip(self, level: int, row: int) -> Block:
-        """Blocks of a level's cells from a row on, as small as they are kept."""
+    def _shape(self, level: int, side: int) -> tuple[int, int]:
+        """How many blocks of sides 2^side a level has each way."""
         rows, cols = self._cells(level)
-        last, k = min(row + ROWS, rows), level - 1
-        errors = octave_window(self.terrain, self._table, k, (2 * row, 0), (2 * last, 2 * cols))[1::2, 1::2]
-        mixed = np.isinf(errors)
-        if mixed.any():
-            whole = octave_window(self.terrain, self._table, k, (2 * row, 0), (2 * last, 2 * cols))
-            errors = finite_errors(whole, self.terrain, k, (2 * row, 0), self._spread)[1::2, 1::2]
-        found = Block(errors, mixed)
-        for _ in range(self._least(level) - level):
-            found = found.coarser()
-        return found
+        return -(-rows >> (side - level)), -(-cols >> (side - level))
 
     def _least(self, level: int) -> int:
         """The exponent of the sides of the smallest blocks of a level."""
         return max(level, self.big - 1)
 
-    def _keep(self, level: int, parts: list[Block]) -> None:
-        block = Block(np.concatenate([p.error for p in parts]), np.concatenate([p.mixed for p in parts]))
-        least = self._least(level)
-        for side in range(least, min(level + self.big - 1, self.terrain.n) + 1):
-            if side > least:
-                block = block.coarser()
-            self._blocks[level, side] = block
+    def _made(self, square: Square) -> list[Block]:
+        """The blocks of a square, from the smallest sides to the largest."""
+        level, row, col = square
+        rows, cols = self._cells(level)
+        top, left = row << CELLS, col << CELLS
+        end = 2 * min(top + (1 << CELLS), rows), 2 * min(left + (1 << CELLS), cols)
+        k, begin = level - 1, (2 * top, 2 * left)
+        whole = octave_window(self.terrain, self._table, k, begin, end)
+        errors = whole[1::2, 1::2]
+        mixed = np.isinf(errors)
+        if mixed.any():
+            errors = finite_errors(whole, self.terrain, k, begin, self._spread)[1::2, 1::2]
+        block = Block(errors, mixed)
+        for _ in range(self._least(level) - level):
+            block = block.coarser()
+        found = [Block(block.error.copy(), block.mixed.copy())]
+        for _ in range(self._least(level), min(level + self.big - 1, self.terrain.n)):
+            found.append(found[-1].coarser())
+        return found
+
+    def _have(self, squares: list[Square]) -> None:
+        """Make those that are not kept."""
+        lacking = [square for square in squares if square not in self._squares]
+        for square, made in zip(lacking, map_ordered(self._made, lacking, self.resources.jobs)):
+            self._squares[square] = made
+            self._bytes += sum(one.error.nbytes + one.mixed.nbytes for one in made)
+
+    def _leave(self) -> None:
+        """Forget those asked for first, where they are too many."""
+        while self._bytes > self.resources.max_memory // SHARE and len(self._squares) > 1:
+            _, gone = self._squares.popitem(last=False)
+            self._bytes -= sum(one.error.nbytes + one.mixed.nbytes for one in gone)
 
     def blocks(self, level: int, side: int) -> Block:
         """All blocks of a level, of sides 2^side (one of those that are kept)."""
-        return self._blocks[level, side]
+        rows, cols = (-(-v >> CELLS) for v in self._cells(level))
+        parts: list[Block] = []
+        with self.resources.progress.task("Errors of blocks", rows) as task:
+            for row in range(rows):
+                squares = [(level, row, col) for col in range(cols)]
+                self._have(squares)
+                of = [self._squares[square][side - self._least(level)] for square in squares]
+                parts.append(Block(np.hstack([one.error for one in of]), np.hstack([one.mixed for one in of])))
+                self._leave()
+                task.advance()
+        return Block(np.concatenate([p.error for p in parts]), np.concatenate([p.mixed for p in parts]))
 
     def around(self, levels: range, boxes: Boxes, side: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """The largest errors of levels in boxes (k, m), and whether ground and missing ground meet there.
@@ -105,14 +133,23 @@ class BlockErrors:
             boxes: of two blocks by two at most, of sides 2^side.
         """
         errors, mixed = np.zeros((len(levels), len(boxes.west))), np.zeros((len(levels), len(boxes.west)), bool)
-        places: dict[int, tuple[Index, Index]] = {}
         for n, level in enumerate(levels):
-            if level == 0:
+            if level == 0 or not len(boxes.west):
                 continue  # (samples are as they are)
             least = max(side, self._least(level))
-            block = self._blocks[level, least]
-            if least not in places:
-                places[least] = touched(boxes, least, block.error.shape)
-            errors[n] = block.error[places[least]].max(0)
-            mixed[n] = block.mixed[places[least]].any(0)
+            row, col = touched(boxes, least, self._shape(level, least))
+            bits = CELLS - (least - level)
+            off, holes = np.zeros(row.shape, np.float32), np.zeros(row.shape, bool)
+            names = (row >> bits) << 32 | (col >> bits)
+            squares = np.unique(names)
+            keys = [(level, at >> 32, at & 0xFFFFFFFF) for at in squares.tolist()]
+            self._have(keys)
+            for at, key in zip(squares, keys):
+                self._squares.move_to_end(key)
+                block = self._squares[key][least - self._least(level)]
+                here = names == at if len(squares) > 1 else slice(None)
+                i, j = row[here] - (key[1] << bits), col[here] - (key[2] << bits)
+                off[here], holes[here] = block.error[i, j], block.mixed[i, j]
+            self._leave()
+            errors[n], mixed[n] = off.max(0), holes.any(0)
         return errors, mixed

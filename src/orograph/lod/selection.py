@@ -106,10 +106,26 @@ class PatchSet(Selection):
 
 @dataclass(frozen=True, slots=True)
 class TinBatch:
-    """A small mesh of its own: vertices (n, 3) float64 and triangles (m, 3) int32."""
+    """A small mesh of its own, which may be between two others.
+
+    Attributes:
+        vertices: (n, 3) float64, column, row, height. triangles: (m, 3) int32.
+        coarse: (n,) float64, heights that vertices grow from; None: they do not. share: how far they have, 0 to 1.
+    """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
+    coarse: NDArray[np.float64] | None = None
+    share: float = 1.0
+
+    @property
+    def drawn(self) -> NDArray[np.float64]:
+        """The vertices where they are drawn."""
+        if self.coarse is None or self.share == 1:
+            return self.vertices
+        found = self.vertices.copy()
+        found[:, 2] = self.coarse + self.share * (self.vertices[:, 2] - self.coarse)
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +140,7 @@ class TinBatches(Selection):
 
     def tessellation(self) -> Tessellation:
         """All batches in one mesh, the vertices that they share welded."""
-        corners = np.concatenate([np.zeros((0, 3)), *(b.vertices for b in self.batches)])
+        corners = np.concatenate([np.zeros((0, 3)), *(b.drawn for b in self.batches)])
         bases = np.cumsum([0, *(len(b.vertices) for b in self.batches)])
         faces = [b.triangles + base for b, base in zip(self.batches, bases)]
         triangles = np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32)

@@ -46,6 +46,7 @@ from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.pages import BEYOND
 from orograph.lod.queues import (
+    ANY,
     HEAD,
     LEVEL_SHIFT,
     ORDERS,
@@ -55,6 +56,7 @@ from orograph.lod.queues import (
     check_size,
     code_of,
     first_place,
+    is_ordered,
     put_in,
     take_out,
 )
@@ -279,8 +281,7 @@ class _Work:
 class StatelessOptions(MeshOptions):
     """Options of ``stateless``. See ``MeshOptions``."""
 
-    queue: str = option("priority", QUEUE + "; budgets of the priority queue are spent by the bounds over spheres.",
-                        choices=ORDERS)  # fmt: skip
+    queue: str | None = option(None, QUEUE + ". Priorities are the bounds over spheres.", choices=ORDERS, shown=ANY)
 
 
 class Stateless(RightTriangleMeshes):
@@ -301,12 +302,12 @@ class Stateless(RightTriangleMeshes):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         check_size(self.info.name, self.terrain)
-        self.queue: str = self.options.queue
+        self.queue: str | None = self.options.queue
         self._capacity = 1 << 12
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
         tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
-        ordered = tolerance is None and self.queue == "priority"
+        ordered = is_ordered(self.queue, goal)
         if tolerance is None and not ordered:
             return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         began = time.perf_counter()
@@ -347,5 +348,5 @@ class Stateless(RightTriangleMeshes):
         return Mesh(
             keys, zs, is_strip=False, clockwise=False, triangles=len(keys), within=within,
             tolerance=reached if within else None,
-            stats={"taken": int(work.counts[TAKEN]), "queue": self.queue},
+            stats={"taken": int(work.counts[TAKEN]), "queue": "priority" if tolerance is None else "fifo"},
         )  # fmt: skip

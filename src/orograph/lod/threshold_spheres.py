@@ -42,10 +42,22 @@ from orograph.error.screen import ANISOTROPIC
 from orograph.lod.criterion import NOTHING, Criterion
 from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.pace import EASE, Deadline, Pace
 from orograph.lod.radix_heap import AFTER, BEFORE, LISTS, WHERE, WORK, advance
-from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.right_triangles import (
+    COARSEST,
+    FINEST,
+    GROWTH,
+    LEAP,
+    PART,
+    Mesh,
+    MeshOptions,
+    RightTriangleMeshes,
+    by_tolerance,
+)
 from orograph.lod.threshold_spheres_pass import put_out, update
 from orograph.lod.threshold_spheres_trees import (
+    DONE,
     FREE,
     GROW,
     LEVEL,
@@ -54,6 +66,7 @@ from orograph.lod.threshold_spheres_trees import (
     NOW,
     NUMBERS,
     RADIANS,
+    STEPS,
     TOP,
     VISITS,
     Frame,
@@ -62,19 +75,49 @@ from orograph.lod.threshold_spheres_trees import (
 )
 from orograph.viewpoint import Camera
 
+NO_LIMIT = 1 << 62
+"""Steps of an update that goes on until it is complete."""
+
+USED = 0.8, 0.99
+"""The shares of a frame's time between which the tolerance stays as it is."""
+
+ROOM = 1.5
+"""How many times the nodes that are expected new trees have room for."""
+
+FINER = 4.0
+"""How many times finer new trees are at most: small meshes say little of large ones."""
+
+SPARE = 0.15
+"""The share of a frame's time that trees of another tolerance have at least, while they grow."""
+
+
+def _corner(camera: Camera) -> float:
+    """Cosine of the angle between the axis of view and the picture's corner."""
+    view = camera.view
+    return 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
+
 
 class _State:
-    """The trees, and what waits, for one λ."""
+    """The trees, and what waits, for one tolerance.
 
-    def __init__(self, field: Field, capacity: int = 1 << 12) -> None:
+    Attributes:
+        boundaries: what the boundaries of all diamonds depend on. tolerance: pixels.
+        towards: the camera of an update that has paused.
+    """
+
+    def __init__(self, field: Field, boundaries: tuple[Any, ...], tolerance: float, capacity: int = 1 << 12) -> None:
         n = field.n
+        self.boundaries, self.tolerance = boundaries, tolerance
+        self.towards: Camera | None = None
+        # (Zeros take no memory before they are written to.)
         self.corners, self.heights = np.zeros((capacity, 3), np.int64), np.zeros((capacity, 4), np.float32)
-        self.numbers, self.due = np.full((capacity, NUMBERS), np.nan), np.zeros((capacity, 2), np.int64)
-        self.shown, self.links = np.zeros(capacity, np.uint8), np.full((capacity, 6), -1, np.int32)
-        self.turning = np.full((capacity, 3), -1, np.int32)
+        self.numbers, self.due = np.zeros((capacity, NUMBERS)), np.zeros((capacity, 2), np.int64)
+        self.shown, self.links = np.zeros(capacity, np.uint8), np.zeros((capacity, 6), np.int32)
+        self.turning = np.zeros((capacity, 3), np.int32)
+        self.numbers[:2], self.links[:2], self.turning[:2] = np.nan, -1, -1
         self.free = np.arange(capacity - 2, -1, -2, dtype=np.int32)
         self.heads, self.turns = np.full(LISTS, -1, np.int32), np.full(LISTS, -1, np.int32)
-        self.stack, self.counts = np.zeros(4 * n + 8, np.int32), np.zeros(7, np.int64)
+        self.stack, self.counts = np.zeros(4 * n + 8, np.int32), np.zeros(8, np.int64)
         self.counts[FREE] = len(self.free) - 1  # the pair (0, 1) is the roots
         size = 1 << n
         nw, ne, sw, se = 0, size, size << 32, size << 32 | size
@@ -89,6 +132,11 @@ class _State:
         self.axes: NDArray[np.float64] | None = None
 
     @property
+    def used(self) -> int:
+        """Places in use."""
+        return len(self.due) - 2 * int(self.counts[FREE])
+
+    @property
     def nodes(self) -> Nodes:
         """The trees as kernels see them."""
         return Nodes(
@@ -99,8 +147,7 @@ class _State:
         """Twice the room."""
         more = len(self.due)
         self.corners, self.heights, self.numbers, self.due, self.shown, self.links, self.turning = (
-            np.concatenate([a, np.full_like(a, -1) if a.dtype == np.int32 else np.zeros_like(a)])
-            for a in self.nodes[:-1]
+            np.concatenate([a, np.zeros_like(a)]) for a in self.nodes[:-1]
         )
         count = int(self.counts[FREE])
         self.free = np.concatenate([self.free[:count], np.arange(2 * more - 2, more - 2, -2, dtype=np.int32)])
@@ -117,8 +164,8 @@ class ThresholdSpheres(RightTriangleMeshes):
     """Threshold spheres, looked at again when the eye can have crossed them. See ``RightTriangles`` for the arguments.
 
     The method remembers its trees from view to view; a view costs what changes by it, and putting out what is in view.
-    Another tolerance, field of view or size of the picture changes all boundaries and starts anew. Budgets do that
-    often.
+    Another tolerance, field of view or size of the picture changes all boundaries and starts anew. With a budget of
+    time the trees of a better tolerance grow beside those that are shown, in the time that frames leave.
     """
 
     info = MethodInfo(
@@ -130,12 +177,14 @@ class ThresholdSpheres(RightTriangleMeshes):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         self._state: _State | None = None
-        self._spheres: tuple[Any, ...] = ()
+        self._coming: _State | None = None
+        self._taking = 0.0  # seconds of a frame at the present tolerance
+        self._pace = Pace()
         self._capacity = 1 << 12
 
     def reset(self) -> None:
         """Forget the last view."""
-        self._state = None
+        self._state = self._coming = None
 
     def _lambda(self, camera: Camera, tolerance: float) -> float:
         """Radius of threshold spheres per metre of (unstretched) error; 0 in a plan, where nothing is displaced."""
@@ -146,29 +195,135 @@ class ThresholdSpheres(RightTriangleMeshes):
         ratio = focal / tolerance if tolerance > 0 else math.inf
         if not self.metric.conservative:
             return camera.exaggeration * ratio
-        cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
+        cosine = _corner(camera)
         return camera.exaggeration * (ratio / cosine**2 + 1.0 / cosine)
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
+        if goal.seconds is not None:
+            return self._in_time(camera, goal)
+        self._coming = None
         if goal.tolerance is None:
-            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
-        began = time.perf_counter()
-        view, exaggeration, tolerance = camera.view, camera.exaggeration, goal.tolerance
-        grid, lens = self.terrain.grid, self._lens(camera, tolerance)
-        linear, first = grid.linear, grid.samples
-        size = float(np.hypot(*(np.abs(linear) @ (grid.cols, grid.rows)))) * lens.stretch
-        cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
-        colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens.texel) / cosine
-        isotropic = self.spheres != ANISOTROPIC
+            return by_tolerance(lambda pixels: self._at(camera, pixels), goal, self._last)
+        return self._at(camera, goal.tolerance)
+
+    def _in_time(self, camera: Camera, goal: Goal) -> Mesh:
+        """Keep the tolerance while frames take about as long as they may; else grow the trees of a better one in the
+        time that frames leave, and show them when they are complete."""
+        assert goal.seconds is not None
+        deadline = Deadline(goal.seconds)
+        if self._state is None or self._state.boundaries != self._boundaries(camera, self._state.tolerance):
+            self._coming = None
+            self._taking = 0.0
+            return by_tolerance(lambda pixels: self._at(camera, pixels), goal, self._last)
+        tolerance = self._state.tolerance
+        mesh = self._at(camera, tolerance)
+        mesh.tolerance = tolerance
+        took = goal.seconds - deadline.left()
+        self._taking += (took - self._taking) * (EASE if self._taking else 1.0)
+        if self._coming is None:
+            part = self._taking / goal.seconds
+            if not USED[0] <= part <= USED[1]:
+                better = tolerance * min(max((part / PART) ** (1 / GROWTH), 1 / FINER), LEAP)
+                better = min(max(better, FINEST), COARSEST)
+                if better != tolerance:
+                    # Room for what is expected: copies of large trees would not fit into a frame.
+                    room = ROOM * self._state.used * max((tolerance / better) ** GROWTH, 1.0)
+                    boundaries = self._boundaries(camera, better)
+                    self._coming = _State(self.field, boundaries, better, 1 << math.ceil(math.log2(room)))
+        if self._coming is not None and self._grow(self._coming, camera, max(deadline.left(), SPARE * goal.seconds)):
+            self._state, self._coming, self._taking = self._coming, None, 0.0
+        return mesh
+
+    def _grow(self, state: _State, camera: Camera, seconds: float) -> bool:
+        """Work on trees that are not shown yet for so many seconds; whether they are complete.
+
+        They are completed for one camera before they follow it, or those of a fast flight would never be.
+        """
+        if state.boundaries != self._boundaries(camera, state.tolerance):
+            self._coming = None
+            return False
+        deadline = Deadline(seconds)
+        while not deadline.is_near():
+            began, steps = time.perf_counter(), self._pace.fitting(deadline.left() / 2.0)
+            towards = state.towards or camera
+            complete = self._update(state, towards, steps)
+            state.towards = None if complete else towards
+            self._pace.learn(time.perf_counter() - began, int(state.counts[STEPS]))
+            if complete and towards is camera:
+                return True
+        return False
+
+    def _boundaries(self, camera: Camera, tolerance: float) -> tuple[Any, ...]:
+        """What all boundaries depend on, but for the camera's place and direction."""
+        view = camera.view
         plan = view.projection == "plan"
-        spheres: tuple[Any, ...] = (self._lambda(camera, tolerance), colored, view.part, exaggeration)
-        if not isotropic:
-            spheres = (tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan, view.part, exaggeration)
-        if self._state is None or spheres != self._spheres or (plan and not isotropic):
-            self._state, self._spheres = _State(self.field), spheres
+        if self.spheres != ANISOTROPIC:
+            return (self._lambda(camera, tolerance), self._color_reach(camera), view.part, camera.exaggeration, plan)
+        return (
+            tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan, view.part, camera.exaggeration
+        )  # fmt: skip
+
+    @staticmethod
+    def _color_reach(camera: Camera) -> float:
+        """Radius of the spheres of colored diamonds, in radii of their nested spheres."""
+        if camera.view.projection == "plan":
+            return math.inf
+        return (1.0 + 1.0 / camera.view.pixel_slope) / _corner(camera)
+
+    def _at(self, camera: Camera, tolerance: float) -> Mesh:
+        """The mesh of a tolerance."""
+        began = time.perf_counter()
+        boundaries = self._boundaries(camera, tolerance)
+        fresh = camera.view.projection == "plan" and self.spheres == ANISOTROPIC
+        if self._state is None or fresh or boundaries != self._state.boundaries:
+            self._state = _State(self.field, boundaries, tolerance)
         state = self._state
-        eye, axes = np.array(view.eye) * [1.0, 1.0, exaggeration], np.stack(view.axes(exaggeration))
+        self._update(state, camera, NO_LIMIT)
+        updated = time.perf_counter()
+        lens = self._lens(camera, tolerance)
+        keys, zs = self._triangles(state, Criterion(lens, self.spheres, self.cull, self._pruned(lens)))
+        visits, splits, merges = (int(v) for v in state.counts[VISITS : MERGES + 1])
+        return Mesh(
+            keys, zs, is_strip=False, clockwise=False, triangles=len(keys),
+            stats={
+                "visits": visits, "splits": splits, "merges": merges, "front": state.used // 2 + 1,
+                "update_ms": round((updated - began) * 1e3, 3),
+                "output_ms": round((time.perf_counter() - updated) * 1e3, 3),
+            },
+        )  # fmt: skip
+
+    def _update(self, state: _State, camera: Camera, steps: int) -> bool:
+        """Bring trees to a camera with at most about so many steps; whether they are complete."""
+        frame = self._moved(state, camera)
+        lists = Lists(state.heads, state.turns)
+        criterion = Criterion(self._lens(camera, state.tolerance), self.spheres, self.cull, NOTHING)
+        state.counts[VISITS : STEPS + 1] = 0
+        for clock, (links, heads, now) in enumerate(
+            ((state.links, state.heads, state.way / frame.unit), (state.turning, state.turns, state.turn / RADIANS))
+        ):
+            advance(links, state.due[:, clock], heads, int(state.counts[NOW + clock]), int(now))
+            state.counts[NOW + clock] = int(now)
+        while True:
+            state.stack[:2], state.counts[TOP] = (0, 1), 0 if self.spheres == ANISOTROPIC else 2
+            self.field.begin()
+            why = update(
+                self.field.pages, criterion, frame, state.nodes, lists, state.stack, state.counts, 2 * self.field.n,
+                steps,
+            )  # fmt: skip
+            if why == GROW:
+                state.grow()
+            elif why == MISSED:
+                self.field.fetch(resumes=True)
+            else:
+                return bool(why == DONE)
+
+    def _moved(self, state: _State, camera: Camera) -> Frame:
+        """Move the camera of trees, and say what the frame is about."""
+        view, exaggeration, grid = camera.view, camera.exaggeration, self.terrain.grid
+        first = grid.samples
+        size = float(np.hypot(*(np.abs(grid.linear) @ (grid.cols, grid.rows)))) * max(1.0, exaggeration)
         unit = size * 2.0**-32
+        eye, axes = np.array(view.eye) * [1.0, 1.0, exaggeration], np.stack(view.axes(exaggeration))
         moved = turned = 0.0
         if state.eye is not None and state.axes is not None:
             moved = float(np.linalg.norm(eye - state.eye)) * (1 + 1e-9)
@@ -177,42 +332,11 @@ class ThresholdSpheres(RightTriangleMeshes):
             state.way += moved + (unit if moved else 0.0)
             state.turn += turned + (RADIANS if turned else 0.0)
         state.eye, state.axes = eye, axes
-        around = Frame(
+        return Frame(
             eye=tuple(eye.tolist()), origin=(first.c, first.f), affine=(first.a, first.b, first.d, first.e),
             way=state.way, turn=state.turn, moved=moved, turned=turned, unit=unit,
-            reach=spheres[0] if isotropic else 0.0, color_reach=colored, slack=1e-9 * size, secant=1.0 / cosine,
-        )  # fmt: skip
-        criterion = Criterion(lens, self.spheres, self.cull, NOTHING)
-        lists = Lists(state.heads, state.turns)
-        state.counts[VISITS : MERGES + 1] = 0
-        for clock, (links, heads, now) in enumerate(
-            ((state.links, state.heads, state.way / unit), (state.turning, state.turns, state.turn / RADIANS))
-        ):
-            advance(links, state.due[:, clock], heads, int(state.counts[NOW + clock]), int(now))
-            state.counts[NOW + clock] = int(now)
-        while True:
-            state.stack[:2], state.counts[TOP] = (0, 1), 2 if isotropic else 0
-            self.field.begin()
-            why = update(
-                self.field.pages, criterion, around, state.nodes, lists, state.stack, state.counts, 2 * self.field.n
-            )
-            if why == GROW:
-                state.grow()
-            elif why == MISSED:
-                self.field.fetch(resumes=True)
-            else:
-                break
-        updated = time.perf_counter()
-        keys, zs = self._triangles(state, criterion._replace(pruned=self._pruned(lens)))
-        visits, splits, merges = (int(v) for v in state.counts[VISITS : MERGES + 1])
-        nodes = len(state.due) - 2 * int(state.counts[FREE])
-        return Mesh(
-            keys, zs, is_strip=False, clockwise=False, triangles=len(keys),
-            stats={
-                "visits": visits, "splits": splits, "merges": merges, "front": nodes // 2 + 1,
-                "update_ms": round((updated - began) * 1e3, 3),
-                "output_ms": round((time.perf_counter() - updated) * 1e3, 3),
-            },
+            reach=0.0 if self.spheres == ANISOTROPIC else self._lambda(camera, state.tolerance),
+            color_reach=self._color_reach(camera), slack=1e-9 * size, secant=1.0 / _corner(camera),
         )  # fmt: skip
 
     def _triangles(self, state: _State, criterion: Criterion) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

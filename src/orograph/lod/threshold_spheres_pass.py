@@ -42,10 +42,12 @@ from orograph.lod.threshold_spheres_trees import (
     MISSED,
     NOW,
     PARENT,
+    PAUSED,
     RADIANS,
     RADIUS,
     REACH,
     SPLITS,
+    STEPS,
     TOP,
     TURNED,
     VISITS,
@@ -272,7 +274,7 @@ def split_leaf(nodes, lists, counts, v):
 
 
 @leaf
-def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level):
+def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level, most):
     """Look at what is to be looked at, and at mixed diamonds in view; returns why it stops. It can be called again.
 
     Args:
@@ -280,7 +282,8 @@ def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level):
         criterion: ``Criterion`` that does not look ahead. What is out of view stays whole if it culls: with the
             isotropic metrics mixed diamonds, else all.
         frame: ``Frame``. nodes: ``Nodes``. lists: ``Lists``.
-        stack: int32 (4n + 8,), the mixed nodes to look at. counts: int64 (7,). leaf_level: 2n.
+        stack: int32 (4n + 8,), the mixed nodes to look at. counts: int64 (8,). leaf_level: 2n.
+        most: steps (``STEPS``) after which it pauses. What is left waits among the work, wherever the camera goes.
     """
     links, numbers = nodes.links, nodes.numbers
     spheres = criterion.metric != ANISOTROPIC
@@ -288,9 +291,12 @@ def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level):
     while True:
         v = np.int64(lists.ways[WORK])
         split = False
+        if counts[STEPS] >= most:
+            return PAUSED
         if v >= 0:
             if counts[FREE] < 1:
                 return GROW
+            counts[STEPS] += 1
             leave_lists(nodes, lists, v)
             if numbers[v, REACH] != numbers[v, REACH] and not load(pages, criterion, frame, nodes, v, leaf_level):
                 link(links, lists.ways, v, PENDING)
@@ -327,7 +333,9 @@ def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level):
                 stack[counts[TOP]], stack[counts[TOP] + 1] = child, child + 1
                 counts[TOP] += 2
             else:
+                # (What was split before is passed without a step, so that each call comes farther.)
                 split = True
+                counts[STEPS] += 1
                 stack[counts[TOP]] = v
                 counts[TOP] += 1
         else:

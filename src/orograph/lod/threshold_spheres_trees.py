@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-DONE, MISSED, GROW = 0, 1, 2
+DONE, MISSED, GROW, PAUSED = 0, 1, 2, 3
 """Why kernels return."""
 
 PARENT, CHILD, LEVEL = 3, 4, 5
 """Links of a triangle, behind those of ``radix_heap``: above; the first of two below, −1: none; level."""
 
-TOP, FREE, NOW, TURNED, VISITS, SPLITS, MERGES = range(7)
-"""Counts: height of the stack; free pairs; the way and the turn, in units; triangles looked at, splits, merges."""
+TOP, FREE, NOW, TURNED, VISITS, SPLITS, MERGES, STEPS = range(8)
+"""Counts: height of the stack; free pairs; the way and the turn, in units; triangles looked at, splits, merges; and all
+steps of an update, which are limited."""
 
 X, Y, Z, RADIUS, REACH, ERROR, COLOR, NUMBERS = range(8)
 """Of a triangle's diamond: its vertex (stretched metres); radius of its nested sphere; of its threshold sphere (∞:

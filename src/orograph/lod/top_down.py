@@ -34,6 +34,7 @@ from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.pace import Deadline, Pace
 from orograph.lod.queues import (
+    ANY,
     HEAD,
     LEVEL_SHIFT,
     ORDERS,
@@ -41,6 +42,7 @@ from orograph.lod.queues import (
     TAIL,
     Queue,
     check_size,
+    is_ordered,
 )
 from orograph.lod.right_triangles import EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.lod.top_down_pass import (
@@ -101,7 +103,7 @@ class TopDownOptions(MeshOptions):
     """Options of ``top-down``. See ``MeshOptions``."""
 
     metric: str | None = option(None, METRIC, choices=EVERY)
-    queue: str = option("priority", QUEUE + ".", choices=ORDERS)
+    queue: str | None = option(None, QUEUE + ".", choices=ORDERS, shown=ANY)
     depth: int = option(DEPTH, "How often the metric localised halves a triangle to see where it errs.",
                         unit="halvings", least=0, most=64)  # fmt: skip
     near: float = option(NEAR, "Where it does: where a sphere's radius is more than this of its least depth.", least=0)
@@ -125,7 +127,7 @@ class TopDown(RightTriangleMeshes):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         check_size(self.info.name, self.terrain)
-        self.queue: str = self.options.queue
+        self.queue: str | None = self.options.queue
         self.depth: int = self.options.depth
         self.near: float = self.options.near
         self._capacity = 1 << 12
@@ -133,7 +135,7 @@ class TopDown(RightTriangleMeshes):
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
         tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
-        ordered = tolerance is None and self.queue == "priority"
+        ordered = is_ordered(self.queue, goal)
         if tolerance is None and not ordered:
             return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         deadline = Deadline(seconds)
@@ -187,7 +189,10 @@ class TopDown(RightTriangleMeshes):
         return Mesh(
             state.triangles.corners[drawn], state.triangles.heights[drawn, :3], is_strip=False, clockwise=False,
             triangles=len(drawn), within=within, tolerance=reached if within else None,
-            stats={"splits": int(state.counts[SPLITS]), "front": made, "queue": self.queue},
+            stats={
+                "splits": int(state.counts[SPLITS]), "front": made,
+                "queue": "priority" if tolerance is None else "fifo",
+            },
         )  # fmt: skip
 
     @staticmethod

@@ -1,18 +1,21 @@
 """How far the rays of a block of pixels run free: fronts pushed outward before any ray is cast.
 
-What a pinhole camera and a height field give beyond a general ray tracer: the rays of a block of pixels lie over a thin
-*wedge* of the plan. A front is pushed outward along it as long as the lowest of the rays stays above the maximum of the
-ground in the wedge's next stretch (`advance`); no ray hits anything before. A higher row of pixels sees over everything
-that the row below it has passed, so rows are taken upward and each begins where its neighbour's front stopped. Wide
-wedges hand their front to the narrow ones in them, and a ray walks only the last few cells by itself. (Anderson 1982,
-*Hidden line elimination in projected grid surfaces*, carries a horizon through a picture in the same way; Amanatides
-1984, *Ray tracing with cones*, is the beams' ancestor.)
+What a pinhole camera and a height field give beyond a general ray tracer: the rays of a column of pixels lie over a
+thin *wedge* of the plan. A front is pushed outward along it as long as the lowest of the rays stays above the maximum
+of the ground in the wedge's next stretch (`advance`); no ray hits anything before. A higher row of pixels sees over
+everything that the row below it has passed, so rows are taken upward and each begins where its neighbour's front
+stopped. Where rays are steep, a *cone* of a few rows begins anew. Eight beams are pushed side by side (see ``_lanes``),
+and a ray walks only the last few cells by itself. (Anderson 1982, *Hidden line elimination in projected grid surfaces*,
+carries a horizon through a picture in the same way; Amanatides 1984, *Ray tracing with cones*, is the beams' ancestor.)
 """
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
+from orograph._lanes import gather, least, most, size, some, spread, where, whole
 from orograph._numba import inlined, leaf
 from orograph.raycast.tables import (
     CELLS_X,
@@ -28,106 +31,167 @@ from orograph.raycast.tables import (
     SOUTH,
     WEST,
 )
-from orograph.raycast.traverse import highest
 
 INF = np.inf
 
 
+class Beams(NamedTuple):
+    """Eight beams side by side: of each the rays o + s·(x, y, z) with x in [xa, xb], y in [ya, yb]."""
+
+    xa: Any
+    xb: Any
+    ya: Any
+    yb: Any
+
+
 @inlined
-def ground_below(scene, ints, floats, x0, x1, y0, y1):
-    """(Upper bound of the surface over a rectangle, −inf beside it; scale of the finest window there)."""
+def highest(maxima, mips, m0, m1, nc, nr, x0, x1, y0, y1):
+    """Upper bounds of the surface over [x0, x1] × [y0, y1], clipped to the cells: four nodes, or fewer."""
+    last_x, last_y = np.float64(nc - 1), np.float64(nr - 1)
+    i0, i1 = whole(clamped(x0, last_x)), whole(clamped(x1, last_x))
+    j0, j1 = whole(clamped(y0, last_y)), whole(clamped(y1, last_y))
+    span = where(i1 - i0 > j1 - j0, i1 - i0, j1 - j0)
+    k, top = 1, m1 - m0 - 1
+    level, first, per_row = spread(1), spread(mips[0, m0 + 1]), spread(mips[2, m0 + 1])
+    while k < top:
+        wide = span > (1 << k)
+        if not some(wide):
+            break
+        k += 1
+        level = where(wide, k, level)
+        first, per_row = where(wide, mips[0, m0 + k], first), where(wide, mips[2, m0 + k], per_row)
+    i0, i1 = i0 >> level, i1 >> level
+    j0, j1 = first + (j0 >> level) * per_row, first + (j1 >> level) * per_row
+    upper = most(gather(maxima, j0 + i0), gather(maxima, j0 + i1))
+    return most(upper, most(gather(maxima, j1 + i0), gather(maxima, j1 + i1)))
+
+
+@inlined
+def clamped(x, last):
+    """Numbers held within 0 … last."""
+    return least(where(x > 0.0, x, 0.0), spread(last))
+
+
+@inlined
+def ground_below(scene, ints, floats, x0, x1, y0, y1, wanted):
+    """(Upper bounds of the surface over rectangles, −inf beside it; scales of the finest windows there)."""
     _, maxima, _, mips = scene
-    ground, scale = -INF, 0.0
+    ground, scale = spread(-INF), spread(0.0)
     for w in range(ints.shape[0] - 1, -1, -1):
         west, north, east, south = floats[w, WEST], floats[w, NORTH], floats[w, EAST], floats[w, SOUTH]
-        if x1 < west or x0 > east or y1 < north or y0 > south:
+        there = wanted & (x1 >= west) & (x0 <= east) & (y1 >= north) & (y0 <= south)
+        if not some(there):
             continue
         k = floats[w, INVERSE]
         m0, m1 = ints[w, MIP_FIRST], ints[w, MIP_FIRST] + ints[w, MIP_COUNT]
-        u0, u1 = (max(x0, west) - floats[w, ORIGIN_X]) * k, (min(x1, east) - floats[w, ORIGIN_X]) * k
-        v0, v1 = (max(y0, north) - floats[w, ORIGIN_Y]) * k, (min(y1, south) - floats[w, ORIGIN_Y]) * k
+        u0 = (most(x0, spread(west)) - floats[w, ORIGIN_X]) * k
+        u1 = (least(x1, spread(east)) - floats[w, ORIGIN_X]) * k
+        v0 = (most(y0, spread(north)) - floats[w, ORIGIN_Y]) * k
+        v1 = (least(y1, spread(south)) - floats[w, ORIGIN_Y]) * k
         here = highest(maxima, mips, m0, m1, ints[w, CELLS_X], ints[w, CELLS_Y], u0, u1, v0, v1)
-        ground = max(ground, here)
-        if scale == 0.0:
-            scale = floats[w, SCALE]
-        if x0 >= west and x1 <= east and y0 >= north and y1 <= south:
-            break  # nothing of the coarser windows is seen here
+        ground = where(there & (here > ground), here, ground)
+        scale = where(there & (scale == 0.0), floats[w, SCALE], scale)
+        # Nothing of the coarser windows is seen within this one.
+        wanted = wanted & ~(there & (x0 >= west) & (x1 <= east) & (y0 >= north) & (y1 <= south))
+        if not some(wanted):
+            break
     return ground, scale
 
 
-@leaf
-def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
-    """Push the front of a beam outward from ``s``.
+@inlined
+def advance(scene, ints, floats, high, o, beams, slope, s, end, step, ground, moving, cells):
+    """Push the fronts of the beams that are ``moving`` outward from ``s``.
 
-    The beam holds the rays o + s·(x, y, z) with x in [xa, xb], y in [ya, yb], z ≥ ``slope``, s ≤ ``end``; they are
-    known to be above the ground up to ``s``.
+    Rays of a beam have z ≥ ``slope``, s ≤ ``end``; they are known to be above the ground up to ``s``. The shortest
+    stretch that is tried is of so many ``cells``.
 
     Returns:
         (s, step, ground): rays are above the ground up to the new s; in the ``step`` beyond it the ground may reach
         ``ground`` (−inf: s has come to ``end``).
     """
-    width = max(xb - xa, yb - ya)
-    speed = max(max(abs(xa), abs(xb)), max(abs(ya), abs(yb))) + 1e-300
+    xa, xb, ya, yb = beams
+    width = most(xb - xa, yb - ya)
+    speed = most(most(size(xa), size(xb)), most(size(ya), size(yb))) + 1e-300
     ox, oy, oz = o[0], o[1], o[2]
-    passed = False
-    while s < end:
-        if oz + s * slope > high:  # above every summit until it comes down to them
-            if slope >= 0.0:
-                return end, step, -INF
-            s = max(s, (high - oz) / slope)
+    ground = where(moving, -INF, ground)
+    passed = s < -INF
+    moving = moving & (s < end)
+    while some(moving):
+        above = moving & (oz + s * slope > high)  # every summit, until it comes down to them
+        if some(above):
+            falls = slope < 0.0
+            s = where(above, where(falls, most(s, (high - oz) / slope), end), s)
+            moving = moving & (s < end)
         to = s + step
-        z = oz + (s if slope >= 0.0 else to) * slope
-        x0, x1 = ox + min(s * xa, to * xa), ox + max(s * xb, to * xb)
-        y0, y1 = oy + min(s * ya, to * ya), oy + max(s * yb, to * yb)
-        ground, cell = ground_below(scene, ints, floats, x0, x1, y0, y1)
-        if z > ground:
-            s = to
-            if passed:  # a single step forward is what a row usually gains on the one below
-                step *= 2.0
-            passed = True
-        else:
-            passed = False
-            least = max(LEAST_CELLS * cell, LEAST_WIDTH * width * s) / speed
-            if step <= least:
-                return s, step, ground
-            step = max(0.5 * step, least)
-    return end, step, -INF
+        z = oz + where(slope >= 0.0, s, to) * slope
+        x0, x1 = ox + least(s * xa, to * xa), ox + most(s * xb, to * xb)
+        y0, y1 = oy + least(s * ya, to * ya), oy + most(s * yb, to * yb)
+        here, cell = ground_below(scene, ints, floats, x0, x1, y0, y1, moving)
+        free = moving & (z > here)
+        shortest = most(cell * cells, s * width * LEAST_WIDTH) / speed
+        stops = moving & ~free & (step <= shortest)
+        ground = where(stops, here, ground)
+        s = where(free, to, s)
+        # A single step forward is what a row usually gains on the one below.
+        shorter = where(moving & ~free & ~stops, most(step * 0.5, shortest), step)
+        step = where(free & passed, step * 2.0, shorter)
+        passed = free
+        moving = moving & ~stops & (s < end)
+    return s, step, ground
 
 
-LEAST_CELLS, LEAST_WIDTH = 0.5, 0.125
-"""The shortest stretch that ``advance`` tries: in cells of the finest window, and in widths of the beam."""
+LEAST_WIDTH = 0.125
+"""The shortest stretch that ``advance`` tries in widths of the beam."""
 
 
-@leaf
-def directions(d0, du, dv, x0, x1, y0, y1):
-    """The range of a block's rays for ``advance`` where s is their parameter: (xa, xb, ya, yb, least z)."""
-    xa, xb, ya, yb, slope = INF, -INF, INF, -INF, INF
+@inlined
+def cones(d0, du, dv, a, b, y0, y1):
+    """Beams where s is the rays' parameter, of columns a … b and rows [y0, y1): (beams, least z)."""
+    xa, xb, ya, yb, slope = spread(INF), spread(-INF), spread(INF), spread(-INF), spread(INF)
     for py in (y0, y1 - 1):
-        for px in (x0, x1 - 1):
+        for px in (a, b):
             dx, dy = d0[0] + px * du[0] + py * dv[0], d0[1] + px * du[1] + py * dv[1]
-            xa, xb, ya, yb = min(xa, dx), max(xb, dx), min(ya, dy), max(yb, dy)
-            slope = min(slope, d0[2] + px * du[2] + py * dv[2])
-    return xa, xb, ya, yb, slope
+            xa, xb, ya, yb = least(xa, dx), most(xb, dx), least(ya, dy), most(yb, dy)
+            slope = least(slope, d0[2] + px * du[2] + py * dv[2])
+    return Beams(xa, xb, ya, yb), slope
+
+
+@inlined
+def wedges(d0, du, dv, gx, gy, a, b, y0, y1):
+    """Beams where s is the distance in the plan along g, of columns a … b and rows [y0, y1): (beams, least slope).
+
+    Ratios of linear functions over a positive denominator are extreme at corners.
+    """
+    k0, k1, slope = spread(INF), spread(-INF), spread(INF)
+    for py in (y0, y1 - 1):
+        for px in (a, b):
+            dx, dy = d0[0] + px * du[0] + py * dv[0], d0[1] + px * du[1] + py * dv[1]
+            q, lateral = dx * gx + dy * gy, dy * gx - dx * gy
+            k0, k1 = least(k0, lateral / q), most(k1, lateral / q)
+            slope = least(slope, (d0[2] + px * du[2] + py * dv[2]) / q)
+    ax, bx, ay, by = gx - k0 * gy, gx - k1 * gy, k0 * gx + gy, k1 * gx + gy
+    return Beams(least(ax, bx), most(ax, bx), least(ay, by), most(ay, by)), slope
+
+
+@inlined
+def row_slopes(d0, du, dv, gx, gy, a, b, py):
+    """(Least slopes, largest plan speeds along g) of columns a … b of one row of pixels."""
+    q0 = (d0[0] + a * du[0] + py * dv[0]) * gx + (d0[1] + a * du[1] + py * dv[1]) * gy
+    q1 = (d0[0] + b * du[0] + py * dv[0]) * gx + (d0[1] + b * du[1] + py * dv[1]) * gy
+    z0, z1 = d0[2] + a * du[2] + py * dv[2], d0[2] + b * du[2] + py * dv[2]
+    return least(z0 / q0, z1 / q1), most(q0, q1)
 
 
 @leaf
-def wedge(d0, du, dv, gx, gy, x0, x1, y0, y1):
-    """The range of a block's rays for ``advance`` where s is the distance in the plan along g: (xa, xb, ya, yb, slope).
-
-    Ratios of linear functions over a positive denominator are extreme at corners. xa > xb: there is no wedge, the plan
-    directions turn more than STEEPEST from g.
-    """
-    k0, k1, slope = INF, -INF, INF
+def turns(d0, du, dv, gx, gy, x0, x1, y0, y1):
+    """Whether the plan directions of a block's rays turn more than TURN from g, so that there is no wedge."""
     for py in (y0, y1 - 1):
         for px in (x0, x1 - 1):
             dx, dy = d0[0] + px * du[0] + py * dv[0], d0[1] + px * du[1] + py * dv[1]
             q, lateral = dx * gx + dy * gy, dy * gx - dx * gy
             if not abs(lateral) <= TURN * q or q == 0.0:
-                return 1.0, 0.0, 0.0, 0.0, 0.0
-            k0, k1 = min(k0, lateral / q), max(k1, lateral / q)
-            slope = min(slope, (d0[2] + px * du[2] + py * dv[2]) / q)
-    ax, bx, ay, by = gx - k0 * gy, gx - k1 * gy, gy + k0 * gx, gy + k1 * gx
-    return min(ax, bx), max(ax, bx), min(ay, by), max(ay, by), slope
+                return True
+    return False
 
 
 TURN = 2.0

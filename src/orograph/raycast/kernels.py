@@ -5,16 +5,20 @@ A ray is cut by their borders into at most 2·W − 1 stretches, each on the fin
 through them in order. Where two levels disagree at a border, the change of side is a hit on the border: no crack can be
 seen through.
 
-Pixels of a pinhole camera are taken in blocks whose rays begin where a common *front* stops (see ``fronts``).
+Pixels of a pinhole camera are taken in blocks. Eight columns of eight pixels of a block have a *front* each, pushed
+outward side by side (see ``fronts``); eight rays begin where a front stops, and walk side by side (see ``packets``).
+Those that fly far from there, over a ridge into the next valley, are collected and pushed on in eights. What is left
+(rays below the ground, the eye in it) is cast one by one.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from orograph._lanes import LANES, counted, least, load, most, size, some, spread, store, where
 from orograph._numba import inlined, kernel
-from orograph.raycast.fronts import advance, directions, grazes, row_slope, wedge
-from orograph.raycast.march import ABOVE, BELOW, UNKNOWN, march_row
+from orograph.raycast.fronts import Beams, advance, cones, grazes, row_slope, row_slopes, turns, wedges
+from orograph.raycast.packets import ABOVE, BESIDE, TIRED, UNKNOWN, walk_packet, within
 from orograph.raycast.tables import (
     BASE,
     CELLS_X,
@@ -35,9 +39,17 @@ from orograph.raycast.traverse import cast, clip
 
 INF = np.inf
 
-BLOCK_X, BLOCK_Y, STRIP, THIN, LOW = 64, 16, 16, 8, 4
-"""Pixels: a block; the strips of columns in it; the thin strips in those; and how many rows of a strip without a wedge
-share a beam."""
+BLOCK_X, BLOCK_Y, LOW = 64, 16, 4
+"""Pixels: a block, of a row of LANES beams of LANES columns; and how many rows share a beam where there is no wedge."""
+
+CELLS, STEPS = 0.5, 32
+"""The shortest stretch that fronts try, in cells; and how many steps from cell to cell a packet takes."""
+
+FURTHER, ROUNDS = 4.0, 16
+"""Of rays that have taken their steps: the shortest stretch that is tried for them, in cells, and how many times."""
+
+FRONT, START, X, Y, T = (LANES * k for k in range(5))
+"""Where eight numbers each are laid down, to be taken one by one."""
 
 
 @kernel
@@ -116,13 +128,13 @@ def cast_rays(scene, ints, floats, low, high, origins, directions, t0, t1, out, 
 
 @kernel
 def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1, corner, out, which, spans):
-    """Cast the rays that ``march_row`` left."""
+    """Cast the rays that packets left."""
     for py in range(y0, y1):
         for px in range(x0, x1):
             w = which[py - corner[0], px - corner[1]]
             if w > ABOVE:
                 continue
-            side = 1 if w == ABOVE else -1 if w == BELOW else 0
+            side = 1 if w in (ABOVE, TIRED) else 0
             t, w = ray(
                 scene,
                 ints,
@@ -152,13 +164,14 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
     ``corner``: (row, col) of the pixel that ``out`` and ``which`` begin with. ``clear``: the eye is known to be above
     the surface (or beside it), so that fronts may be pushed from there.
 
-    (One function, though long: block, strip and pixel narrow the same dozen numbers, which calls would pass on.)
+    (One function, though long: block and row narrow the same dozen numbers, which calls would pass on.)
     """
     windows = ints.shape[0]
     top, left = corner
     spans = np.empty((windows, 2))
-    starts = np.empty(STRIP)
-    thin = np.empty((STRIP // THIN, 7))  # xa, xb, ya, yb, front, step, ground
+    state, codes = np.empty(5 * LANES), np.empty(LANES, np.int64)
+    scratch = state, codes, np.empty((2, BLOCK_X * BLOCK_Y), np.int64)
+    finest = floats[windows - 1, SCALE]
     # Beyond its farthest corner no ray is over the terrain.
     edge_x = max(abs(o[0] - floats[0, WEST]), abs(o[0] - floats[0, EAST]))
     edge_y = max(abs(o[1] - floats[0, NORTH]), abs(o[1] - floats[0, SOUTH]))
@@ -176,132 +189,158 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                 which[by - top : ey - top, bx - left : ex - left] = UNKNOWN
                 finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, corner, out, which, spans)
                 continue
-            xa, xb, ya, yb, slope = wedge(d0, du, dv, gx, gy, bx, ex, by, ey)
-            wedged = xa <= xb and grazes(d0, du, dv, gx, gy, bx, ex, by, ey)
+            a = least(counted() * LANES + bx, spread(ex - 1.0))
+            b = least(a + (LANES - 1.0), spread(ex - 1.0))
+            wanted = counted() * LANES + bx < ex
+            wedged = not turns(d0, du, dv, gx, gy, bx, ex, by, ey) and grazes(d0, du, dv, gx, gy, bx, ex, by, ey)
             if wedged:
-                end, speed = edge, 1.0
+                beams, slope = wedges(d0, du, dv, gx, gy, a, b, by, ey)
+                end, step = edge, spread(16.0 * finest)
             else:
-                xa, xb, ya, yb, slope = directions(d0, du, dv, bx, ex, by, ey)
-                end, speed = t1, max(max(abs(xa), abs(xb)), max(abs(ya), abs(yb))) + 1e-300
-            finest = floats[windows - 1, SCALE]
+                beams, slope = cones(d0, du, dv, a, b, by, ey)
+                end, step = t1, 16.0 * finest / (most(size(beams.xa), size(beams.ya)) + 1e-300)
             first, step, _ = advance(
-                scene, ints, floats, high, o, xa, xb, ya, yb, slope, 0.0, end, 16.0 * finest / speed
+                scene, ints, floats, high, o, beams, slope, spread(0.0), end, step, spread(-INF), wanted, CELLS
             )
-            if first >= end:
+            if not some(wanted & (first < end)):
                 out[by - top : ey - top, bx - left : ex - left] = np.nan
                 which[by - top : ey - top, bx - left : ex - left] = -1
                 continue
-            for sx in range(bx, ex, STRIP):
-                fx = min(sx + STRIP, ex)
-                front, tried, ground = first, step, -INF
-                upward = False
-                lowest = -INF
+            front, tried, ground, lowest, fastest = first, step, spread(-INF), spread(-INF), spread(1.0)
+            upward, many = False, 0
+            if wedged:
+                upper, _ = row_slope(d0, du, dv, gx, gy, bx, ex, by)
+                lower, _ = row_slope(d0, du, dv, gx, gy, bx, ex, ey - 1)
+                upward = upper >= lower
+            for row in range(ey - by):
+                py = ey - 1 - row if upward else by + row
+                moving = wanted
                 if wedged:
-                    xa, xb, ya, yb, _ = wedge(d0, du, dv, gx, gy, sx, fx, by, ey)
-                    for j in range((fx - sx + THIN - 1) // THIN):
-                        a = sx + j * THIN
-                        b = min(a + THIN, fx)
-                        thin[j, 0], thin[j, 1], thin[j, 2], thin[j, 3], _ = wedge(d0, du, dv, gx, gy, a, b, by, ey)
-                    thin[:, 4], thin[:, 5], thin[:, 6] = first, step, -INF
-                    upper, _ = row_slope(d0, du, dv, gx, gy, sx, fx, by)
-                    lower, _ = row_slope(d0, du, dv, gx, gy, sx, fx, ey - 1)
-                    upward = upper >= lower
-                for row in range(ey - by):
-                    py = ey - 1 - row if upward else by + row
-                    if wedged:
-                        slope, fastest = row_slope(d0, du, dv, gx, gy, sx, fx, py)
-                        if slope < lowest:  # a turned camera: this row does not see over the one before
-                            front, tried, ground = first, step, -INF
-                            thin[:, 4], thin[:, 5], thin[:, 6] = first, step, -INF
-                        lowest = slope
-                        if o[2] + (front if slope >= 0.0 else front + tried) * slope > ground:
-                            front, tried, ground = advance(
-                                scene, ints, floats, high, o, xa, xb, ya, yb, slope, front, end, tried
-                            )
-                        for j in range((fx - sx + THIN - 1) // THIN if front < end else 0):
-                            if front > thin[j, 4]:
-                                thin[j, 4], thin[j, 5], thin[j, 6] = front, tried, -INF
-                            s = thin[j, 4]
-                            if o[2] + (s if slope >= 0.0 else s + thin[j, 5]) * slope > thin[j, 6]:
-                                thin[j, 4], thin[j, 5], thin[j, 6] = advance(
-                                    scene,
-                                    ints,
-                                    floats,
-                                    high,
-                                    o,
-                                    thin[j, 0],
-                                    thin[j, 1],
-                                    thin[j, 2],
-                                    thin[j, 3],
-                                    slope,
-                                    s,
-                                    end,
-                                    thin[j, 5],
-                                )
-                            for i in range(j * THIN, (j + 1) * THIN):
-                                starts[i] = thin[j, 4] / fastest
-                    elif row % LOW == 0:
-                        upto = min(py + LOW, ey)
-                        xa, xb, ya, yb, slope = directions(d0, du, dv, sx, fx, py, upto)
-                        front, tried, ground = advance(
-                            scene, ints, floats, high, o, xa, xb, ya, yb, slope, first, end, step
-                        )
-                        starts[:] = front
-                    if front >= end:
-                        out[py - top, sx - left : fx - left] = np.nan
-                        which[py - top, sx - left : fx - left] = -1
-                        continue
-                    # The finest window that holds the middle of the row where it begins.
-                    x, y = o[0] + 0.5 * front * (xa + xb), o[1] + 0.5 * front * (ya + yb)
-                    w = 0
-                    while w + 1 < windows and holds(floats, w + 1, x, y):
-                        w += 1
-                    march_row(
-                        scene,
-                        (w, ints[w, BASE], ints[w, STRIDE], ints[w, CELLS_X], ints[w, CELLS_Y], ints[w, MIP_FIRST]),
-                        local_rectangle(floats, w, w),
-                        local_rectangle(floats, w + 1, w) if w + 1 < windows else (1.0, 1.0, 0.0, 0.0),
-                        low,
-                        high,
-                        local(floats, w, o[0] - floats[w, ORIGIN_X], o[1] - floats[w, ORIGIN_Y], o[2]),
-                        local(floats, w, d0[0], d0[1], d0[2]),
-                        local(floats, w, du[0], du[1], du[2]),
-                        local(floats, w, dv[0], dv[1], dv[2]),
-                        py,
-                        sx,
-                        fx,
-                        starts,
-                        (xb - xa) * front < 16.0 * floats[w, SCALE],
-                        t0,
-                        t1,
-                        corner,
-                        out,
-                        which,
+                    slope, fastest = row_slopes(d0, du, dv, gx, gy, a, b, py)
+                    turned = slope < lowest  # a turned camera: this row does not see over the one before
+                    front, tried = where(turned, first, front), where(turned, step, tried)
+                    ground, lowest = where(turned, -INF, ground), slope
+                    moving = wanted & (o[2] + where(slope >= 0.0, front, front + tried) * slope > ground)
+                elif row % LOW == 0:
+                    beams, slope = cones(d0, du, dv, a, b, py, min(py + LOW, ey))
+                    front, tried = first, step
+                if (wedged or row % LOW == 0) and some(moving):
+                    front, tried, ground = advance(
+                        scene, ints, floats, high, o, beams, slope, front, end, tried, ground, moving, CELLS
                     )
-                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, sx, fx, by, ey, corner, out, which, spans)
+                store(state, FRONT, front)
+                store(state, START, front / fastest)
+                store(state, X, o[0] + 0.5 * front * (beams.xa + beams.xb))
+                store(state, Y, o[1] + 0.5 * front * (beams.ya + beams.yb))
+                many = cast_row(
+                    scene,
+                    ints,
+                    floats,
+                    low,
+                    high,
+                    o,
+                    d0,
+                    du,
+                    dv,
+                    t0,
+                    t1,
+                    bx,
+                    ex,
+                    py,
+                    end,
+                    corner,
+                    out,
+                    which,
+                    scratch,
+                    many,
+                )
+            for _ in range(ROUNDS):
+                if many == 0:
+                    break
+                many = cast_further(
+                    scene, ints, floats, low, high, o, d0, du, dv, t0, t1, corner, out, which, scratch, many
+                )
+            finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, corner, out, which, spans)
+
+
+@inlined
+def cast_row(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, py, end, corner, out, which, scratch, many):
+    """Walk the rays of a block's row from their fronts, and add those that have further to go to the ``many``."""
+    state, codes, further = scratch
+    row, left = py - corner[0], corner[1]
+    for j in range((x1 - x0 + LANES - 1) // LANES):
+        first, last = x0 + j * LANES, min(x0 + (j + 1) * LANES, x1)
+        if state[FRONT + j] >= end:
+            out[row, first - left : last - left] = np.nan
+            which[row, first - left : last - left] = -1
+            continue
+        px = counted() + first
+        dx, dy = px * du[0] + d0[0] + py * dv[0], px * du[1] + d0[1] + py * dv[1]
+        dz = px * du[2] + d0[2] + py * dv[2]
+        w, start = window_at(floats, state[X + j], state[Y + j]), spread(state[START + j])
+        t, met = walk_packet(scene[0], ints, floats, w, low, high, o, dx, dy, dz, start, t0, t1, px < last, STEPS)
+        store(state, T, t)
+        store(codes, 0, met)
+        for k in range(last - first):
+            out[row, first + k - left], which[row, first + k - left] = state[T + k], codes[k]
+        if some(((met == TIRED) | (met == ABOVE)) & (px < last)):
+            for k in range(last - first):
+                if codes[k] == TIRED or codes[k] == ABOVE:
+                    further[0, many], further[1, many] = first + k, py
+                    many += 1
+    return many
+
+
+@inlined
+def cast_further(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, corner, out, which, scratch, many):
+    """Push rays that have taken their steps, or left their window, to the next ground below them, and walk on.
+
+    They are taken in eights wherever in the block they are; returns how many have still further to go.
+    """
+    state, codes, further = scratch
+    left = 0
+    for first in range(0, many, LANES):
+        count = min(many - first, LANES)
+        for k in range(LANES):
+            px, py = further[0, first + min(k, count - 1)], further[1, first + min(k, count - 1)]
+            state[X + k], state[Y + k], state[START + k] = px, py, out[py - corner[0], px - corner[1]]
+        px, py, t = load(state, X), load(state, Y), load(state, START)
+        wanted = counted() < count
+        dx, dy = px * du[0] + d0[0] + py * dv[0], px * du[1] + d0[1] + py * dv[1]
+        dz = px * du[2] + d0[2] + py * dv[2]
+        step = FURTHER * floats[ints.shape[0] - 1, SCALE] / (most(size(dx), size(dy)) + 1e-300)
+        start, _, _ = advance(
+            scene, ints, floats, high, o, Beams(dx, dx, dy, dy), dz, t, t1, step, spread(-INF), wanted, FURTHER
+        )
+        x, y = o[0] + start * dx, o[1] + start * dy
+        store(state, X, x)
+        store(state, Y, y)
+        w = window_at(floats, state[X], state[Y])  # the first ray's: those in other windows wait for their turn
+        t, met = walk_packet(scene[0], ints, floats, w, low, high, o, dx, dy, dz, start, t0, t1, wanted, STEPS)
+        beside = (met == BESIDE) & within((floats[0, WEST], floats[0, NORTH], floats[0, EAST], floats[0, SOUTH]), x, y)
+        store(state, START, where((met == TIRED) | ((met == ABOVE) & (t > start)) | beside, 1.0, 0.0))
+        store(state, T, t)
+        store(codes, 0, where(met == BESIDE, ABOVE, met))
+        for k in range(count):
+            column, row = further[0, first + k], further[1, first + k]
+            out[row - corner[0], column - corner[1]] = state[T + k]
+            which[row - corner[0], column - corner[1]] = codes[k]
+            if state[START + k] > 0.0:
+                further[0, left], further[1, left] = column, row
+                left += 1
+    return left
+
+
+@inlined
+def window_at(floats, x, y):
+    """The finest window that holds a place."""
+    w = 0
+    while w + 1 < floats.shape[0] and holds(floats, w + 1, x, y):
+        w += 1
+    return w
 
 
 @inlined
 def holds(floats, w, x, y):
     """Whether a window's rectangle holds a place."""
     return floats[w, WEST] <= x and x <= floats[w, EAST] and floats[w, NORTH] <= y and y <= floats[w, SOUTH]
-
-
-@inlined
-def local(floats, w, x, y, z):
-    """A vector in a window's own samples."""
-    k = floats[w, INVERSE]
-    return x * k, y * k, z
-
-
-@inlined
-def local_rectangle(floats, w, v):
-    """(west, north, east, south) of window ``w`` in the samples of window ``v``."""
-    k = floats[v, INVERSE]
-    x, y = floats[v, ORIGIN_X], floats[v, ORIGIN_Y]
-    return (
-        (floats[w, WEST] - x) * k,
-        (floats[w, NORTH] - y) * k,
-        (floats[w, EAST] - x) * k,
-        (floats[w, SOUTH] - y) * k,
-    )

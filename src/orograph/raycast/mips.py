@@ -20,8 +20,8 @@ from orograph.parallel import map_ordered, threads_for
 MAX_LEVEL0 = 1
 MIN_LEVEL0 = 2
 
-LEAST_ROOT = 3
-"""Every pyramid reaches this level, the one that ``march.march_row`` walks on, however small the field."""
+LEAST_ROOT = MIN_LEVEL0
+"""Every pyramid reaches this level, however small the field: it has a highest and a lowest height."""
 
 
 @kernel

@@ -208,20 +208,3 @@ def cast(
             cx = min(max(np.int64(np.floor(ox + t * dx)), jx << level), min(((jx + 1) << level), nc) - 1)
         if climb and level < top:
             level += 1
-
-
-@inlined
-def highest(maxima, mips, m0, m1, nc, nr, x0, x1, y0, y1):
-    """An upper bound of the surface over [x0, x1] × [y0, y1], clipped to the cells: four nodes, or fewer."""
-    i0 = min(max(np.int64(x0), 0), nc - 1)  # rounding towards zero is clipped anyway
-    i1 = min(max(np.int64(x1), 0), nc - 1)
-    j0 = min(max(np.int64(y0), 0), nr - 1)
-    j1 = min(max(np.int64(y1), 0), nr - 1)
-    span = max(i1 - i0, j1 - j0)
-    level, top = 1, m1 - m0 - 1
-    while level < top and (1 << level) < span:
-        level += 1
-    first, per_row = mips[0, m0 + level], mips[2, m0 + level]
-    i0, i1 = i0 >> level, i1 >> level
-    j0, j1 = first + (j0 >> level) * per_row, first + (j1 >> level) * per_row
-    return np.float64(max(max(maxima[j0 + i0], maxima[j0 + i1]), max(maxima[j1 + i0], maxima[j1 + i1])))

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import NothingInViewError, UsageError
+from orograph.errors import NothingInViewError, UsageError, absent
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside, place
 from orograph.scene.parts import check_exaggeration
@@ -25,6 +26,8 @@ from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+"""Endings of what is no view but a picture."""
 MARGIN = 0.93
 """The part of the picture's half-width and half-height that the fitted terrain may fill."""
 
@@ -207,10 +210,10 @@ def view_of(
     if isinstance(given, str) and given == "plan":
         return plan(terrain, size, insets=insets)
     if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
-        raise UsageError(
-            f"There is no view {given!r}.",
-            remedy='A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.',
-        )
+        remedy = 'A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.'
+        if Path(given).suffix.lower() in PICTURES:
+            remedy = f"Pictures are written by what is returned: `picture.save({given!r})`. {remedy}"
+        raise UsageError(f"There is no view {given!r}.", remedy=remedy)
     if isinstance(given, str | os.PathLike):
         return View.load(os.fspath(given), crs=terrain.grid.crs)
     raise UsageError(
@@ -366,3 +369,9 @@ def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
         return default
     height = Caster.of(np.ascontiguousarray(patch), 1).surface(col - c0, row - r0)
     return height if math.isfinite(height) else default
+
+
+if not TYPE_CHECKING:  # (who check types look for names themselves)
+
+    def __getattr__(name: str) -> object:
+        raise absent("orograph.camera", name, ("whole", "around", "standing", "plan"))

@@ -56,7 +56,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
     from orograph.geovis.data.bivariate import pairs
-    from orograph.geovis.data.painting import painted
+    from orograph.geovis.data.painted import painted
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import layers_of

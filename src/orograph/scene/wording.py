@@ -37,6 +37,7 @@ ELSEWHERE = {
     **{one: f"measure.{one}" for one in ("profile", "viewshed", "line_of_sight", "flood", "area", "pick")},
     **dict.fromkeys(("los", "intervisibility"), "measure.line_of_sight"),
     **dict.fromkeys(("contour", "isolines"), "contours"),
+    **dict.fromkeys(("subtract", "diff", "dod", "change"), "difference"),
 }  # fmt: skip
 """What functions are called elsewhere, and here."""
 

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
-ALL_AGAIN = ("patches", "chunks")  # stages of which an update can keep nothing
+ALL_AGAIN = ("patches", "chunks", "tins", "quadtin")  # stages of which an update can keep nothing
 READER = 160 << 20  # what a mosaic may hold while it reads one window
 
 Path_ = str | os.PathLike[str]
@@ -185,6 +185,8 @@ def build(
         quadtin = checked_quadtin(quadtin)
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
+    if (check_void := getattr(raster, "check_void", None)) is not None:
+        check_void()
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link

@@ -80,12 +80,17 @@ def recipe_of(
 
 
 class BuildShop:
-    """What one process of a cluster needs for a build."""
+    """What one process of a cluster needs for a build.
+
+    Attributes:
+        making: the QuadTIN that is made (``quadtin_grow.Making``), if one is.
+    """
 
     def __init__(self, recipe: BuildRecipe) -> None:
         self.recipe, self.plan = recipe, recipe.plan
         self.storage = guarded(storage_at(recipe.url, recipe.storage_options), PLAN, recipe.begun)
         self._raster: HeightSource | None = None
+        self.making: Any = None
         self._stages: dict[tuple[str, int], Stage[Any]] = {}
 
     def stage(self, name: str, number: int) -> Stage[Any]:
@@ -169,6 +174,25 @@ def _chunks(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
     return ChunkStage(known(shop.storage), writer, Kind(*shop.plan["chunked"]))
 
 
+def _tins(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.derived_stages import known
+    from orograph.store.tin_stage import TinStage
+
+    return TinStage(known(shop.storage), writer, shop.plan["tins"], number)
+
+
+def _quadtin(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+    from orograph.store.derived_stages import known
+    from orograph.store.quadtin_grow import Making
+    from orograph.store.quadtin_stage import QuadTinStage
+
+    terrain, (finest, split) = known(shop.storage), shop.plan["quadtin"]
+    if shop.making is None:
+        shop.making = Making(terrain, finest, split == "deviation")
+    return QuadTinStage(terrain, writer, shop.making, number)
+
+
 _STAGES: dict[str, Callable[[BuildShop, ShardWriter, int], Stage[Any]]] = {
-    "heights": _heights, "source": _source, "errors": _errors, "patches": _patches, "chunks": _chunks,
+    "heights": _heights, "source": _source, "errors": _errors, "patches": _patches, "chunks": _chunks, "tins": _tins,
+    "quadtin": _quadtin,
 }  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.digests import CRC, Digests, Spot, crc32c, digest_of, tail_length, unsealed
 from orograph.store.layout import array_specs, root_digest
 from orograph.store.places import ROOT

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.terrain import Shape, exponent
 
 CELLS = 32

@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from orograph.errors import OutputError, StoreError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.chunked import Kind, Layout, lengths_spec, words_spec
 from orograph.store.chunked_stored import StoredChunks
 from orograph.store.derived import At, Attributes, Derived, Nodes

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import os
 import queue
 import signal
@@ -43,6 +44,9 @@ EACH = 8
 
 PAUSE = 0.5
 """Seconds before workers are told again."""
+
+COUNTING = 1.0
+"""Seconds after which workers are counted again."""
 
 SILENCE = 60.0
 """Seconds without a scheduler after which the build ends."""
@@ -183,7 +187,7 @@ class Cluster:
 
     def __init__(self, client: Any, recipe: Recipe, levels: int = 0) -> None:
         self.client, self.recipe, self.ident = client, recipe, f"orograph-{uuid.uuid4().hex}"
-        self.levels, self.busy, self.moved = levels, defaultdict[str, float](float), 0
+        self.here, self.levels, self.busy, self.moved = 0, levels, defaultdict[str, float](float), 0
         self._counting = threading.Lock()
 
     def count(self, who: str, seconds: float, moved: int) -> None:
@@ -242,7 +246,7 @@ class _Round:
         self.done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.begun: Counter[Spot] = Counter()
         self.given_up: dict[Spot, str] = {}
-        self.heard = time.monotonic()
+        self.heard, self.counted, self.threads = time.monotonic(), -math.inf, 1
 
     def go(self) -> None:
         """Do them."""
@@ -263,7 +267,9 @@ class _Round:
 
     def _fill(self) -> bool:
         """Begin tasks as far as there is room; whether any are under way."""
-        room = AHEAD * threads_of(self.client) - len(self.pending)
+        if time.monotonic() - self.counted > COUNTING:  # it is asked of the scheduler, which takes some milliseconds
+            self.threads, self.counted = threads_of(self.client), time.monotonic()
+        room = AHEAD * self.threads - len(self.pending)
         if len(self.given_up) < GIVEN_UP:
             for spot in itertools.islice(self._next(), max(room, 0)):
                 self.begun[spot] += 1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived
 from orograph.store.terrain import Shape, diamond_shape, level_count
 

@@ -26,7 +26,7 @@ from orograph.error import KINDS, ErrorKind
 from orograph.error.quantise import ErrorCode, RadiusCode, nominal_radii
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived
 from orograph.store.diamonds import metric, place
 from orograph.store.terrain import Heights, Shape, diamond_shape, exponent, level_count

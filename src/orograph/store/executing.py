@@ -110,7 +110,13 @@ class ShardStage(Stage[Found]):
 
 
 class Executor(Protocol):
-    """Runs stages."""
+    """Runs stages.
+
+    Attributes:
+        here: threads of this process that do tasks; 0: other processes do them.
+    """
+
+    here: int
 
     def groups(self, stage: str, shape: Shape, shard: int) -> int:
         """Levels of the groups in which heights or errors are made (``groups.group_levels``); 0: shard by shard."""
@@ -127,7 +133,7 @@ class Threads:
     """
 
     def __init__(self, jobs: int, resume: bool) -> None:
-        self.jobs, self.resume = jobs, resume
+        self.jobs, self.resume, self.here = jobs, resume, jobs
 
     def groups(self, stage: str, shape: Shape, shard: int) -> int:
         return 0

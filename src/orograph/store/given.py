@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from orograph.dem.raster import Dem
 
 TAKES = (
-    "a path or URL of a DEM, of a file of points or of a store, a list of DEMs, a Dem, a Terrain, an "
-    "xarray.DataArray or Dataset, an open rasterio dataset or (dataset, window), or an array of heights (with "
+    "a path or URL of a DEM, of a folder of DEMs, of a file of points or of a store, a list of DEMs, a Dem, a Terrain, "
+    "an xarray.DataArray or Dataset, an open rasterio dataset or (dataset, window), or an array of heights (with "
     "transform= and crs=)"
 )
 """What every function that wants a terrain takes."""
@@ -100,8 +100,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
             return points
         from orograph.dem.mosaic import Mosaic
 
-        how = _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
-        return Mosaic.open(files, progress=progress, **how)
+        return Mosaic.open(files, progress=progress, **said_of_rasters(said))
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
         return _part(source, _fitting(said, OF_AREAS, "a Terrain, which was read already"))
@@ -159,6 +158,15 @@ def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
         UsageError: others are said.
     """
     return _fitting({k: v for k, v in said.items() if v is not None}, OF_FILES, "files of rasters")
+
+
+def said_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
+    """Options of reading that are said, for ``Mosaic.open``.
+
+    Raises:
+        UsageError: others are said.
+    """
+    return _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
 
 
 def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from orograph.errors import DamagedChunkError
 from orograph.parallel import for_each
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import SIZE, Spot
 from orograph.store.executing import ShardStage

@@ -160,7 +160,7 @@ class Gathering:
     """
 
     def __init__(self, url: str, count: int, then: Executor) -> None:
-        self.url, self.count, self.then = url, count, then
+        self.url, self.count, self.then, self.here = url, count, then, then.here
 
     def groups(self, stage: str, shape: Shape, shard: int) -> int:
         return levels_of(shape, shard, self.count) if stage == Pyramid.name else self.then.groups(stage, shape, shard)

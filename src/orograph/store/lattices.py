@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
 from orograph.geo.grid import Grid, wkt_of
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.terrain import Heights
 
 if TYPE_CHECKING:

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.derived import At, Attributes, Derived, Nodes
 from orograph.store.terrain import Heights, Shape, level_count, mean_shape
 

@@ -32,7 +32,7 @@ from pyproj import CRS
 
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid, wkt_of
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.coding import Coding, Packing
 from orograph.store.conventions import (
     consolidated,

@@ -88,12 +88,14 @@ def make_patches(record: Record, work: Work) -> Record:
 
 def make_tins(record: Record, work: Work) -> Record:
     """TINs of patches, from heights; their marks wait in temporary files."""
-    from orograph.store.tin_build import make_tins
+    from orograph.store.tin_build import made_by
+    from orograph.store.tin_stage import Bands
 
     shape, legs = record.grid.shape, work.tins
     if legs is None or np.isnan(record.height_range[0]) or 1 << exponent(shape) <= legs:
         return record
-    found = make_tins(work.terrain(record), legs, jobs=work.jobs, progress=work.progress)
+    terrain = work.terrain(record)
+    found = made_by(terrain, legs, Bands(terrain, work.writer, legs, work.executor), work.progress)
     for level in stored_tin_levels(shape, legs):
         rows, cols = diamond_shape(shape, level)
         for name, values in zip(("error", "radius"), found.read(level, 0, rows, 0, cols)):
@@ -117,8 +119,10 @@ def make_chunked(record: Record, work: Work) -> Record:
 
 
 def make_quadtin(record: Record, work: Work) -> Record:
-    """The hierarchy of a QuadTIN, from heights or points; its blocks wait in a temporary file."""
-    from orograph.store.quadtin_make import made
+    """The hierarchy of a QuadTIN, from heights or points; its blocks wait in temporary files."""
+    from orograph.store.quadtin_grow import Making
+    from orograph.store.quadtin_make import Here, Rounds, made
+    from orograph.store.quadtin_stage import Tasks
 
     if work.quadtin is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
         return record
@@ -134,7 +138,11 @@ def make_quadtin(record: Record, work: Work) -> Record:
             files[part].write(words.tobytes())
 
         terrain = work.terrain(record)
-        layout, facts, summary = made(terrain, finest, split, keep, jobs=work.jobs, progress=work.progress)
+        making = Making(terrain, finest, split == "deviation")
+        rounds: Rounds = Tasks(terrain, work.writer, making, work.executor, work.progress)
+        if here := work.executor.here:
+            rounds = Here(making, stack.enter_context(spooled()), here, work.progress)
+        layout, facts, summary = made(making, rounds, keep)
         for part, (file, counts) in enumerate(zip(files, lengths)):
             rows.append(rows_of(sum(counts), record.chunk))
             file.truncate(4 * rows[-1] * record.chunk)  # zeros after the last

@@ -36,11 +36,11 @@ def terrain(
     """A terrain of whatever heights come as.
 
     Args:
-        source: a path or URL of a DEM or of a store, a pattern (``tiles/*.tif``), or a list of DEMs; a ``Dem``; a
-            ``Terrain``, which is returned; an ``xarray.DataArray`` or ``Dataset`` (lazy ones are computed); an open
-            rasterio dataset, or (dataset, window); an array (rows, cols) of any real type, masked or not; a list of
-            several of these, which are put together (``Mosaic``). Files that are too large for memory are built into a
-            store, which is kept.
+        source: a path or URL of a DEM or of a store, a pattern (``tiles/*.tif``), a folder (all rasters in it), or a
+            list of DEMs; a ``Dem``; a ``Terrain``, which is returned; an ``xarray.DataArray`` or ``Dataset`` (lazy ones
+            are computed); an open rasterio dataset, or (dataset, window); an array (rows, cols) of any real type,
+            masked or not; a list of several of these, which are put together (``Mosaic``). Files that are too large for
+            memory are built into a store, which is kept.
         progress: hears of what is being done, and of warnings; None: bars in terminals and notebooks, and Python's
             warnings; False: nothing is said.
         max_memory: bytes that heights may take. jobs: threads; None: all processors.

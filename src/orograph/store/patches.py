@@ -30,7 +30,7 @@ from orograph.errors import StoreError
 from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 from orograph.store.diamond_table import DiamondTable, check_kind
 from orograph.store.diamonds import blank_top, place
@@ -135,7 +135,7 @@ class PatchErrors:
         last: Heights | None = None
         for k in range(self.q, self.terrain.n):
             P = self.P[k]
-            _saturate(P, last)
+            saturate(P, last)
             last = P
             rows, cols = P.shape
             mixed = np.isinf(octave_window(self.terrain, self.table, k, (0, 0), (rows, cols)))
@@ -246,8 +246,8 @@ def _lifted(errors: Heights, q: int, shapes: list[Shape]) -> Heights:
     return edges
 
 
-def _saturate(here: Heights, below: Heights | None) -> None:
-    """Make an octave's P into P′, given that of the octave below."""
+def saturate(here: Heights, below: Heights | None) -> None:
+    """Make an octave's P into P′, given that of the octave below: no less than κ times those below in the DAG."""
     from orograph.error.monotony import close
 
     factor = np.float32(SATURATION)

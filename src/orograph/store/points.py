@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 
 if TYPE_CHECKING:  # (a store is read without what reads rasters)

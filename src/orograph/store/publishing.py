@@ -14,7 +14,7 @@ from orograph.parallel import map_ordered
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.store.addresses import storage_at
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.checking import check_shard
 from orograph.store.digests import Spot, digest_of, tail_length, unsealed
 from orograph.store.layout import array_specs

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from orograph.error.diamonds import halve
 from orograph.errors import DamagedChunkError
-from orograph.store.arrays import ArraySpec, ShardedArray, Window
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray, Window
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.digests import Spot

@@ -7,7 +7,7 @@ raster's own surface: its samples, cells cut along the diagonal of even corners.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,19 @@ class Grown(NamedTuple):
     own: tuple[int, int]
     stuck: int
     whole: bool
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """As arrays, which can be kept."""
+        sides = {f"sides.{k}.{m}": array for k, side in enumerate(self.sides) for m, array in enumerate(side)}
+        counts = np.array([*self.own, self.stuck, self.whole], np.int64)
+        return {"cuts": self.cuts, "ground": self.ground, "counts": counts, **sides}
+
+    @classmethod
+    def from_arrays(cls, kept: dict[str, NDArray[Any]]) -> Grown:
+        """Out of those."""
+        own, steiner, stuck, whole = kept["counts"].tolist()
+        sides = [(kept[f"sides.{k}.0"], kept[f"sides.{k}.1"]) for k in range(4)]
+        return cls(kept["cuts"], sides, kept["ground"], (own, steiner), stuck, bool(whole))
 
 
 class Making:

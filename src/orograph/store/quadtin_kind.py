@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 from orograph.store.points import POINTS
 from orograph.store.quadtin_layout import (

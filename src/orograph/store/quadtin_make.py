@@ -3,15 +3,14 @@
 A vertex on a side between two blocks splits a triangle of each. So each block is grown by itself, then again with the
 vertices that its neighbours have on its sides, until nobody has any that the others lack: this ends with the least
 hierarchy that is within ``finest`` metres everywhere, whatever the order. In the same way errors and spheres are closed
-over the hierarchy: sides hand on the largest of both. Blocks at work and what lies on sides is all that memory holds;
-blocks wait in a scratch file. Lattice units; metres.
+over the hierarchy: sides hand on the largest of both. Blocks
+at work and what lies on sides is all that memory holds. Lattice units; metres.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterable, Sequence
-from typing import IO
+from collections.abc import Callable, Iterator, Sequence
+from typing import IO, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store import quadtin_build as build
 from orograph.store.chunked_kind import spooled
+from orograph.store.parts import pack, unpack
 from orograph.store.quadtin_grow import EAST, SOUTH, Grown, Making, rounded_up
 from orograph.store.quadtin_kernels import expand, saturate
 from orograph.store.quadtin_layout import (
@@ -40,75 +40,128 @@ from orograph.store.quadtin_layout import (
 )
 from orograph.store.terrain import Terrain
 
+Arrays = dict[str, NDArray[Any]]
 
-class Waiting:
-    """Blocks that wait in a scratch file."""
+GROW, CLOSE, FINISH = "grow", "close", "finish"
+LABELS = {GROW: "Making the QuadTIN", CLOSE: "Closing errors", FINISH: "Writing the QuadTIN"}
+"""What is done to blocks, and how it is called in progress."""
 
-    def __init__(self, file: IO[bytes], count: int) -> None:
-        self._file, self._at = file, [(0, 0)] * count
 
-    def put(self, block: int, part: Part) -> None:
-        data = packed(part).tobytes()
-        self._at[block] = self._file.seek(0, 2), len(data)
-        self._file.write(data)
+class Rounds(Protocol):
+    """Does something to blocks, which need nothing of each other in a round."""
 
-    def get(self, block: int) -> Part:
+    def run(self, what: str, todo: Sequence[int], given: Callable[[int], Arrays]) -> Iterator[Arrays]:
+        """What comes of each block (``done``), in the order of ``todo``; what is ``given`` to it is asked for once."""
+
+
+class Here:
+    """Rounds of this process; grown blocks wait in a scratch file.
+
+    Args:
+        making: the hierarchy. file: where blocks wait. jobs: threads. progress: is told of rounds.
+    """
+
+    def __init__(self, making: Making, file: IO[bytes], jobs: int | None, progress: Progress) -> None:
+        self.making, self.jobs, self.progress = making, jobs, progress
+        self._file, self._at = file, [(0, 0)] * making.layout.blocks
+
+    def run(self, what: str, todo: Sequence[int], given: Callable[[int], Arrays]) -> Iterator[Arrays]:
+        def do(item: tuple[int, Arrays, Arrays]) -> Arrays:
+            return done(self.making, what, *item)
+
+        items = ((block, given(block), {} if what == GROW else self._get(block)) for block in todo)
+        with self.progress.task(LABELS[what], len(todo)) as task:
+            for block, found in zip(todo, map_ordered(do, items, self.jobs)):
+                if what == GROW:
+                    data = pack(found)
+                    self._at[block] = self._file.seek(0, 2), len(data)
+                    self._file.write(data)
+                task.advance()
+                yield found
+
+    def _get(self, block: int) -> Arrays:
         at, size = self._at[block]
         self._file.seek(at)
-        return unpacked(np.frombuffer(self._file.read(size), np.uint32))
+        return unpack(self._file.read(size))
+
+
+def done(making: Making, what: str, block: int, given: Arrays, waiting: Arrays) -> Arrays:
+    """Do something to a block.
+
+    Args:
+        given: to grow, places of vertices on each side (``forced.0`` …); else errors and radii of the vertices on each
+            (``bounds.0`` …, (2, n)). waiting: the block as it was grown.
+    """
+    if what == GROW:
+        part, grown = making.grow(block, [given[f"forced.{side}"] for side in range(4)])
+        return {"words": packed(part), **grown.to_arrays()}
+    part, grown = unpacked(np.array(waiting["words"])), Grown.from_arrays(waiting)
+    part, corners = making.closed(block, _with_sides(part, grown, [given[f"bounds.{side}"] for side in range(4)]))
+    if what == CLOSE:
+        return {f"bounds.{k}": np.stack([part.error[on], part.radius[on]]) for k, (_, on) in enumerate(grown.sides)}
+    west, _, north, _ = making.bounds(block)
+    c = min(4, len(part.x) - 1)
+    found: Arrays = {
+        "corners": corners, "roots": np.stack([part.off[:2], part.state[:2]], 1).astype(np.float64),
+        "centre": np.array([part.x[c] + west, part.y[c] + north]), "sphere": np.array([part.z[c], part.radius[c]]),
+        "errors": np.zeros(len(DEPTHS)),
+    }  # fmt: skip
+    v0, t0 = 4, 0
+    for p, (v, t) in enumerate(grown.cuts.tolist()):
+        found["errors"][p] = part.error[v0:v].max(initial=0.0)
+        found[f"words.{p}"] = packed(cut(part, v0, v, t0, t))
+        v0, t0 = v, t
+    return found
 
 
 def make_quadtin(
     terrain: Terrain, finest: float, split: str, *, jobs: int | None = None, progress: Progress = SILENT,
     side: int = SIDE, max_memory: int = 1 << 30,
 ) -> MemoryQuadTin:  # fmt: skip
-    """The hierarchy of a terrain in memory. See ``made``."""
-    words: list[list[Words]] = [[] for _ in DEPTHS]
-    found = made(
-        terrain, finest, split, lambda part, one: words[part].append(one), jobs=jobs, progress=progress, side=side,
-        max_memory=max_memory,
-    )  # fmt: skip
-    return MemoryQuadTin(*found, words)
-
-
-def made(
-    terrain: Terrain, finest: float, split: str, keep: Callable[[int, Words], object], *, jobs: int | None = None,
-    progress: Progress = SILENT, side: int = SIDE, max_memory: int = 1 << 30,
-) -> tuple[Layout, Facts, Summary]:  # fmt: skip
-    """Make the hierarchy of a terrain.
+    """The hierarchy of a terrain in memory.
 
     Args:
         terrain: the ground; where it was gridded from points and has them, these are.
         finest: metres within which the finest triangles are, 0: a part of the spacing of samples. split: which point
-            splits a triangle. keep: takes parts of blocks, block after block: which part, and its words.
+            splits a triangle.
         jobs: threads (default: all processors); the result does not depend on them.
         side: samples along a block's side, about. max_memory: bytes for a block.
 
     Raises:
         UsageError: there is no ground, or a block does not fit. DamagedChunkError: as ``terrain.read``.
     """
+    words: list[list[Words]] = [[] for _ in DEPTHS]
     making = Making(terrain, finest, split == "deviation", side, max_memory)
-    with contextlib.ExitStack() as stack:
-        waiting = Waiting(stack.enter_context(spooled()), making.layout.blocks)
-        grown = _agreed(making, waiting, jobs, progress)
-        sides = _closed_sides(making, waiting, grown, jobs, progress)
-        return _finished(making, waiting, grown, sides, keep, jobs, progress)
+    with spooled() as file:
+        found = made(making, Here(making, file, jobs, progress), lambda part, one: words[part].append(one))
+    return MemoryQuadTin(*found, words)
 
 
-def _agreed(making: Making, waiting: Waiting, jobs: int | None, progress: Progress) -> list[Grown]:
+def made(
+    making: Making, rounds: Rounds, keep: Callable[[int, Words], object]
+) -> tuple[Layout, Facts, Summary]:  # fmt: skip
+    """Make a hierarchy.
+
+    Args:
+        rounds: does what is done to blocks. keep: takes parts of blocks, block after block: which part, and its words.
+
+    Raises:
+        UsageError: a block does not fit. DamagedChunkError: as ``terrain.read``.
+    """
+    grown = _agreed(making, rounds)
+    return _finished(making, rounds, grown, _closed_sides(making, rounds, grown), keep)
+
+
+def _agreed(making: Making, rounds: Rounds) -> list[Grown]:
     """Grow all blocks until they agree at their sides; what there is to know of them."""
     count = making.layout.blocks
     nothing = [np.zeros(0, np.int32)] * 4
     forced = [nothing] * count
     grown: list[Grown | None] = [None] * count
-    todo: Iterable[int] = range(count)
+    todo = list(range(count))
     while todo:
-        todo = list(todo)
-        with progress.task("Making the QuadTIN", len(todo)) as task:
-            for block, (part, found) in zip(todo, map_ordered(lambda b: making.grow(b, forced[b]), todo, jobs)):
-                waiting.put(block, part)
-                grown[block] = found
-                task.advance()
+        for found, block in zip(rounds.run(GROW, todo, lambda block: _each("forced", forced[block])), todo):
+            grown[block] = Grown.from_arrays(found)
         todo = []
         for block in range(count):
             asked, lacking = [], False
@@ -121,6 +174,11 @@ def _agreed(making: Making, waiting: Waiting, jobs: int | None, progress: Progre
                 forced[block] = asked
                 todo.append(block)
     return [_of(one) for one in grown]
+
+
+def _each(name: str, arrays: Sequence[NDArray[Any]]) -> Arrays:
+    """Arrays of the four sides, by name."""
+    return {f"{name}.{side}": array for side, array in enumerate(arrays)}
 
 
 def _of(grown: Grown | None) -> Grown:
@@ -140,24 +198,13 @@ def _with_sides(part: Part, grown: Grown, bounds: Sequence[NDArray[np.float32]])
     return part._replace(error=error, radius=radius)
 
 
-def _closed_sides(
-    making: Making, waiting: Waiting, grown: list[Grown], jobs: int | None, progress: Progress
-) -> Bounds:  # fmt: skip
+def _closed_sides(making: Making, rounds: Rounds, grown: list[Grown]) -> Bounds:
     """The errors and radii that vertices on sides have when all is closed."""
     bounds: Bounds = [[np.zeros((2, len(on)), np.float32) for _, on in one.sides] for one in grown]
-
-    def close(item: tuple[int, Part]) -> list[NDArray[np.float32]]:
-        block, part = item
-        found, _ = making.closed(block, _with_sides(part, grown[block], bounds[block]))
-        return [np.stack([found.error[on], found.radius[on]]) for _, on in grown[block].sides]
-
     todo = list(range(len(grown))) if len(grown) > 1 else []
     while todo:
-        with progress.task("Closing errors", len(todo)) as task:
-            items = ((block, waiting.get(block)) for block in todo)
-            for block, found in zip(todo, map_ordered(close, items, jobs)):
-                bounds[block] = found
-                task.advance()
+        for found, block in zip(rounds.run(CLOSE, todo, lambda block: _each("bounds", bounds[block])), todo):
+            bounds[block] = [found[f"bounds.{side}"].copy() for side in range(4)]
         again = set()
         for block in range(len(grown)):
             for side in (EAST, SOUTH):
@@ -176,43 +223,28 @@ def _closed_sides(
 
 
 def _finished(
-    making: Making, waiting: Waiting, grown: list[Grown], sides: Bounds, keep: Callable[[int, Words], object],
-    jobs: int | None, progress: Progress,
+    making: Making, rounds: Rounds, grown: list[Grown], sides: Bounds, keep: Callable[[int, Words], object]
 ) -> tuple[Layout, Facts, Summary]:  # fmt: skip
     """The hierarchy, its blocks cut in parts."""
     layout, across = making.layout, making.layout.across
     summary = Summary(*(np.zeros(shape) for shape in summary_shapes(across).values()))
     by_corners = np.zeros((across + 1, across + 1, 2))
     roots = np.zeros((layout.blocks, 2, 2))  # off, state
-
-    def close(item: tuple[int, Part]) -> tuple[Part, NDArray[np.float64], list[Words]]:
-        block, part = item
-        part, of_corners = making.closed(block, _with_sides(part, grown[block], sides[block]))
-        found, v0, t0 = [], 4, 0
-        for v, t in grown[block].cuts:
-            found.append(packed(cut(part, v0, int(v), t0, int(t))))
-            v0, t0 = int(v), int(t)
-        return part, of_corners, found
-
-    with progress.task("Writing the QuadTIN", layout.blocks) as task:
-        items = ((block, waiting.get(block)) for block in range(layout.blocks))
-        for block, (part, of_corners, words) in enumerate(map_ordered(close, items, jobs)):
-            west, _, north, _ = making.bounds(block)
-            row, col = divmod(block, across)
-            for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
-                at = by_corners[row + i, col + j]
-                np.maximum(at, of_corners[k], out=at)
-            v0, t0 = 4, 0
-            for p, (v, t) in enumerate(grown[block].cuts):
-                summary.errors[block, p] = part.error[v0:v].max(initial=0.0)
-                summary.vertices[block, p], summary.triangles[block, p] = v - v0, t - t0
-                keep(p, words[p])
-                v0, t0 = int(v), int(t)
-            c = min(4, len(part.x) - 1)
-            at = np.ldexp(np.array([part.x[c] + west, part.y[c] + north], np.float64), -layout.bits)
-            summary.centre[block], summary.radius[block] = (*at, part.z[c]), part.radius[c]
-            roots[block] = np.stack([part.off[:2], part.state[:2]], 1)
-            task.advance()
+    every = range(layout.blocks)
+    for found, block in zip(rounds.run(FINISH, every, lambda block: _each("bounds", sides[block])), every):
+        row, col = divmod(block, across)
+        for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
+            at = by_corners[row + i, col + j]
+            np.maximum(at, found["corners"][k], out=at)
+        summary.errors[block] = found["errors"]
+        ends = np.concatenate([[[4, 0]], grown[block].cuts])
+        summary.vertices[block], summary.triangles[block] = np.diff(ends, axis=0).T
+        for p in range(len(DEPTHS)):
+            keep(p, found[f"words.{p}"])
+        at = np.ldexp(found["centre"].astype(np.float64), -layout.bits)
+        height, summary.radius[block] = found["sphere"]
+        summary.centre[block] = (*at, height)
+        roots[block] = found["roots"]
     _put_top(making, grown, by_corners, roots, summary)
     facts = Facts(
         sum(one.own[0] for one in grown), sum(one.own[1] for one in grown), making.finest,

@@ -18,7 +18,8 @@ from orograph.errors import OrographError, StoreError
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard

@@ -13,7 +13,8 @@ from orograph.errors import StoreError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.lattices import StoredLattice, StoredSamples

@@ -19,7 +19,8 @@ from orograph.error.encode import Encoder
 from orograph.error.quantise import EMPTY, ErrorCode, RadiusCode
 from orograph.errors import DamagedChunkError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.diamond_table import diamond_spec

@@ -18,7 +18,8 @@ from orograph.error.diamonds import SMALL
 from orograph.error.holes import WHOLE
 from orograph.error.parts import Floats, Part, Rest
 from orograph.errors import DamagedChunkError
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.array_spec import ArraySpec
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import place
 from orograph.store.digests import SIZE, Spot

@@ -9,29 +9,22 @@ nowhere but in vertices that are decided, so they may be made in any order, by a
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import OrographError
 from orograph.folders import held
 from orograph.hierarchy import diamonds, triangles
 from orograph.parallel import map_ordered
-from orograph.progress import SILENT, Progress, Task
+from orograph.progress import SILENT, Progress, Task, Within
 from orograph.store.diamonds import blank_top, place
 from orograph.store.terrain import TILE, Heights, Terrain
-from orograph.store.tin_kernels import Work, deviation, new_work, patches, simplify, sizes, triangulate
-from orograph.store.tin_windows import Window, clipped, legs_of, look
-from orograph.store.tins import EDGE, FINER, MOST_OCTAVE, NO_TIN, SQUARE, Marks, MemoryTins, Tins, lattice, octaves
-
-LIMIT = 1e-6
-"""Metres: no vertex is inserted for less."""
-
-ROUNDING = 1.0 + 1e-6
-"""What is measured counts as so much more, for crossings nearer to a sample than can be told."""
+from orograph.store.tin_diamonds import NUMBERS, Integers, Made, Maker
+from orograph.store.tin_windows import look
+from orograph.store.tins import EDGE, MOST_OCTAVE, NO_TIN, SQUARE, Marks, MemoryTins, lattice, octaves
 
 BAND = 1 << 24
 """Samples of the bands in which the finest diamonds are looked at, about."""
@@ -41,9 +34,6 @@ AT_ONCE = 1 << 17
 
 CHUNK = 32
 """Diamonds of a task."""
-
-Integers = NDArray[np.int64]
-Corners = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,80 +56,28 @@ class Figures:
     error: float
 
 
-class Place:
-    """Where a diamond is: its window, and the window on the raster.
+class Band(NamedTuple):
+    """Diamonds of a level that are made at once.
 
-    Args:
-        terrain: the ground. row, col: the diamond. legs: of the finest patches.
+    Attributes:
+        octave, kind: of the level. first: whether it is its first band. rows, cols: of the diamonds. error, radius,
+            below: what those below say of them. todo: which have TINs. numbers: of these (``Made``), as they are taken.
     """
 
-    __slots__ = ("ends", "heights_at", "octave", "window", "x0", "x1", "y0", "y1")
+    octave: int
+    kind: int
+    first: bool
+    rows: Integers
+    cols: Integers
+    error: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    below: Integers
+    todo: NDArray[np.intp]
+    numbers: NDArray[np.float64]
 
-    def __init__(self, terrain: Terrain, row: int, col: int, legs: int) -> None:
-        shape = terrain.grid.shape
-        s, kind = int(diamonds.spacing(row, col)), int(diamonds.kind(row, col))
-        self.octave = s.bit_length() - 1
-        k = lattice(shape, self.octave, legs)
-        step, last = 1 << k, (shape[0] - 1, shape[1] - 1)
-        self.y0, self.x0 = max(row - s, 0), max(col - s, 0)
-        self.y1, self.x1 = min(row + s, last[0]), min(col + s, last[1])
-        i0, j0 = self.y0 >> k, self.x0 >> k
-        self.heights_at = k, i0, -(-self.y1 >> k) + 1, j0, -(-self.x1 >> k) + 1
-        odd = 1 - kind
-        sparse = 1 << (lattice(shape, min(self.octave + odd, terrain.n - 1), legs) - k)
-        self.window = Window(
-            col - self.x0, row - self.y0, s, kind, int(triangles.axis(col, row, s << odd, odd)), self.x1 - self.x0,
-            self.y1 - self.y0, step, sparse, i0, j0,
-        )  # fmt: skip
-        self.ends = np.full((5, 2), np.nan, np.float32)
-        if row + s > last[0] or col + s > last[1]:
-            for edge in range(5):
-                ax, ay, dx, dy, low, high = clipped(self.window, edge)
-                if low <= high:
-                    for side, t in enumerate((low, high)):
-                        y, x = self.y0 + ay + t * dy, self.x0 + ax + t * dx
-                        self.ends[edge, side] = terrain.read(0, y, y + 1, x, x + 1)[0, 0]
-
-    def read(self, terrain: Terrain) -> Heights:
-        """The heights of the window's samples on its lattice."""
-        return np.ascontiguousarray(terrain.read(*self.heights_at))
-
-
-class Workplace(threading.local):
-    """Arrays to work in, of each thread its own."""
-
-    def __init__(self) -> None:
-        self.work: dict[int, Work] = {}
-
-    def room(self, legs: int, marks: Marks) -> Work:
-        """Arrays for a diamond's window."""
-        side = max(legs << (FINER + 1), TILE) + 2  # (windows on the coarsest level are of a tile at most)
-        need = max(2 * legs * legs + 8 * side, int(np.count_nonzero(marks)) + 64)
-        if legs not in self.work or len(self.work[legs].mesh.x) < need:
-            self.work[legs] = new_work(need, side)
-        return self.work[legs]
-
-
-def tins_of(
-    terrain: Terrain, tins: Tins, row: int, col: int, workplace: Workplace
-) -> tuple[NDArray[np.float64], Corners, Corners]:
-    """The TINs of a diamond: vertices (v, 3) column, row, metres; triangles (t, 3) of its top triangles 0 and 1.
-
-    They turn positively in (column, row).
-
-    Raises:
-        OrographError: its marks make no TIN. DamagedChunkError: as ``terrain.read``.
-    """
-    at = Place(terrain, row, col, tins.legs)
-    bit = EDGE if at.window.shape else SQUARE
-    marks = np.ascontiguousarray(tins.marks(at.octave, *at.heights_at[1:]) & bit)
-    work = workplace.room(tins.legs, marks)
-    if triangulate(at.window, work, at.read(terrain), at.ends, marks) < 0:
-        raise OrographError(f"The TINs of the diamond at row {row}, column {col} are none.", path=terrain.name)
-    vertices, first, second = patches(work.mesh)
-    vertices[:, 0] += at.x0
-    vertices[:, 1] += at.y0
-    return vertices, first, second
+    def wanted(self) -> tuple[Integers, Integers]:
+        """Rows and columns of the diamonds that have TINs."""
+        return self.rows[self.todo], self.cols[self.todo]
 
 
 class Building:
@@ -171,19 +109,21 @@ class Building:
         self._metric = np.array([a, d, b, e])
         tiles, lowest = terrain.tiles(0).minimum, terrain.height_range[0]
         self._fill = np.where(np.isnan(tiles), np.float32(0.0 if np.isnan(lowest) else lowest), tiles)
-        self._workplace = Workplace()
         self._levels: dict[int, Heights] = {}
 
-    def level(self, octave: int, kind: int, jobs: int | None, task: Task | None = None) -> Figures:
+    def level(self, octave: int, kind: int, run: Callable[[Band], None], task: Task | None = None) -> Figures:
         """Make a level's TINs, by bands of rows of diamonds.
 
         Args:
+            run: has the diamonds of a band made, and taken (``take``).
             task: is told of each band (``bands``).
         """
         totals, largest = np.zeros(5, np.int64), 0.0
         per = self._rows_at_once(octave)
         for first in range(0, (1 << (self.n - octave)) + 1, per):
-            counts, error = self._band(octave, kind, *self._diamonds(octave, kind, first, first + per), jobs)
+            band = self._band(octave, kind, first, first + per)
+            run(band)
+            counts, error = self._taken(band)
             totals, largest = totals + counts, max(largest, error)
             for release in self._releases:
                 release()
@@ -200,10 +140,10 @@ class Building:
         """Rows of diamonds of a band."""
         return max(2, AT_ONCE >> (self.n - octave))
 
-    def _band(self, octave: int, kind: int, rows: Integers, cols: Integers, jobs: int | None) -> tuple[Integers, float]:
-        """Make the TINs of some diamonds of a level; what ``Figures`` says of them."""
-        finest = octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE
-        if finest:
+    def _band(self, octave: int, kind: int, first: int, end: int) -> Band:
+        """The diamonds of a band, with what those below say of them."""
+        rows, cols = self._diamonds(octave, kind, first, end)
+        if octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE:
             error, radius = self._first(rows, cols, octave)
             below = np.zeros(len(rows), np.int64)
         else:
@@ -211,17 +151,32 @@ class Building:
         if octave > MOST_OCTAVE:
             error[:] = np.inf
         todo = np.flatnonzero(np.isfinite(error) & (radius >= 0))
-        parts = [todo[i : i + CHUNK] for i in range(0, len(todo), CHUNK)]
+        numbers = np.zeros((len(todo), len(NUMBERS)))
+        return Band(octave, kind, first == 0, rows, cols, error, radius, below, todo, numbers)
 
-        def run(part: NDArray[np.intp]) -> NDArray[np.float64]:
-            return np.array([self._one(int(rows[i]), int(cols[i])) for i in part]).reshape(-1, 6)
+    def marks_of(self, octave: int, row0: int, row1: int, col0: int, col1: int) -> Marks:
+        """The marks of a window of an octave's lattice."""
+        return self.marks[octave][row0:row1, col0:col1]
 
-        found = np.concatenate([np.zeros((0, 6)), *map_ordered(run, parts, jobs)])
+    def take(self, band: Band, part: slice, made: Made) -> None:
+        """Take the TINs of a part of a band's diamonds. Safe from any thread, for different parts."""
+        band.numbers[part] = made.numbers
+        marks, bit, begin = self.marks[band.octave], SQUARE if band.kind == diamonds.SQUARE else EDGE, 0
+        for i0, i1, j0, j1 in made.windows.tolist():
+            count = (i1 - i0) * (j1 - j0)
+            end = begin + -(-count // 8)
+            chosen = np.unpackbits(made.chosen[begin:end], count=count).view(bool).reshape(i1 - i0, j1 - j0)
+            marks[i0:i1, j0:j1][chosen] |= bit  # only vertices of its own: windows overlap
+            begin = end
+
+    def _taken(self, band: Band) -> tuple[Integers, float]:
+        """Note what is known of a band's diamonds, when all are taken; what ``Figures`` says of them."""
+        octave, todo, found, error, below = band.octave, band.todo, band.numbers, band.error, band.below
         error[todo] = np.maximum(error[todo], found[:, 0])
-        i, j = rows >> octave, cols >> octave
-        self.errors[octave][i, j], self.radii[octave][i, j] = error, radius
+        i, j = band.rows >> octave, band.cols >> octave
+        self.errors[octave][i, j], self.radii[octave][i, j] = error, band.radius
         self.triangles[octave][i[todo], j[todo]] = found[:, 1:3].astype(np.int32)
-        if finest:
+        if octave == self.legs.bit_length() - 1 and band.kind == diamonds.EDGE:
             below[todo] = found[:, 5].astype(np.int64)
         counts = len(todo), found[:, 1:3].sum(), below[todo].sum(), found[:, 3].sum(), found[:, 4].sum()
         return np.array(counts).astype(np.int64), float(found[:, 0].max(initial=0.0))
@@ -306,35 +261,6 @@ class Building:
             below[there] += self.triangles[octave][rc >> octave, cc >> octave, omega >> 2]
         return error, radius * (1 + 1e-12), below
 
-    def _one(self, row: int, col: int) -> tuple[float, int, int, int, int, int]:
-        """Make a diamond's TINs: their error, the triangles of both, vertices on legs, vertices, and the triangles that
-        full resolution has there."""
-        terrain = self.terrain
-        at = Place(terrain, row, col, self.legs)
-        heights = at.read(terrain)
-        marks = np.zeros(heights.shape, np.uint8)
-        square = at.window.shape == diamonds.SQUARE
-        below = at.octave if square else max(at.octave - 1, self.legs.bit_length() - 1)
-        shape = terrain.grid.shape
-        ratio = 1 << (lattice(shape, at.octave, self.legs) - lattice(shape, below, self.legs))
-        finest = not square and below == at.octave
-        legs_of(at.window, self.marks[below], ratio, 0 if finest else int(EDGE if square else SQUARE), marks)
-        given = int(marks.sum())
-        work = self._workplace.room(self.legs, marks)
-        simplify(at.window, work, heights, at.ends, marks, 2 * self.legs**2, LIMIT)
-        count = triangulate(at.window, work, heights, at.ends, marks)
-        if count < 0:
-            raise OrographError(f"The diamond at row {row}, column {col} has no TINs.", path=terrain.name)
-        if at.window.step > 1:
-            heights = terrain.read(0, at.y0, at.y1 + 1, at.x0, at.x1 + 1)
-        error = float(deviation(work.mesh, np.ascontiguousarray(heights))) * ROUNDING
-        _, i0, i1, j0, j1 = at.heights_at
-        chosen = marks.astype(bool)
-        # (Only vertices of its own are written: windows overlap.)
-        self.marks[at.octave][i0:i1, j0:j1][chosen] |= SQUARE if square else EDGE
-        first, second, whole = sizes(work.mesh)
-        return error, int(first), int(second), given, int(chosen.sum()), int(whole)
-
     def finished(self, figures: Sequence[Figures]) -> MemoryTins:
         """What was made, in the layout of ``diamond_table``."""
         top = self.terrain.levels - 1
@@ -363,6 +289,25 @@ class Building:
 def make_tins(
     terrain: Terrain, legs: int, *, jobs: int | None = None, progress: Progress = SILENT
 ) -> MemoryTins:  # fmt: skip
+    """Make the TINs of a terrain, in this process. See ``made_by``.
+
+    Args:
+        jobs: threads (default: all processors); the result does not depend on them.
+    """
+
+    def run(building: Building, band: Band, progress: Progress) -> None:
+        rows, cols = band.wanted()
+        maker = Maker(terrain, legs, building.marks_of)
+        parts = [slice(i, i + CHUNK) for i in range(0, len(rows), CHUNK)]
+        for part, made in zip(parts, map_ordered(lambda part: maker.made(rows[part], cols[part]), parts, jobs)):
+            building.take(band, part, made)
+
+    return made_by(terrain, legs, run, progress)
+
+
+def made_by(
+    terrain: Terrain, legs: int, run: Callable[[Building, Band, Progress], None], progress: Progress
+) -> MemoryTins:  # fmt: skip
     """Make the TINs of a terrain.
 
     A byte in five samples or so is held. The marks, some three bytes a sample, lie in scratch files where they are
@@ -370,7 +315,8 @@ def make_tins(
 
     Args:
         terrain: the ground. legs: segments along a finest patch's leg.
-        jobs: threads (default: all processors); the result does not depend on them. progress: is told of levels.
+        run: has a band's diamonds made, and taken; what reports of it is said within another task.
+        progress: is told of levels.
 
     Raises:
         DamagedChunkError: as ``terrain.read``. OutputError: the disk that temporary files are on is full.
@@ -379,6 +325,7 @@ def make_tins(
     todo = [(k, kind) for k in building.marks for kind in (diamonds.EDGE, diamonds.SQUARE)]
     figures = []
     with progress.task("Making TINs", sum(building.bands(k) for k, _ in todo)) as task:
+        within = Within(progress, Task())
         for k, kind in todo:
-            figures.append(building.level(k, kind, jobs, task))
+            figures.append(building.level(k, kind, lambda band: run(building, band, within), task))
     return building.finished(figures)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 from orograph.store.tins import MemoryTins, StoredTins, marks_spec, octaves, stored_levels, table_spec
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.patches import NOTHING
 from orograph.store.terrain import Heights, Shape, Terrain, diamond_shape, exponent, level_count, level_shape
 

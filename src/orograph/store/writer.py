@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
-from orograph.store.arrays import ArraySpec
+from orograph.store.array_spec import ArraySpec
 from orograph.store.digests import Digests, Spot
 from orograph.store.storage import Storage
 

@@ -205,6 +205,8 @@ def traced(
 ) -> ContourLines | Written:  # fmt: skip
     """``contours``, whatever is installed: the lines, or what was written."""
     max_memory = bytes_of(max_memory)
+    interval = None if interval is None else _number(interval, "interval")
+    base, simplify = _number(base, "base"), _number(simplify, "simplify")
     if interval is not None and levels is not None:
         raise UsageError("`interval` and `levels` say the same twice: give one of them.")
     if not (math.isfinite(simplify) and simplify >= 0):
@@ -231,6 +233,18 @@ def traced(
         whole.points, whole.offsets, whole.columns["height"], whole.columns["is_index"], interval, ground.grid.crs,
         ground.vertical, ground.name, ground,
     )  # fmt: skip
+
+
+def _number(value: Any, called: str) -> float:
+    """A number, or the text of one.
+
+    Raises:
+        UsageError: it is none.
+    """
+    found = numbers(value, called)
+    if len(found) != 1:
+        raise UsageError(f"`{called}` is a number of metres, not {value!r}.")
+    return found[0]
 
 
 def _written(ground: Terrain, batches: Iterator[Batch], interval: float | None, path: Path) -> Written:

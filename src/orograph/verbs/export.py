@@ -20,6 +20,7 @@ from orograph.geo.grid import Grid
 from orograph.geo.vertical import ELLIPSOIDAL
 from orograph.geovis.data.dataset import Dataset, datasets_of
 from orograph.lighting.raster import Band, Values, rectangles, write
+from orograph.output import check_vacant
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.store.opening import terrain as opened
@@ -59,8 +60,8 @@ def export(
         the path of the file.
 
     Raises:
-        UsageError: the area is not in the terrain, or the file is there. ReadError, StoreError: the terrain cannot be
-            read. OutputError: the file cannot be written.
+        UsageError: the area is not in the terrain. ReadError, StoreError: the terrain cannot be read.
+        OutputError: the file cannot be written, or is there.
     """
     max_memory = bytes_of(max_memory)
     datasets = datasets_of(data)
@@ -96,7 +97,7 @@ def check_output(output: str | os.PathLike[str], overwrite: bool, data: Sequence
     """The path of the file to write.
 
     Raises:
-        UsageError: it is no GeoTIFF, or nothing that such data are written as, or is there.
+        UsageError: it is no GeoTIFF, or nothing that such data are written as. OutputError: something is there.
     """
     path = Path(output)
     if data:
@@ -105,8 +106,7 @@ def check_output(output: str | os.PathLike[str], overwrite: bool, data: Sequence
         check_data_output(path, data)
     elif path.suffix.lower() not in (".tif", ".tiff"):
         raise UsageError("Heights are written as a GeoTIFF: .tif.", path=path)
-    if path.exists() and not overwrite:
-        raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
+    check_vacant(path, overwrite)
     return path
 
 

@@ -12,6 +12,7 @@ from orograph.dem.raster import Dem
 from orograph.dem.synth import Synth, parse_size, write_windows
 from orograph.dem.target import parse_crs
 from orograph.errors import UsageError
+from orograph.output import check_vacant
 from orograph.progress import Progress
 from orograph.reporting import reporting
 
@@ -70,12 +71,12 @@ def synth(
         a ``Dem``, or the path of the file.
 
     Raises:
-        UsageError: an option makes no sense, the exemplar is no good, or the file is there.
-        ReadError: the exemplar cannot be read. OutputError: the file cannot be written.
+        UsageError: an option makes no sense, or the exemplar is no good.
+        ReadError: the exemplar cannot be read. OutputError: the file cannot be written, or is there.
     """
     path = None if output is None else Path(output)
-    if path is not None and path.exists() and not overwrite:
-        raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
+    if path is not None:
+        check_vacant(path, overwrite)
     heard = reporting(progress)
     if over is not None or ground is not None:
         said = {"spacing": spacing, "crs": crs, "relief": relief, "roughness": roughness, "jitter": jitter,

@@ -13,7 +13,8 @@ import orograph
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.data.classes import mode
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.painting import painted, shown
+from orograph.geovis.data.painted import painted
+from orograph.geovis.data.painting import shown
 from orograph.geovis.data.priority import Priority
 
 UTM = "EPSG:32630"

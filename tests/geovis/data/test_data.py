@@ -17,7 +17,8 @@ from orograph.geo.grid import Grid, apply
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data import patterns, signs
 from orograph.geovis.data.dataset import Dataset, Uncertainty
-from orograph.geovis.data.painting import painted, shown
+from orograph.geovis.data.painted import painted
+from orograph.geovis.data.painting import shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions, bilinear

@@ -13,7 +13,8 @@ from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.bivariate import CORNERS, pairs, shown_pair, square
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.lic import GRAIN, STEP, brightness
-from orograph.geovis.data.painting import painted, shown
+from orograph.geovis.data.painted import painted
+from orograph.geovis.data.painting import shown
 from orograph.geovis.data.patterns import _hash
 from orograph.geovis.data.priority import Priority
 

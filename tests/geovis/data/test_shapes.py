@@ -17,7 +17,7 @@ from orograph.geo.grid import Grid, apply
 from orograph.geo.wkb import parse
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import read_features
-from orograph.geovis.data.painting import painted
+from orograph.geovis.data.painted import painted
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shape_kernels import crossed, fill, stroke
 from orograph.geovis.data.shape_painting import shown_shapes

@@ -65,6 +65,7 @@ def views() -> dict[str, View]:
         "chunked-lod,cells=16",
         "chunked-lod,cells=16,compressed=yes",
         "bdam",
+        "bdam,legs=8,geomorph=yes",
         "clipmap,n=63",
         "cbt",
     ],

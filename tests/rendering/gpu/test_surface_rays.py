@@ -300,6 +300,18 @@ def test_what_memory_does_not_hold_is_coarser_and_says_so(device: Device) -> Non
     assert judge_depth(roomy.on_gpu(view, plenty), terrain, view).ok(0.2)
 
 
+def test_memory_for_no_window_around_the_eye_leaves_the_finest_out(device: Device) -> None:
+    """Closer to the ground than a coarse level's error no tolerance is large enough for it."""
+    terrain = GROUNDS["nested windows"]()
+    x, y = (float(v) for v in terrain.grid.xy(1200.0, 900.0))
+    view = look((x, y, float(terrain.read(0, 900, 901, 1200, 1201)[0, 0]) + 2.0), 10.0, -10.0, 1000.0)
+    coarsest = math.prod(terrain.shape(terrain.levels - 1))
+    tight = Both(device, terrain, 6 * (coarsest + 1))
+    scarce = tight.selected(view, 0.5)
+    assert scarce.bound == np.inf and len(scarce.windows) < len(Both(device, terrain).selected(view, 0.5).windows)
+    assert np.isfinite(tight.on_gpu(view, scarce)).mean() > 0.3
+
+
 def test_windows_that_stay_are_not_brought_again(device: Device) -> None:
     terrain = GROUNDS["nested windows"]()
     both = Both(device, terrain)

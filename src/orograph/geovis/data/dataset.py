@@ -171,7 +171,7 @@ class Dataset:
     opacity: float = 1.0
     unit: str | None = None
     name: str | None = None
-    uncertainty: Uncertainty | None = None
+    uncertainty: Uncertainty | Any | None = None
 
     def __post_init__(self) -> None:
         from orograph.geovis.color import color_table

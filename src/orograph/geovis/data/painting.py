@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid, apply, compose
-from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.classes import ClassTable, classes_over, numbered, says_classes
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
@@ -29,8 +28,7 @@ from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors
-from orograph.geovis.keys import Legend, Scale, Square
-from orograph.geovis.layers import Layer
+from orograph.geovis.keys import Square
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.float32]
@@ -60,9 +58,6 @@ DARKER, LIGHTER = 0.75, 0.22
 """How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
 
 EDGE = np.array([0.03, 0.03, 0.04], np.float32)
-
-SWATCH, SWATCHES = 32, (0.15, 0.5, 0.85)
-"""Texels of a legend's swatch, and the places along the scale of uncertainties that it shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,33 +248,13 @@ def cropped(field: Field, grid: Grid, texels: int) -> Grid:
     return Grid((row1 - row0, col1 - col0), compose(whole.transform, Affine.translation(col0, row0)), grid.crs)
 
 
-def painted(found: Shown) -> Layer:
-    """The layer of data that are shown on the surface, with its legend."""
-    rows, cols = found.over.shape
-    y, x = np.mgrid[:rows, :cols] + 0.5
-    sigma = None if found.sigma is None else found.sigma.astype(np.float64)
-    pitch = _pitch(found)
-    paint = _paint(found, Paint(
-        x, y, pitch, found.values.astype(np.float64), sigma, _along(found, sigma, found.values.shape),
-        np.zeros((rows, cols, 3), np.float32), np.zeros((rows, cols)),
-    ))  # fmt: skip
-    image = np.empty((rows, cols, 4), np.uint8)
-    image[..., :3] = np.rint(linear_to_srgb(paint.rgb) * 255)
-    image[..., 3] = np.rint(paint.alpha * 255)
-    placed = found.over.crs is not None
-    return Layer(
-        image, opacity=found.dataset.opacity, name=found.title, key=key_of(found),
-        transform=found.over.transform if placed else None, crs=found.over.crs if placed else None,
-    )  # fmt: skip
-
-
-def _pitch(found: Shown) -> float:
+def pitch_of(found: Shown) -> float:
     metres = float(np.sqrt(found.over.cell_area))
     size = found.dataset.size
     return max(LEAST_PITCH, size / metres if size is not None else max(found.over.shape) / SIGNS)
 
 
-def _along(found: Shown, sigma: Any, shape: tuple[int, ...]) -> Array:
+def along(found: Shown, sigma: Any, shape: tuple[int, ...]) -> Array:
     """Uncertainties along their scale, 0 to 1."""
     if sigma is None:
         return np.zeros(shape)
@@ -287,7 +262,7 @@ def _along(found: Shown, sigma: Any, shape: tuple[int, ...]) -> Array:
     return np.asarray(np.clip((sigma - low) / max(high - low, 1e-30), 0, 1))
 
 
-def _paint(found: Shown, paint: Paint) -> Paint:
+def with_data(found: Shown, paint: Paint) -> Paint:
     """Values and their uncertainty, painted."""
     if found.style == "cells":
         paint = _aggregated(paint)
@@ -358,62 +333,3 @@ def _isolines(values: Array, levels: tuple[float, ...]) -> Array:
         for level in levels:
             cover = np.fmax(cover, covered(np.abs(filled - level) / slope - LINE / 2))
     return np.nan_to_num(cover)
-
-
-def key_of(found: Shown) -> Legend:
-    """What the colours and signs of data mean."""
-    if found.square is not None:
-        return Legend(note=found.field.chosen, squares=(found.square,))
-    scale = Scale(
-        found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
-        below=found.dataset.range is None, above=found.dataset.range is None,
-    )  # fmt: skip
-    scales, classes = ((scale,), ()) if found.classes is None else ((), _classes(found, found.classes))
-    if found.sign == "none" or found.sigma is None:
-        return Legend(scales, classes=classes, note=found.note)
-    low, high = found.doubt
-    swatches = []
-    for part in SWATCHES:
-        sigma = low + part * (high - low)
-        words = f"± {rounded(sigma, high)} {found.unit}".rstrip()
-        swatches.append((words, _swatch(found, sigma)))
-    return Legend(scales, tuple(swatches), classes, found.note)
-
-
-def _classes(found: Shown, names: tuple[str, ...]) -> tuple[tuple[str, NDArray[np.uint8]], ...]:
-    """Names of classes, and what each looks like where it is certain."""
-    bare = replace(found, sign="none", cover=None, outline=None)
-    tiles = (_painted_swatch(bare, np.full((SWATCH, SWATCH), float(k)), 0.0) for k in range(len(names)))
-    return tuple(zip(names, tiles))
-
-
-def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
-    """A tile (rows, cols, 3) of what the data look like in the middle of their scale, so uncertain."""
-    x = np.mgrid[:SWATCH, :SWATCH][1] + 0.5
-    at = np.where(x < SWATCH / 2, 0.25, 0.75) if found.sign == "blur" else np.full((SWATCH, SWATCH), 0.5)
-    middle = found.scale.low + at * (found.scale.high - found.scale.low)
-    return _painted_swatch(_plainly(found), middle, sigma)
-
-
-def _painted_swatch(found: Shown, values: Array, sigma: float) -> NDArray[np.uint8]:
-    """A tile of values so uncertain, on light grey."""
-    y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
-    doubt = np.full(values.shape, sigma)
-    bare = Paint(x, y, SWATCH / 2, values, doubt, _along(found, doubt, values.shape),
-                 np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(values.shape))  # fmt: skip
-    paint = _paint(found, bare)
-    alpha = paint.alpha[..., None].astype(np.float32)
-    seen = paint.rgb * alpha + np.float32(0.8) * (1 - alpha)
-    return np.asarray(np.rint(linear_to_srgb(seen) * 255), np.uint8)
-
-
-def _plainly(found: Shown) -> Shown:
-    """The same as plain colours, under which signs are told best."""
-    style = "continuous" if found.scale.edges is None else "segmented"
-    return replace(found, style=style, cover=None, outline=None, streaks=None)
-
-
-def rounded(value: float, top: float) -> str:
-    """A number with the digits that its scale needs."""
-    digits = max(0, 2 - int(np.floor(np.log10(top))) - 1) if top > 0 else 0
-    return f"{value:.{min(digits, 6)}f}"

@@ -18,7 +18,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset, Standing
-from orograph.geovis.data.painting import SWATCHES, rounded
+from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.scales import ColorScale, spanned

@@ -208,9 +208,9 @@ def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
             f"(more: its option slots={2 * slots})."
         )
     elif scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
+        off = f"up to {stats.error_px:.2g} pixels off" if stats.error_px < np.inf else "off by any number of pixels"
         found.append(
-            f"The ground is up to {stats.error_px:.2g} pixels off, not {scene.surface.tolerance:g}: more tiles "
-            "do not fit into the GPU's memory."
+            f"The ground is {off}, not {scene.surface.tolerance:g}: more tiles do not fit into the GPU's memory."
         )
     if renderer.imagery.full:
         found.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")

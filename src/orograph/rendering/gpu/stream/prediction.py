@@ -11,7 +11,8 @@ import math
 from dataclasses import replace
 
 from orograph.errors import UsageError
-from orograph.viewpoint import Vector, View
+from orograph.geo.vectors import Vector
+from orograph.viewpoint import View
 
 HORIZONS = (0.75, 1.5)
 """How far ahead, in turn."""

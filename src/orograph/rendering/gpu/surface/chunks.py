@@ -1,8 +1,7 @@
 """Chunks of ``chunked-lod`` that the GPU decodes itself: their words go up, a compute pass makes meshes of them.
 
-Meshes stay where they are until there is no more room; then those that are drawn begin a new pool. Frames that still
-draw the last pool hold it. All that a frame brings is 20 bytes for every ``RUN`` triangles: a run of one chunk's
-triangles, and how far its vertices have moved.
+They stay there (``surface.resident``). All that a frame brings is 20 bytes for every ``RUN`` triangles: a run of one
+chunk's triangles, and how far its vertices have moved.
 
 A vertex takes 20 bytes (row, column, height, height in the coarser mesh, the skirt's lower end), a triangle 12.
 """
@@ -18,14 +17,10 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import write
-from orograph.lod.selection import CodedChunks, Selection
-from orograph.rendering.gpu.surface.faces import FacePass
-from orograph.rendering.gpu.surface.left import Left
-from orograph.rendering.gpu.targets import Targets
+from orograph.lod.selection import CodedChunks
+from orograph.rendering.gpu.surface.resident import ROOM, ResidentMeshes, RunPass, runs_of
 from orograph.store.chunk_code import BLOCK, HEADER, Decoded, decoded, hung_edges
 from orograph.store.chunked import PARTS, Layout, Words
-from orograph.tessellation import Tessellation
 
 JOB = np.dtype(
     [
@@ -51,17 +46,11 @@ LARGE = 1 << 18
 """Triangles of a chunk that are left to the CPU: a workgroup would take long. (And software Vulkan, Mesa's, ends a
 thread's loops without a word when they have gone round 65,535 times, all together: here 10 for every 64 triangles.)"""
 
-RUN = 64
-"""Triangles of an instance."""
-
 VERTEX, TRIANGLE, NODE = 20, 12, 32
 """Bytes."""
 
 HUNG = np.uint32(1 << 31)
 """Of a corner: the lower end of the skirt."""
-
-ROOM = 1 << 14
-"""Vertices that the smallest pool has room for."""
 
 SCRATCH = 32 << 20
 """Bytes of scratch that one dispatch takes; the last of its chunks may need more."""
@@ -91,21 +80,14 @@ class Meshes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DecodedChunks(Selection):
+class DecodedChunks(ResidentMeshes):
     """Chunks whose meshes are on the GPU.
 
     Attributes:
-        meshes: where. runs: (n,) of ``INSTANCE``. triangles: how many. coded: as they were selected.
+        meshes: where.
     """
 
     meshes: Meshes
-    runs: NDArray[np.void]
-    triangles: int
-    coded: CodedChunks
-
-    def tessellation(self) -> Tessellation:
-        """What is drawn of it, decoded on the CPU."""
-        return self.coded.tessellation()
 
 
 class Decoder:
@@ -215,18 +197,12 @@ class Chunks:
         meshes = self._made(selection, heads)
         at = np.array([meshes.places[name] for name in selection.names], np.int64).reshape(-1, 2)
         counts = heads[:, TRIANGLES] + (2 * heads[:, EDGES] if selection.skirts else 0)
-        parts = -(-counts // RUN)
-        of = np.repeat(np.arange(len(heads)), parts)
-        number = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
-        runs = np.zeros(len(of), INSTANCE)
-        runs["first"] = at[of, 1] + RUN * number
-        runs["count"] = np.minimum(RUN, counts[of] - RUN * number)
-        runs["vertex"] = at[of, 0]
+        runs, of = runs_of(INSTANCE, at[:, 1], counts, at[:, 0])
         runs["step"] = 2.0 ** ((heads[of, FLAGS] & 255) - 64)
         runs["left"] = selection.left[of]
         return DecodedChunks(
-            method=selection.method, bound=selection.bound, stats=selection.stats, meshes=meshes, runs=runs,
-            triangles=int(counts.sum()), coded=selection,
+            method=selection.method, bound=selection.bound, stats=selection.stats, meshes=meshes,
+            vertices=meshes.vertices, corners=meshes.triangles, runs=runs, triangles=int(counts.sum()), given=selection,
         )  # fmt: skip
 
     def _heads(self, selection: CodedChunks) -> NDArray[np.int64]:
@@ -266,30 +242,8 @@ def _over(used: tuple[int, int], more: tuple[int, int], room: tuple[int, int]) -
     return used[0] + more[0] > room[0] or used[1] + more[1] > room[1]
 
 
-class ChunkPass(FacePass):
-    """Draws decoded chunks into depth and marks: one draw, an instance for each run of triangles. Args: as of
-    ``FacePass``."""
+class ChunkPass(RunPass):
+    """Draws decoded chunks into depth and marks. Args: as of ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
-        super().__init__(device, "chunk_draw", camera, field, missing, [RUNS], PARTS=PARTS)
-        self._held: tuple[Any, Any] = (None, None)
-        self._runs: tuple[Any, Any, int] = (None, None, 0)
-
-    def draw(self, encoder: Any, targets: Targets, selection: DecodedChunks, left: Left) -> None:
-        """Clear the targets and draw."""
-        meshes, runs = selection.meshes, selection.runs
-        if self._held[0] is not meshes:
-            self._held = meshes, self.bind(vertices=meshes.vertices, triangles=meshes.triangles)
-        if self._runs[0] is not runs and len(runs):
-            buffer, room = self._runs[1:]
-            if len(runs) > room:
-                room = 1 << (len(runs) - 1).bit_length()
-                buffer = self.device.buffer(room * INSTANCE.itemsize, "VERTEX", "runs of triangles")
-            write(self.device, buffer, runs)
-            self._runs = runs, buffer, room
-        pass_ = self.begin(encoder, targets, left)
-        if len(runs):
-            pass_.set_bind_group(0, self._held[1])
-            pass_.set_vertex_buffer(0, self._runs[1])
-            pass_.draw(3 * RUN, len(runs))
-        pass_.end()
+        super().__init__(device, "chunk_draw", camera, field, missing, RUNS, PARTS=PARTS)

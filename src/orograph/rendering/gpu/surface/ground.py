@@ -3,8 +3,8 @@
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
 that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
-is selected, its tree is updated and drawn (``growing``, ``tree``); chunks in few bytes are decoded there first
-(``chunks``). All that comes after (light, lines, voids) reads the
+is selected, its tree is updated and drawn (``growing``, ``tree``); batches of small meshes stay there (``batches``),
+and chunks in few bytes are decoded there first (``chunks``). All that comes after (light, lines, voids) reads the
 targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
@@ -19,10 +19,11 @@ from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.lod.registry import Choice
-from orograph.lod.selection import CodedChunks, PatchesAndRays, RayWindows, Selection, TriangleMesh
+from orograph.lod.selection import CodedChunks, PatchesAndRays, RayWindows, Selection, TinBatches, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.batches import Batches, BatchPass
 from orograph.rendering.gpu.surface.chunks import ChunkPass, Chunks, DecodedChunks
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
@@ -30,6 +31,7 @@ from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
 from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
+from orograph.rendering.gpu.surface.resident import ResidentMeshes
 from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import mesh_choice
@@ -71,7 +73,7 @@ class Drawn:
     @property
     def other(self) -> Any:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
-        if isinstance(self.selection, DecodedChunks):
+        if isinstance(self.selection, ResidentMeshes):
             return self.selection
         if isinstance(self.selection, TreeFrame):
             return self.selection.tree
@@ -86,9 +88,9 @@ class Drawn:
         return self.selection if isinstance(self.selection, TreeFrame) else self.other
 
     @property
-    def resident(self) -> TreeFrame | DecodedChunks | None:
+    def resident(self) -> TreeFrame | ResidentMeshes | None:
         """What is drawn of triangles that only the GPU has; None: something else is."""
-        return self.selection if isinstance(self.selection, (TreeFrame, DecodedChunks)) else None
+        return self.selection if isinstance(self.selection, (TreeFrame, ResidentMeshes)) else None
 
     @property
     def at_breaks(self) -> bool:
@@ -119,7 +121,7 @@ class Ground:
         most: bytes of the windows that rays are cast at; twice as many hold a tree's pages. jobs: threads.
 
     Attributes:
-        surfaces: what draws a selection, by its type.
+        surfaces: what draws a selection, by its type. batches: that stay on the GPU.
     """
 
     def __init__(
@@ -142,12 +144,14 @@ class Ground:
             Mixed: mixed,
             TreeFrame: TreePass(device, camera, field, absent, terrain.n),
             DecodedChunks: ChunkPass(device, camera, field, absent),
+            ResidentMeshes: BatchPass(device, camera, field, absent),
         }
         windows = Windows(device, terrain, most, jobs)
         self._mixer = Mixer(device, terrain, camera, legs, mixed)
+        self.batches = Batches(device, most)
         own: dict[type, Any] = {
             RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
-            CodedChunks: Chunks(device, most).ready,
+            CodedChunks: Chunks(device, most).ready, TinBatches: self.batches.ready,
         }  # fmt: skip
         self._selected = Selected(terrain, own)
         self._growing = Growing(device, terrain, 2 * most, jobs)
@@ -213,7 +217,7 @@ class Ground:
         return None if self._drawn is None else self._drawn.mesh
 
     @property
-    def resident(self) -> TreeFrame | DecodedChunks | None:
+    def resident(self) -> TreeFrame | ResidentMeshes | None:
         """What the last frame drew of triangles that only the GPU has; None: it drew something else."""
         return None if self._drawn is None else self._drawn.resident
 

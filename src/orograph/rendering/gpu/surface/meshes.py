@@ -151,7 +151,9 @@ class Selected:
 def _grown(choice: Choice) -> Choice:
     """The same with vertices that grow to their places, if the method lets them and its metric allows it: while a
     camera moves, that is quieter."""
-    if choice.info.kind == "triangles" and any(one.name == "geomorph" for one in described(choice.info.options)):
+    if choice.info.kind in ("triangles", "batches") and any(
+        one.name == "geomorph" for one in described(choice.info.options)
+    ):
         with contextlib.suppress(UsageError):
             return replace(choice, options=replace(choice.options, geomorph=True))
     return choice

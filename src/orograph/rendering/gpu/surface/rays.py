@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
 from orograph.gpu.recording import write
-from orograph.hierarchy.clip_stack import Rectangle
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.lod.selection import LEVELS_SHARE, RaySurface, RayWindows
 from orograph.raycast.mips import Mips, build_mips
 from orograph.raycast.select import load
@@ -65,6 +65,10 @@ BRIGHT = 0.1
 COARSER = 1.25
 """By how much a tolerance grows until its windows fit."""
 
+WORST = 1e4
+"""The tolerance, in pixels, at which it grows no more: around an eye that is closer to the ground than a level's error
+no tolerance is large enough, and the finest windows are left out."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CastWindows(RayWindows):
@@ -102,8 +106,13 @@ class Windows:
         """
         bound, top = selection.bound or 1.0, self.terrain.levels - 1
         while selection.windows[-1].level < top and not self._fits(selection):
-            bound *= COARSER
-            selection = again(bound)
+            if bound < WORST:
+                bound *= COARSER
+                selection = again(bound)
+            elif len(selection.windows) > 1:
+                selection = replace(selection, windows=ClipStack(selection.windows[:-1]), bound=np.inf)
+            else:
+                break
         last = self._last
         if last is None or last.windows != selection.windows:
             last = self._made(selection, {} if last is None else last.held)

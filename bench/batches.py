@@ -1,0 +1,99 @@
+"""Patches of ``bdam`` that stay on the GPU, on a flight, beside their triangles brought anew in every frame.
+
+    python bench/batches.py [--terrain gabilan] [--method bdam] [--frames 30] [--speed 60] [--tolerance 1.0]
+
+The flight is that of ``bench/roam.py`` (300 m above the ground, 60 frames a second, turning), 1280 × 720; both ways
+draw the same selections. *welded*: all patches in one mesh of shared vertices, packed and brought, as any method's
+triangles are (``surface.meshes``); *resident*: only new patches are brought, and the runs that are drawn
+(``surface.batches``).
+*kB*: brought in the first frame, and in the others (mean, largest). *made*: ms of the CPU from the selection to what
+is drawn. *frame*: ms of a whole frame, until it is drawn. Medians but for the first frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import promise
+from orograph.gpu.device import open_device
+from orograph.lod.selection import TinBatches, TriangleMesh
+from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.surface import ground
+from orograph.rendering.gpu.surface.batches import Batches
+from orograph.rendering.gpu.surface.meshes import packed
+from orograph.scene.scene import Scene
+from roam import flight
+
+SIZE = 1280, 720
+
+
+class Resident(Batches):
+    """As they are, with notes of what is brought and how long it takes."""
+
+    brought: list[int]
+    took: list[float]
+
+    def ready(self, selection: TinBatches, again: Any) -> Any:
+        began = time.perf_counter()
+        made = super().ready(selection, again)
+        self.took.append(1e3 * (time.perf_counter() - began))
+        self.brought.append(self.sent + made.runs.nbytes)
+        return made
+
+
+class Welded(Resident):
+    """As any method's triangles."""
+
+    def ready(self, selection: TinBatches, again: Any) -> Any:
+        began = time.perf_counter()
+        mesh = selection.tessellation()
+        points, corners = packed(mesh)
+        self.took.append(1e3 * (time.perf_counter() - began))
+        self.brought.append(points.nbytes + corners.nbytes)
+        return TriangleMesh(method=selection.method, bound=selection.bound, stats=mesh.stats, mesh=mesh)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
+    parser.add_argument("--terrain", default="gabilan")
+    parser.add_argument("--method", default="bdam")
+    parser.add_argument("--frames", type=int, default=30)
+    parser.add_argument("--speed", type=float, default=60.0)
+    parser.add_argument("--tolerance", type=float, default=1.0)
+    given = parser.parse_args()
+    terrain = promise.terrain_of(given.terrain, given.data)
+    if terrain is None:
+        raise SystemExit(f"{given.terrain} is not there.")
+    device = open_device()
+    views = [view.resized(*SIZE) for view in flight(terrain, given.frames, given.speed)]
+    target = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+    print(f"{given.terrain}, {given.method}, {device.adapter.name}")
+    for name, kind in (("welded", Welded), ("resident", Resident)):
+        kind.brought, kind.took = [], []
+        ground.Batches = kind  # type: ignore[misc]
+        renderer = Renderer(device, terrain)
+        frames, triangles = [], []
+        for view in views:
+            scene = Scene.of(terrain, view, method=given.method, tolerance=given.tolerance, samples=1)
+            began = time.perf_counter()
+            stats = renderer.draw(target.create_view(), "rgba8unorm", scene, wait=True)
+            device.wait()
+            frames.append(1e3 * (time.perf_counter() - began))
+            triangles.append(stats.triangles)
+        renderer.close()
+        rest = [size / 1e3 for size in kind.brought[1:]]
+        print(
+            f"  {name:9} {statistics.mean(triangles):9,.0f} triangles  {kind.brought[0] / 1e3:8,.0f} kB first, then "
+            f"{statistics.mean(rest):8,.1f} (at most {max(rest):8,.1f})  made {statistics.median(kind.took[1:]):6.2f}  "
+            f"frame {statistics.median(frames[1:]):6.1f} ms",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

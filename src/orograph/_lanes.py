@@ -1,0 +1,284 @@
+"""Eight numbers side by side inside kernels: what is done to one of them is done to all, by vector instructions.
+
+LLVM makes vectors of loops by itself only where it can prove that no load meets a store, which it cannot for samples
+looked up here and there. So kernels say it: ``Lanes`` of eight float64 (or int64, or marks: true or false), with
+Python's operators, which numbers join as eight equal ones. Each lane is computed as a number by itself would be, to the
+bit, on every processor: wider vectors than it has are split.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any, cast
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+from orograph._numba import Function, inlined
+
+LANES = 8
+
+
+class Lanes(types.Type):
+    """Numba's type of eight floats, integers or marks."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        super().__init__(name=f"Lanes({kind})")
+
+
+FLOATS, INTS, MARKS = Lanes("float"), Lanes("int"), Lanes("mark")
+
+ELEMENTS = {"float": ir.DoubleType(), "int": ir.IntType(64), "mark": ir.IntType(1)}
+SCALARS = {"float": types.float64, "int": types.int64, "mark": types.boolean}
+
+
+@register_model(Lanes)
+class LanesModel(models.PrimitiveModel):
+    """Held as one of LLVM's vectors."""
+
+    def __init__(self, manager: Any, kind: Lanes) -> None:
+        super().__init__(manager, kind, ir.VectorType(ELEMENTS[kind.kind], LANES))
+
+
+def _spread(builder: Any, value: Any) -> Any:
+    """Eight times the same number."""
+    one = builder.insert_element(ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined), value, _at(0))
+    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+
+
+def _at(lane: int) -> Any:
+    return ir.Constant(ir.IntType(32), lane)
+
+
+def _joined(context: Any, builder: Any, kind: Lanes, value: Any, of: Any) -> Any:
+    """A value as lanes of a kind."""
+    if isinstance(of, Lanes):
+        return value
+    return _spread(builder, context.cast(builder, value, of, SCALARS[kind.kind]))
+
+
+def _operator(function: Any, kinds: dict[Lanes, Callable[[Any, Any, Any], Any]], result: Lanes | None = None) -> None:
+    """Give lanes one of Python's operators; ``kinds``: how each kind does it; ``result``: of which kind (its own)."""
+
+    @infer_global(function)
+    class Operator(AbstractTemplate):
+        def generic(self, args: tuple[Any, ...], kws: object) -> Any:
+            found = {a for a in args if isinstance(a, Lanes)}
+            if len(args) != 2 or len(found) != 1 or not found <= kinds.keys():
+                return None
+            return signature(result or found.pop(), *args)
+
+    def lowered(context: Any, builder: Any, sig: Any, args: tuple[Any, Any]) -> Any:
+        kind = next(a for a in sig.args if isinstance(a, Lanes))
+        a, b = (_joined(context, builder, kind, v, of) for v, of in zip(args, sig.args))
+        return kinds[kind](builder, a, b)
+
+    for pair in ((Lanes, Lanes), (Lanes, types.Number), (types.Number, Lanes)):
+        lower_builtin(function, *pair)(lowered)
+
+
+_operator(operator.add, {FLOATS: lambda b, x, y: b.fadd(x, y), INTS: lambda b, x, y: b.add(x, y)})
+_operator(operator.sub, {FLOATS: lambda b, x, y: b.fsub(x, y), INTS: lambda b, x, y: b.sub(x, y)})
+_operator(operator.mul, {FLOATS: lambda b, x, y: b.fmul(x, y), INTS: lambda b, x, y: b.mul(x, y)})
+_operator(operator.truediv, {FLOATS: lambda b, x, y: b.fdiv(x, y)})
+_operator(operator.and_, {INTS: lambda b, x, y: b.and_(x, y), MARKS: lambda b, x, y: b.and_(x, y)})
+_operator(operator.or_, {MARKS: lambda b, x, y: b.or_(x, y)})
+_operator(operator.xor, {MARKS: lambda b, x, y: b.xor(x, y)})
+_operator(operator.rshift, {INTS: lambda b, x, y: b.ashr(x, y)})
+
+
+def _comparison(function: Any, sign: str) -> None:
+    """Give lanes one of Python's comparisons; with NaN none is true."""
+    kinds: dict[Lanes, Callable[[Any, Any, Any], Any]] = {
+        FLOATS: lambda b, x, y: b.fcmp_ordered(sign, x, y),
+        INTS: lambda b, x, y: b.icmp_signed(sign, x, y),
+    }
+    _operator(function, kinds, MARKS)
+
+
+_comparison(operator.lt, "<")
+_comparison(operator.le, "<=")
+_comparison(operator.gt, ">")
+_comparison(operator.ge, ">=")
+_comparison(operator.eq, "==")
+
+
+@infer_global(operator.invert)
+class _Invert(AbstractTemplate):
+    def generic(self, args: tuple[Any, ...], kws: object) -> Any:
+        return signature(MARKS, MARKS) if args == (MARKS,) else None
+
+
+@lower_builtin(operator.invert, Lanes)
+def _inverted(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    return builder.not_(args[0])
+
+
+def operation(function: Function) -> Function:
+    """A function that kernels call, by what it tells Numba of itself."""
+    return cast(Function, intrinsic(function))
+
+
+@operation
+def spread(typing: Any, value: Any) -> Any:
+    """The same number (or truth) in all lanes."""
+    value = types.unliteral(value)
+    kind = MARKS if value is types.boolean else INTS if isinstance(value, types.Integer) else FLOATS
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        number = context.cast(builder, args[0], value, SCALARS[kind.kind])
+        return _spread(
+            builder, builder.trunc(number, ir.IntType(1)) if kind is MARKS and number.type.width > 1 else number
+        )
+
+    return kind(value), lowered
+
+
+@operation
+def counted(typing: Any) -> Any:
+    """0, 1, … 7 as floats."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return ir.Constant(ir.VectorType(ir.DoubleType(), LANES), [float(k) for k in range(LANES)])
+
+    return FLOATS(), lowered
+
+
+@operation
+def where(typing: Any, marks: Any, yes: Any, no: Any) -> Any:
+    """Lane by lane ``yes`` where marked, else ``no``: lanes, or numbers."""
+    numbers = INTS if isinstance(yes, types.Integer) and isinstance(no, types.Integer) else FLOATS
+    kind = next((k for k in (yes, no) if isinstance(k, Lanes)), numbers)
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(args[0], *(_joined(context, builder, kind, v, of) for v, of in zip(args[1:], (yes, no))))
+
+    return kind(marks, yes, no), lowered
+
+
+@operation
+def some(typing: Any, marks: Any) -> Any:
+    """Whether any lane is marked."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+    return types.boolean(marks), lowered
+
+
+@operation
+def whole(typing: Any, values: Any) -> Any:
+    """Floats as integers, rounded towards zero."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.fptosi(args[0], ir.VectorType(ir.IntType(64), LANES))
+
+    return INTS(values), lowered
+
+
+@operation
+def real(typing: Any, values: Any) -> Any:
+    """Integers as floats."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.sitofp(args[0], ir.VectorType(ir.DoubleType(), LANES))
+
+    return FLOATS(values), lowered
+
+
+@operation
+def gather(typing: Any, array: Any, index: Any) -> Any:
+    """Elements of a flat float32 array, as floats."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        found = ir.Constant(ir.VectorType(ir.FloatType(), LANES), ir.Undefined)
+        for k in range(LANES):
+            place = builder.gep(data, [builder.extract_element(args[1], _at(k))])
+            found = builder.insert_element(found, builder.load(place, align=4), _at(k))
+        return builder.fpext(found, ir.VectorType(ir.DoubleType(), LANES))
+
+    return FLOATS(array, index), lowered
+
+
+@operation
+def corners(typing: Any, array: Any, index: Any, stride: Any) -> Any:
+    """Elements i, i + 1, i + stride and i + stride + 1 of a flat float32 array, as floats."""
+    result = types.UniTuple(FLOATS, 4)
+    twins = ir.VectorType(ir.FloatType(), 2)
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        places = [builder.gep(data, [builder.extract_element(args[1], _at(k))]) for k in range(LANES)]
+        found = []
+        for below in (False, True):
+            parts = []
+            for place in places:
+                here = builder.gep(place, [args[2]]) if below else place
+                parts.append(builder.load(builder.bitcast(here, twins.as_pointer()), align=4))
+            while len(parts) > 1:
+                parts = [_picked(builder, a, b, range(2 * a.type.count)) for a, b in zip(parts[::2], parts[1::2])]
+            for first in (0, 1):
+                half = _picked(builder, parts[0], parts[0], range(first, 2 * LANES, 2))
+                found.append(builder.fpext(half, ir.VectorType(ir.DoubleType(), LANES)))
+        return context.make_tuple(builder, result, found)
+
+    return result(array, index, types.int64), lowered
+
+
+def _picked(builder: Any, a: Any, b: Any, order: range) -> Any:
+    """Elements of two vectors in an order."""
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order)))
+
+
+@operation
+def load(typing: Any, array: Any, index: Any) -> Any:
+    """Eight elements of a flat float64 array from ``index`` on."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _place(context, builder, array, args, sig)
+        return builder.load(place, align=8)
+
+    return FLOATS(array, index), lowered
+
+
+@operation
+def store(typing: Any, array: Any, index: Any, values: Any) -> Any:
+    """Write eight numbers into a flat array of their kind from ``index`` on."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(args[2], _place(context, builder, array, args, sig), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, index, values), lowered
+
+
+def _place(context: Any, builder: Any, array: Any, args: Any, sig: Any) -> Any:
+    """The address of eight numbers in an array."""
+    data = context.make_array(array)(context, builder, args[0]).data
+    index = context.cast(builder, args[1], sig.args[1], types.int64)
+    place = builder.gep(data, [index])
+    return builder.bitcast(place, ir.VectorType(place.type.pointee, LANES).as_pointer())
+
+
+@inlined
+def least(a: Any, b: Any) -> Any:
+    """The smaller of two, lane by lane."""
+    return where(b < a, b, a)
+
+
+@inlined
+def most(a: Any, b: Any) -> Any:
+    """The larger of two, lane by lane."""
+    return where(b > a, b, a)
+
+
+@inlined
+def size(a: Any) -> Any:
+    """Without their signs."""
+    return where(a < 0.0, 0.0 - a, a)

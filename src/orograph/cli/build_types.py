@@ -1,0 +1,38 @@
+"""What ``orograph build`` takes that is no plain number or word."""
+
+from __future__ import annotations
+
+import click
+
+
+class ErrorKinds(click.ParamType[tuple[str, ...]]):
+    """Kinds of errors with commas between, or "none"; a tuple of their names."""
+
+    name = "KINDS"
+
+    def convert(
+        self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        from orograph.error import KINDS
+
+        if not isinstance(value, str):
+            return value
+        wanted = () if value == "none" else tuple(word.strip() for word in value.split(","))
+        for word in wanted:
+            if word not in KINDS:
+                self.fail(f"{word!r} is none of {', '.join(KINDS)}, none.", param, ctx)
+        return wanted
+
+
+class MaxError(click.ParamType[str | float]):
+    """A number of metres, or a word."""
+
+    name = "METRES"
+
+    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        if value in ("lossless", "auto"):
+            return value
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither lossless, auto nor a number of metres.", param, ctx)

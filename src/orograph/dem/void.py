@@ -1,0 +1,52 @@
+"""How much of a mosaic lies in none of its files: told where it is most of it, refused where that would be built.
+
+What covers a lattice is the area of its members, overlaps counted twice, so the void is at least what is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from orograph.dem.lattice import Lattice
+from orograph.dem.target import ground_spacing
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+
+VOID, MOSTLY = 0.75, 0.9
+"""Parts from which on it is told, and refused."""
+LARGE, HUGE = 1 << 24, 2 << 30
+"""Samples of the whole from which on it is."""
+
+
+def void_of(lattices: Sequence[Lattice], grid: Grid) -> float:
+    """The part of a terrain's grid that lies in no source, at least, 0 to 1."""
+    covered = 0.0
+    for lattice in lattices:
+        rows, cols = lattice.corners[:, 1] - lattice.corners[:, 0], lattice.corners[:, 3] - lattice.corners[:, 2]
+        covered += float((rows * cols).sum()) * ground_spacing(lattice.grid) ** 2
+    return max(0.0, 1.0 - covered / (grid.rows * grid.cols * ground_spacing(grid) ** 2))
+
+
+def told(void: float, grid: Grid) -> str | None:
+    """A warning where most of a large terrain is void; None of others."""
+    if void < VOID or grid.rows * grid.cols < LARGE:
+        return None
+    return f"{_said(void, grid)} (name fewer files, or give a `bbox`)."
+
+
+def check_void(void: float, grid: Grid, meant: bool) -> None:
+    """Raise UsageError where nearly all of a huge terrain is void, unless it was asked for."""
+    if void >= MOSTLY and grid.rows * grid.cols >= HUGE and not meant:
+        raise UsageError(
+            f"{_said(void, grid)}; it would be built for long.",
+            remedy="Name only files that lie together. If it is meant, say how far apart samples are: "
+            f"`resolution={grid.spacing[0]:g}`, or more.",
+        )
+
+
+def _said(void: float, grid: Grid) -> str:
+    return (
+        f"The files lie far apart: {math.floor(1000 * void) / 10:.3g} % of the terrain of {grid.rows:,} × "
+        f"{grid.cols:,} samples that holds them lies in none of them"
+    )

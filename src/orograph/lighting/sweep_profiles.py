@@ -1,0 +1,97 @@
+"""Profiles of lines over a raster: the heights that ``sweep_kernels`` walks along, for one band of steps.
+
+Heights are metres, NaN where missing. A line crosses a step between two samples, or through one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined, kernel
+from orograph.lighting.own_cell import OwnCell
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+@inlined
+def _profile(a: np.float32, b: np.float32, f: np.float32) -> np.float64:
+    """Height between two samples, ``f`` from a to b; a missing one is replaced by the other."""
+    if a != a:
+        return np.float64(b)
+    if b != b:
+        return np.float64(a)
+    return np.float64(a) + (np.float64(b) - np.float64(a)) * f
+
+
+@kernel
+def _gather(
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, line0: int,
+    lines: int, first: int, last: int, profile: F64,
+) -> None:  # fmt: skip
+    """Heights at steps [first, last) of ``lines`` lines from ``line0``: profile (lines, steps), NaN off the raster."""
+    nan = np.float32(np.nan)
+    if lane_stride == 1:  # neighbouring lines lie beside each other in memory
+        for i in range(first, last):
+            lane0, f = line0 + shift[i], part[i]
+            base = start + lane0 + i * step_stride
+            if lane0 >= 0 and lane0 + lines < lanes:
+                if f == 0.0:
+                    for b in range(lines):
+                        profile[b, i] = heights[base + b]
+                else:
+                    for b in range(lines):
+                        profile[b, i] = _profile(heights[base + b], heights[base + b + 1], f)
+            else:
+                for b in range(lines):
+                    j = lane0 + b
+                    p = heights[base + b] if 0 <= j < lanes else nan
+                    q = heights[base + b + 1] if f > 0.0 and 0 <= j + 1 < lanes else nan
+                    profile[b, i] = _profile(p, q, f)
+        return
+    for b in range(lines):
+        for i in range(first, last):
+            j, f = line0 + b + shift[i], part[i]
+            k = start + j * lane_stride + i * step_stride
+            p = heights[k] if 0 <= j < lanes else nan
+            q = heights[k + lane_stride] if f > 0.0 and 0 <= j + 1 < lanes else nan
+            profile[b, i] = _profile(p, q, f)
+
+
+@kernel
+def _gather_diagonal(
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, cell: OwnCell, line0: int,
+    lines: int, first: int, last: int, profile: F64,
+) -> None:  # fmt: skip
+    """As ``_gather``, of lines along cells' diagonals: profile (lines, 2 · steps), samples and what is between them.
+
+    On the side of the light of a sample of odd row + column that is the middle of its cell; of others it is NaN: the
+    surface is straight there.
+    """
+    nan = np.float32(np.nan)
+    at, between = (0, 1) if cell.toward > 0 else (1, 0)
+    for b in range(lines):
+        for i in range(first, last):
+            j = line0 + b + shift[i]
+            k = start + j * lane_stride + i * step_stride
+            inside, beside = 0 <= j < lanes, 0 <= j + cell.side < lanes
+            profile[b, 2 * i + at] = heights[k] if inside else nan
+            middle = np.float64(nan)
+            if inside and beside and i != cell.edge and (cell.odd + j + i) & 1:
+                middle = _profile(
+                    heights[k + cell.side * lane_stride], heights[k + cell.toward * step_stride], np.float32(0.5)
+                )
+            profile[b, 2 * i + between] = middle
+
+
+@inlined
+def fill(heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0, lines, first, last, profile):  # type: ignore[no-untyped-def]
+    """The profiles of lines, with ``cell.points`` places for each step."""
+    if cell.points == 1:
+        _gather(heights, start, lane_stride, step_stride, lanes, shift, part, line0, lines, first, last, profile)
+    else:
+        _gather_diagonal(
+            heights, start, lane_stride, step_stride, lanes, shift, cell, line0, lines, first, last, profile
+        )

@@ -1,0 +1,93 @@
+"""Meshes that only the GPU has, drawn by *runs*: an instance for every ``RUN`` triangles of one mesh, all in one draw.
+
+Meshes stay where they are until there is no more room; then those that are drawn begin a new pool. Frames that still
+draw the last pool hold it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.gpu.recording import write
+from orograph.lod.selection import Selection
+from orograph.rendering.gpu.surface.faces import FacePass
+from orograph.rendering.gpu.surface.left import Left
+from orograph.rendering.gpu.targets import Targets
+from orograph.tessellation import Tessellation
+
+RUN = 64
+"""Triangles of an instance."""
+
+ROOM = 1 << 14
+"""Vertices that the smallest pool has room for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ResidentMeshes(Selection):
+    """Meshes on the GPU.
+
+    Attributes:
+        vertices, corners: buffers. runs: (n,), of the shader's ``Run``. triangles: how many. given: as it was selected.
+    """
+
+    vertices: Any
+    corners: Any
+    runs: NDArray[np.void]
+    triangles: int
+    given: Selection
+
+    def tessellation(self) -> Tessellation:
+        """What is drawn of it, by the CPU."""
+        return self.given.tessellation()
+
+
+def runs_of(dtype: np.dtype[Any], firsts: Any, counts: Any, vertices: Any) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """The runs of meshes, and which mesh each is of.
+
+    Args:
+        dtype: with ``first``, ``count``, ``vertex``. firsts, counts: of the meshes' triangles. vertices: their first.
+    """
+    parts = -(-counts // RUN)
+    of = np.repeat(np.arange(len(counts)), parts)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+    runs = np.zeros(len(of), dtype)
+    runs["first"] = firsts[of] + RUN * number
+    runs["count"] = np.minimum(RUN, counts[of] - RUN * number)
+    runs["vertex"] = vertices[of]
+    return runs, of
+
+
+class RunPass(FacePass):
+    """Draws resident meshes into depth and marks: one draw. Args: as of ``FacePass``; ``runs``: the buffer's layout."""
+
+    def __init__(
+        self, device: Device, shader: str, camera: Any, field: tuple[Any, Any, Any], missing: int,
+        runs: dict[str, Any], **constants: int,
+    ) -> None:  # fmt: skip
+        super().__init__(device, shader, camera, field, missing, [runs], **constants)
+        self._held: tuple[Any, Any, Any] = (None, None, None)
+        self._runs: tuple[Any, Any, int] = (None, None, 0)
+
+    def draw(self, encoder: Any, targets: Targets, selection: ResidentMeshes, left: Left) -> None:
+        """Clear the targets and draw."""
+        vertices, corners, runs = selection.vertices, selection.corners, selection.runs
+        if self._held[0] is not vertices or self._held[1] is not corners:
+            self._held = vertices, corners, self.bind(vertices=vertices, triangles=corners)
+        if self._runs[0] is not runs and len(runs):
+            buffer, room = self._runs[1:]
+            if len(runs) > room:
+                room = 1 << (len(runs) - 1).bit_length()
+                buffer = self.device.buffer(room * runs.itemsize, "VERTEX", "runs of triangles")
+            write(self.device, buffer, runs)
+            self._runs = runs, buffer, room
+        pass_ = self.begin(encoder, targets, left)
+        if len(runs):
+            pass_.set_bind_group(0, self._held[2])
+            pass_.set_vertex_buffer(0, self._runs[1])
+            pass_.draw(3 * RUN, len(runs))
+        pass_.end()

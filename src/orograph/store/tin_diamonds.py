@@ -1,0 +1,193 @@
+"""The TINs of one diamond, made of the marks below it or put together again out of its own.
+
+The vertices on a diamond's legs were decided by the diamonds below, whose hypotenuses these are, and stay; those on its
+hypotenuse move along it only (Cignoni et al. 2003, sec. 3). ``tin_build`` makes level by level of this.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+from orograph.hierarchy import diamonds, triangles
+from orograph.store.terrain import TILE, Heights, Terrain
+from orograph.store.tin_kernels import Work, deviation, new_work, patches, simplify, sizes, triangulate
+from orograph.store.tin_windows import Window, clipped, legs_of
+from orograph.store.tins import EDGE, FINER, SQUARE, Marks, Tins, lattice
+
+LIMIT = 1e-6
+"""Metres: no vertex is inserted for less."""
+
+ROUNDING = 1.0 + 1e-6
+"""What is measured counts as so much more, for crossings nearer to a sample than can be told."""
+
+Integers = NDArray[np.int64]
+Corners = NDArray[np.int32]
+
+MarksOf = Callable[[int, int, int, int, int], Marks]
+"""Gives the marks of an octave in a window: first row, end, first column, end."""
+
+
+class Place:
+    """Where a diamond is: its window, and the window on the raster.
+
+    Args:
+        terrain: the ground. row, col: the diamond. legs: of the finest patches.
+    """
+
+    __slots__ = ("ends", "heights_at", "octave", "window", "x0", "x1", "y0", "y1")
+
+    def __init__(self, terrain: Terrain, row: int, col: int, legs: int) -> None:
+        shape = terrain.grid.shape
+        s, kind = int(diamonds.spacing(row, col)), int(diamonds.kind(row, col))
+        self.octave = s.bit_length() - 1
+        k = lattice(shape, self.octave, legs)
+        step, last = 1 << k, (shape[0] - 1, shape[1] - 1)
+        self.y0, self.x0 = max(row - s, 0), max(col - s, 0)
+        self.y1, self.x1 = min(row + s, last[0]), min(col + s, last[1])
+        i0, j0 = self.y0 >> k, self.x0 >> k
+        self.heights_at = k, i0, -(-self.y1 >> k) + 1, j0, -(-self.x1 >> k) + 1
+        odd = 1 - kind
+        sparse = 1 << (lattice(shape, min(self.octave + odd, terrain.n - 1), legs) - k)
+        self.window = Window(
+            col - self.x0, row - self.y0, s, kind, int(triangles.axis(col, row, s << odd, odd)), self.x1 - self.x0,
+            self.y1 - self.y0, step, sparse, i0, j0,
+        )  # fmt: skip
+        self.ends = np.full((5, 2), np.nan, np.float32)
+        if row + s > last[0] or col + s > last[1]:
+            for edge in range(5):
+                ax, ay, dx, dy, low, high = clipped(self.window, edge)
+                if low <= high:
+                    for side, t in enumerate((low, high)):
+                        y, x = self.y0 + ay + t * dy, self.x0 + ax + t * dx
+                        self.ends[edge, side] = terrain.read(0, y, y + 1, x, x + 1)[0, 0]
+
+    def read(self, terrain: Terrain) -> Heights:
+        """The heights of the window's samples on its lattice."""
+        return np.ascontiguousarray(terrain.read(*self.heights_at))
+
+
+class Workplace(threading.local):
+    """Arrays to work in, of each thread its own."""
+
+    def __init__(self) -> None:
+        self.work: dict[int, Work] = {}
+
+    def room(self, legs: int, marks: Marks) -> Work:
+        """Arrays for a diamond's window."""
+        side = max(legs << (FINER + 1), TILE) + 2  # (windows on the coarsest level are of a tile at most)
+        need = max(2 * legs * legs + 8 * side, int(np.count_nonzero(marks)) + 64)
+        if legs not in self.work or len(self.work[legs].mesh.x) < need:
+            self.work[legs] = new_work(need, side)
+        return self.work[legs]
+
+
+def tins_of(
+    terrain: Terrain, tins: Tins, row: int, col: int, workplace: Workplace
+) -> tuple[NDArray[np.float64], Corners, Corners]:
+    """The TINs of a diamond: vertices (v, 3) column, row, metres; triangles (t, 3) of its top triangles 0 and 1.
+
+    They turn positively in (column, row).
+
+    Raises:
+        OrographError: its marks make no TIN. DamagedChunkError: as ``terrain.read``.
+    """
+    at = Place(terrain, row, col, tins.legs)
+    bit = EDGE if at.window.shape else SQUARE
+    marks = np.ascontiguousarray(tins.marks(at.octave, *at.heights_at[1:]) & bit)
+    work = workplace.room(tins.legs, marks)
+    if triangulate(at.window, work, at.read(terrain), at.ends, marks) < 0:
+        raise OrographError(f"The TINs of the diamond at row {row}, column {col} are none.", path=terrain.name)
+    vertices, first, second = patches(work.mesh)
+    vertices[:, 0] += at.x0
+    vertices[:, 1] += at.y0
+    return vertices, first, second
+
+
+NUMBERS = ("error", "first", "second", "legs", "vertices", "full")
+"""What is found of a diamond: its TINs' error, the triangles of both, vertices on its legs and all, and the triangles
+that full resolution has there."""
+
+
+class Made(NamedTuple):
+    """The TINs of some diamonds.
+
+    Attributes:
+        numbers: (d, 6) float64 (``NUMBERS``). windows: (d, 4) rows and columns of each one's window on its lattice,
+            half-open. chosen: which samples of the windows are vertices, a bit each, whole bytes for each window.
+    """
+
+    numbers: NDArray[np.float64]
+    windows: Integers
+    chosen: NDArray[np.uint8]
+
+
+def below(octave: int, kind: int, legs: int) -> int | None:
+    """The octave whose marks say which vertices lie on the legs of a level's diamonds; None: all samples there do."""
+    if kind == diamonds.SQUARE:
+        return octave
+    return octave - 1 if octave > legs.bit_length() - 1 else None
+
+
+class Maker:
+    """Makes the TINs of diamonds, one by one, from any thread.
+
+    Args:
+        terrain: the ground. legs: of the finest patches.
+        marks: gives those of the levels below.
+    """
+
+    def __init__(self, terrain: Terrain, legs: int, marks: MarksOf) -> None:
+        self.terrain, self.legs, self.marks = terrain, legs, marks
+        self._workplace = Workplace()
+
+    def made(self, rows: Integers, cols: Integers) -> Made:
+        """The TINs of diamonds of one level."""
+        numbers, windows, chosen = np.zeros((len(rows), len(NUMBERS))), np.zeros((len(rows), 4), np.int64), []
+        for d, (row, col) in enumerate(zip(rows.tolist(), cols.tolist())):
+            numbers[d], windows[d], vertices = self._one(row, col)
+            chosen.append(np.packbits(vertices.view(bool)))
+        return Made(numbers, windows, np.concatenate([np.zeros(0, np.uint8), *chosen]))
+
+    def _one(self, row: int, col: int) -> tuple[tuple[float, ...], tuple[int, ...], Marks]:
+        """A diamond's numbers, its window, and its vertices there."""
+        terrain = self.terrain
+        at = Place(terrain, row, col, self.legs)
+        heights = at.read(terrain)
+        marks = np.zeros(heights.shape, np.uint8)
+        self._put_legs(at, marks)
+        given = int(marks.sum())
+        work = self._workplace.room(self.legs, marks)
+        simplify(at.window, work, heights, at.ends, marks, 2 * self.legs**2, LIMIT)
+        count = triangulate(at.window, work, heights, at.ends, marks)
+        if count < 0:
+            raise OrographError(f"The diamond at row {row}, column {col} has no TINs.", path=terrain.name)
+        if at.window.step > 1:
+            heights = terrain.read(0, at.y0, at.y1 + 1, at.x0, at.x1 + 1)
+        error = float(deviation(work.mesh, np.ascontiguousarray(heights))) * ROUNDING
+        first, second, whole = sizes(work.mesh)
+        chosen = marks.astype(bool)
+        numbers = error, int(first), int(second), given, int(chosen.sum()), int(whole)
+        return numbers, at.heights_at[1:], chosen.view(np.uint8)
+
+    def _put_legs(self, at: Place, marks: Marks) -> None:
+        """Mark the vertices on a diamond's legs: of the hypotenuses of those below."""
+        shape, kind = self.terrain.grid.shape, at.window.shape
+        source = below(at.octave, kind, self.legs)
+        if source is None:
+            legs_of(at.window, np.zeros((1, 1), np.uint8), 1, 0, marks)
+            return
+        ratio = 1 << (lattice(shape, at.octave, self.legs) - lattice(shape, source, self.legs))
+        whole = self.terrain.shape(lattice(shape, source, self.legs))
+        spans = [
+            (first * ratio, min((first + count - 1) * ratio, last - 1) + 1)
+            for first, count, last in zip((at.window.first_i, at.window.first_j), marks.shape, whole, strict=True)
+        ]
+        given = np.ascontiguousarray(self.marks(source, *spans[0], *spans[1]))
+        bit = int(EDGE if kind == diamonds.SQUARE else SQUARE)
+        legs_of(at.window._replace(first_i=0, first_j=0), given, ratio, bit, marks)

@@ -1,0 +1,343 @@
+"""``orograph.difference``: how much higher one DEM is than another of the same place."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.cards import Row, extent_rows, one_line
+from orograph.dem.aligned import Aligned, shared
+from orograph.dem.resample import METHODS
+from orograph.dem.target import ground_spacing
+from orograph.dem.undulation import DIRECTIONS, Direction, check_request
+from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of, temporary
+from orograph.geo.grid import Grid
+from orograph.geo.vertical import ELLIPSOIDAL, known_datum
+from orograph.lighting.api import Map
+from orograph.lighting.context import MEMORY
+from orograph.lighting.raster import Band
+from orograph.measuring.differing import Statistics, differ
+from orograph.output import check_folder
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.several import Numbers, numbers
+from orograph.store.given import OF_AREAS, check_names, files_of, source_of, source_of_terrain
+from orograph.store.memory import MemoryTerrain
+from orograph.store.source import HeightSource
+from orograph.store.stored import StoredTerrain
+from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from orograph.rendering.picture import Picture
+
+QUANTILES = (0.05, 0.25, 0.75, 0.95)
+SIDE, LEGEND = 1000, 280
+"""Pixels along the longer side of the ground in a picture, and of what stands beside it."""
+UNITS = {3.28084: "feet", 100.0: "centimetres", 1000.0: "millimetres"}
+"""What heights are in whose numbers are so many times those in metres."""
+CLOSE = 0.02
+"""By how much such a factor may be off."""
+COLORS = "RdBu"
+TIFF = (".tif", ".tiff")
+
+Onto = Literal["first", "second", "finer"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Difference:
+    """How much higher the first of two terrains is than the second.
+
+    Attributes:
+        values: (rows, cols) float32, metres, NaN where one of them has no height.
+        grid: where they lie: a part of one's grid.
+        statistics: what they amount to. first, second: their names.
+        attribution: whom the makers of both want to be named.
+    """
+
+    values: NDArray[np.float32]
+    grid: Grid
+    statistics: Statistics
+    first: str
+    second: str
+    attribution: tuple[str, ...]
+    _ground: Aligned = field(repr=False)
+    _terrain: Terrain | None = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        return f"{self.first} minus {self.second}"
+
+    @property
+    def limit(self) -> float:
+        """A round number of metres that at least 98 % of the differences lie within, on both sides of 0."""
+        largest = max(map(abs, self.statistics.ends))
+        if not 0 < largest < math.inf:
+            return 1.0
+        step = 10.0 ** math.floor(math.log10(largest))
+        return float(f"{next(k for k in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if k * step >= largest * (1 - 1e-6)) * step:g}")
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.values, dtype, copy=copy)
+
+    def to_xarray(self) -> xr.DataArray:
+        """A DataArray (y, x), metres."""
+        return self._map().to_xarray()
+
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draw it on matplotlib's axes, in colours that are white at 0: as ``Map.plot``."""
+        return self._map().plot(ax, **{"cmap": COLORS, "vmin": -self.limit, "vmax": self.limit, **options})
+
+    def render(
+        self, view: Any = "plan", *, limit: float | None = None, progress: Progress | bool | None = None, **options: Any
+    ) -> Picture:
+        """Draw it on the relief of the first terrain, with a legend: red where that is lower, blue where it is higher.
+
+        Args:
+            view: as for ``orograph.render``; "plan": a map. limit: metres at both ends of the scale, whose middle is 0;
+                None: ``self.limit``. progress: as everywhere. options: others of ``orograph.render``.
+
+        Raises: as ``orograph.render``.
+        """
+        from orograph.geovis.data.dataset import Dataset
+        from orograph.rendering.api import render
+
+        if limit is not None and not 0 < limit < math.inf:
+            raise UsageError(f"`limit` is a number of metres above 0, not {limit:g}.")
+        end = self.limit if limit is None else float(limit)
+        heard = reporting(progress)
+        with temporary() as folder:
+            file = Path(folder) / "difference.tif"
+            self._map().save(file)
+            data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name="difference")
+            how = {"size": self._size(), "furniture": True, "title": self.name.replace("_", " "), **options}
+            return render(self._relief(heard, options), view, data=[data], progress=heard, **how)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it: .tif, a Cloud Optimized GeoTIFF in metres; .png, .jpg or .webp, the picture of ``render``.
+
+        Raises:
+            UsageError: another ending. OutputError: the file cannot be written.
+        """
+        out = Path(path)
+        check_output(out)
+        if out.suffix.lower() in TIFF:
+            self._map().save(out)
+        else:
+            self.render().save(out)
+        return out
+
+    def __repr__(self) -> str:
+        return one_line("Difference", self.name, [*extent_rows(self.grid), *self.told()])
+
+    def told(self) -> list[Row]:
+        """Its statistics in words."""
+        s = self.statistics
+        if not s.count:
+            return [("compared", "nothing: no sample is in both")]
+        every = ", ".join(f"{100 * q:g} %: {value:+.3g}" for q, value in s.quantiles)
+        return [
+            ("compared", f"{s.count:,} samples, {_areas(s.area)}" + (f"; {s.missing:,} missing" if s.missing else "")),
+            ("mean", f"mean {s.mean:+.4g} m, median {s.median:+.4g} m"),
+            ("spread", f"rms {s.rms:.4g} m, NMAD {s.nmad:.4g} m"),
+            ("range", f"{s.low:+.4g} to {s.high:+.4g} m" + (f" ({every})" if every else "")),
+            ("gain", f"gain {s.gain:,.4g} m³ on {_areas(s.gain_area)}"),
+            ("loss", f"loss {s.loss:,.4g} m³ on {_areas(s.loss_area)}"),
+            ("net", f"net {s.net:+,.4g} m³"),
+        ]  # fmt: skip
+
+    def _map(self) -> Map:
+        doc = f"height of {self.first} above {self.second}, metres"
+        return Map(self.values[None], self.grid, (Band("difference", "m", doc),))
+
+    def _size(self) -> tuple[int, int]:
+        (across, down), (rows, cols) = self.grid.spacing, self.grid.shape
+        wide, tall = across * cols, down * rows
+        scale = SIDE / max(wide, tall)
+        return max(640, round(wide * scale) + LEGEND), max(480, round(tall * scale))
+
+    def _relief(self, progress: Progress, options: dict[str, Any]) -> Terrain:
+        """The terrain that it is drawn on."""
+        from orograph.dem.mosaic import Mosaic
+        from orograph.store.prepare import of_mosaic
+
+        if self._terrain is not None:
+            return self._terrain
+        how = {k: options[k] for k in ("jobs", "max_memory") if options.get(k) is not None}
+        return of_mosaic(Mosaic([self._ground]), progress=progress, **how)
+
+
+def difference(
+    a: Any, b: Any, output: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None, *,
+    onto: Onto = "first", resampling: str = "bilinear", quantiles: Numbers = QUANTILES, limit: float | None = None,
+    any_vertical: bool = False, to_vertical: Direction | None = None, geoid: str | os.PathLike[str] | None = None,
+    max_memory: Amount = MEMORY, jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
+) -> Difference:  # fmt: skip
+    """The difference of two DEMs of one place, a − b: after and before, a surface and the ground, two products.
+
+    It is taken where both have heights, at the samples of one of them; the other is interpolated there, of files
+    straight from their own samples, averaged first where the grid is coarser. Any size works: it is read in blocks.
+
+    Args:
+        a, b: each whatever ``orograph.terrain`` takes. Where a is higher the difference is above 0, a gain.
+        output: the file to write, or several: .tif, the difference in metres; .png, .jpg, .webp, a picture of it.
+        onto: whose samples are kept: of the "first", the "second", or the "finer" of the two.
+        resampling: of the other: "nearest", "bilinear" or "cubic".
+        quantiles: which of the difference are told, 0 to 1.
+        limit: of a picture, metres at both ends of the colours; None: a round number that 98 % lie within.
+        any_vertical: take heights above different vertical datums as they are; else such are refused.
+        to_vertical: "ellipsoidal" or "orthometric": convert those that are not yet so. geoid: by this grid (a file).
+        max_memory: bytes that heights may take. jobs: threads. The difference depends on neither.
+        progress: hears of it, and of warnings; False: nothing is said.
+        reading: options of ``orograph.terrain``, of both: ``bbox``, ``clip``, ``crs``, ``nodata``… Stores and terrains
+            take only an area. What is to be read in two ways is read before: ``orograph.read``.
+
+    Returns:
+        a ``Difference``: ``values``, ``grid``, ``statistics`` (mean, median, rms, NMAD, quantiles, volumes);
+        ``plot(ax)``, ``render()``, ``save(path)``, ``to_xarray()``.
+
+    Raises:
+        UsageError: they share no ground, are above two vertical datums, or an option makes no sense.
+        ReadError, StoreError: one cannot be read. OutputError: a file cannot be written.
+    """
+    heard, memory = reporting(progress), bytes_of(max_memory) or MEMORY
+    files = [output] if isinstance(output, str | os.PathLike) else list(output or ())
+    outputs = [Path(one) for one in files]
+    for out in outputs:
+        check_output(out)
+        check_folder(out)
+    wanted = numbers(quantiles, "quantiles")
+    if not all(0 <= q <= 1 for q in wanted):
+        raise UsageError(f"`quantiles` are numbers from 0 to 1, not {quantiles!r}.")
+    if onto not in get_args(Onto):
+        raise UsageError(f"`onto` is one of {', '.join(get_args(Onto))}, not {onto!r}.")
+    if resampling not in METHODS:
+        raise UsageError(f"The resampling must be one of {', '.join(METHODS)}, not {resampling!r}.")
+    check_names(reading, "difference")
+    check_request(to_vertical, geoid)
+    said = {**reading, "to_vertical": to_vertical, "geoid": geoid}
+    if resampling != "bilinear":
+        said["resampling"] = resampling
+    first, second = (_read(one, said, heard, _is_built(other)) for one, other in ((a, b), (b, a)))
+    _check_datums(first, second, any_vertical, heard)
+    finer = float(f"{ground_spacing(second.grid):.4g}") < float(f"{ground_spacing(first.grid):.4g}")
+    keeps, other = (second, first) if onto == "second" or (onto == "finer" and finer) else (first, second)
+    window = shared(keeps.grid, other, keeps.name)
+    whole = window == (0, keeps.grid.rows, 0, keeps.grid.cols)
+    one, two = (Aligned(each, keeps.grid, window, resampling) for each in (first, second))
+    values, told = differ(one, two, wanted, max_memory=memory, jobs=jobs, progress=heard)
+    _warn_of_units(told.ratio, first.name, second.name, heard)
+    named = dict.fromkeys((*one.attribution, *two.attribution))
+    terrain = _terrain_of(a) if whole and keeps is first else None
+    made = Difference(values, one.grid, told, first.name, second.name, tuple(named), one, terrain)
+    for out in outputs:
+        if out.suffix.lower() in TIFF:
+            made.save(out)
+        else:
+            made.render(limit=limit, max_memory=memory, jobs=jobs, progress=heard).save(out)
+    return made
+
+
+def check_output(path: Path) -> None:
+    """Raise UsageError unless a difference is written to such a file."""
+    from orograph.rendering.picture import FORMATS
+
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(
+            f"A difference is not written as {path.suffix or 'a file without ending'}.", path=path,
+            remedy="Use .tif for metres, .png, .jpg or .webp for a picture.",
+        )  # fmt: skip
+
+
+def _is_built(given: Any) -> bool:
+    """Whether it is a terrain or a store, which say themselves how they were read."""
+    from orograph.store.detect import is_store
+
+    files = files_of(given)
+    return isinstance(given, Terrain) or (files is not None and len(files) == 1 and is_store(files[0]))
+
+
+def _read(given: Any, said: dict[str, Any], progress: Progress, other_is_built: bool) -> HeightSource:
+    """What one of the two is read by, window by window; no store is made of it."""
+    from orograph.store.stored import open as open_store
+
+    if _is_built(given):
+        if not isinstance(given, Terrain):
+            given = open_store(str((files_of(given) or [])[0]))
+        assert isinstance(given, MemoryTerrain | StoredTerrain)
+        # (What is said of files is meant for the other where that is one.)
+        own = said if other_is_built else {name: said[name] for name in OF_AREAS if name in said}
+        if said.get("to_vertical") is not None and not _is_so(given.vertical, said["to_vertical"]):
+            raise UsageError(
+                f"The heights of {given.name} cannot be converted: it is a terrain already.",
+                remedy="Name the files that it was made of.",
+            )
+        own = {name: value for name, value in own.items() if name not in ("to_vertical", "geoid")}
+        return source_of(given, progress, called="difference", **own) if any(own.values()) else source_of_terrain(given)
+    plain = {name: value for name, value in said.items() if name not in ("to_vertical", "geoid")}
+    found = source_of(given, progress, called="difference", **plain)
+    if said.get("to_vertical") is not None and not _is_so(found.vertical, said["to_vertical"]):
+        found = source_of(given, progress, called="difference", **said)
+    for text in getattr(found, "warnings", ()):
+        progress.warn(f"{found.name}: {text}")
+    return found
+
+
+def _is_so(vertical: str | None, to: Direction) -> bool:
+    """Whether heights are ellipsoidal, or orthometric, already."""
+    if vertical is None:
+        return False
+    return (known_datum(vertical) == ELLIPSOIDAL) == (to == "ellipsoidal")
+
+
+def _check_datums(first: HeightSource, second: HeightSource, any_vertical: bool, progress: Progress) -> None:
+    """Raise UsageError where heights are above two datums; tell where that is not known."""
+    datums = [None if one.vertical is None else known_datum(one.vertical) for one in (first, second)]
+    if None in datums:
+        if datums[0] is not datums[1]:
+            silent, other = (first, second) if datums[0] is None else (second, first)
+            progress.warn(
+                f"{silent.name} does not say above which datum its heights are; they are taken to be above that of "
+                f"{other.name}, {other.vertical}."
+            )
+        return
+    if datums[0] == datums[1] or any_vertical:
+        return
+    raise UsageError(
+        f"The heights of {first.name} are above {first.vertical}, those of {second.name} above {second.vertical}, so "
+        "their difference is not one of the ground.",
+        remedy=f"Convert them with `to_vertical={DIRECTIONS[0]!r}` and a `geoid`, or take them as they are with "
+        "`any_vertical`.",
+    )
+
+
+def _warn_of_units(ratio: float, first: str, second: str, progress: Progress) -> None:
+    for factor, unit in UNITS.items():
+        for found, name in ((ratio, first), (1 / ratio if ratio else 0.0, second)):
+            if abs(found - factor) < CLOSE * factor:
+                progress.warn(
+                    f"The heights of {name} are {found:.3g} times those of the other: they may be in {unit} (say so "
+                    "with `vertical_unit`)."
+                )
+
+
+def _terrain_of(given: Any) -> Terrain | None:
+    """The terrain that was given, if it is one or a store."""
+    from orograph.store.stored import open as open_store
+
+    if isinstance(given, Terrain):
+        return given
+    return open_store(str((files_of(given) or [])[0])) if _is_built(given) else None
+
+
+def _areas(metres2: float) -> str:
+    return f"{metres2 / 1e6:,.4g} km²" if metres2 >= 1e5 else f"{metres2:,.4g} m²"

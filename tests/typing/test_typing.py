@@ -1,0 +1,56 @@
+"""Type checkers find nothing wrong, and nothing unknown, in a user's script that calls every public function."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import orograph
+
+SCRIPT = Path(__file__).with_name("script.py")
+SOURCE = Path(orograph.__file__).parents[1]
+
+
+def test_the_script_uses_all_that_is_public():
+    used = {
+        node.attr for node in ast.walk(ast.parse(SCRIPT.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "orograph"
+    }  # fmt: skip
+    imported = {"Dem", "Grid", "Picture", "Terrain", "View"}
+    of_results = {"Tessellation", "Tour", "Uncertainty"}
+    assert set(dir(orograph)) == used | imported | of_results
+
+
+@pytest.mark.stress
+def test_mypy(tmp_path):
+    pytest.importorskip("mypy")
+    ran = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--config-file=", SCRIPT,
+         f"--cache-dir={tmp_path}"],
+        capture_output=True, text=True, env={**os.environ, "MYPYPATH": str(SOURCE)},
+    )  # fmt: skip
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+@pytest.mark.stress
+def test_pyright(tmp_path):
+    pyright = os.environ.get("PYRIGHT") or shutil.which("pyright")
+    if pyright is None:
+        pytest.skip("pyright is not installed (pip install pyright, or PYRIGHT=its path)")
+    shutil.copy(SCRIPT, tmp_path)
+    settings = {"typeCheckingMode": "strict", "include": [SCRIPT.name], "extraPaths": [str(SOURCE)]}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings))
+    ran = subprocess.run(
+        [pyright, "--pythonpath", sys.executable, "--outputjson"], capture_output=True, text=True, cwd=tmp_path
+    )
+    found = [
+        f"{one['range']['start']['line'] + 1}: {one['message']}" for one in json.loads(ran.stdout)["generalDiagnostics"]
+    ]
+    assert not found, "\n".join(found)
