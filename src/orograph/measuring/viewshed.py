@@ -24,7 +24,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,7 +126,7 @@ class Viewshed:
         return out
 
     def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, float]:
-        """Write a Cloud Optimized GeoTIFF of float32, and tell how much was seen (``summary``).
+        """Write a Cloud Optimized GeoTIFF of float32, and return how much is seen (``summary``).
 
         Raises:
             OutputError: it cannot be written.
