@@ -69,9 +69,9 @@ class Use:
         self.release()
 
 
-def entries(folder: Path | None = None) -> list[Entry]:
-    """What is kept in the cache folder (or another), the longest unused first."""
-    folder = folder or cache_folder()
+def entries() -> list[Entry]:
+    """What is kept in the cache folder, the longest unused first."""
+    folder = cache_folder()
     found = []
     stores = {Path(str(p).removesuffix(".partial")) for p in (*folder.glob("*.oro"), *folder.glob("*.oro.partial"))}
     for path in (*stores, *(folder / IMAGES).glob("*")):
