@@ -156,16 +156,18 @@ _HOMES = {
 """Where each name is: MODULE; MODULE:NAME where it has another name there; MODULE: where it is that module."""
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+if not TYPE_CHECKING:  # (who check types look for names themselves)
 
-        return version("orograph")
-    if name not in _HOMES:
-        raise AttributeError(f"module 'orograph' has no attribute {name!r}{_meant(name)}")
-    module, colon, called = _HOMES[name].partition(":")
-    home = importlib.import_module(module)
-    return home if colon and not called else getattr(home, called or name)
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("orograph")
+        if name not in _HOMES:
+            raise AttributeError(f"module 'orograph' has no attribute {name!r}{_meant(name)}")
+        module, colon, called = _HOMES[name].partition(":")
+        home = importlib.import_module(module)
+        return home if colon and not called else getattr(home, called or name)
 
 
 def _meant(name: str) -> str:

@@ -2,59 +2,34 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import random
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
+from killed_workers import KILLS, killed, until_done
 from test_clusters import SIZES, written
 from test_in_parts import files
 
 from orograph import store
-from orograph.errors import StoreError
-from orograph.store.clusters import workforce
 
 pytestmark = pytest.mark.stress
 
-KILLS = 40
-
 
 def test_killed_workers(tmp_path):
-    pytest.importorskip("distributed")
     dem = written(tmp_path / "a.tif")
     store.build(dem, tmp_path / "whole", **SIZES).close()
-    rng, kills, ended = random.Random(5), [0], threading.Event()
-
-    def killer(local):
-        while not ended.wait(rng.uniform(0.2, 3.0)):
-            pids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
-            if pids:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(rng.choice(pids), signal.SIGKILL)
-                    kills[0] += 1
-
-    with workforce(2, None, 1, 4 << 30, 0) as client:
-        thread = threading.Thread(target=killer, args=(client.cluster,))
-        thread.start()
-        try:
-            for trial in range(40):
-                target = tmp_path / f"s{trial}"
-                while True:
-                    with contextlib.suppress(StoreError):  # tasks were given up
-                        store.build(dem, target, dask=client, resume=True, **SIZES).close()
-                        break
-                assert files(target) == files(tmp_path / "whole")
-                if kills[0] >= KILLS:
-                    break
-        finally:
-            ended.set()
-            thread.join()
+    with killed(5) as (client, kills):
+        for trial in range(40):
+            target = tmp_path / f"s{trial}"
+            until_done(lambda at=target: store.build(dem, at, dask=client, resume=True, **SIZES).close())
+            assert files(target) == files(tmp_path / "whole")
+            if kills[0] >= KILLS:
+                break
     print(f"{kills[0]} kills, {trial + 1} times from beginning to end")
     assert kills[0] >= KILLS
 

@@ -63,10 +63,10 @@ class KubeCluster(LocalCluster):
         (mount,) = pod["containers"][0]["volumeMounts"]
         assert [volume["name"] for volume in pod["volumes"]] == [mount["name"]]
         assert pod["volumes"][0]["persistentVolumeClaim"] == {"claimName": "claim"}
-        super().__init__(n_workers=1, threads_per_worker=1)
+        super().__init__(n_workers=2, threads_per_worker=1)
 
     def scale(self, count):
-        super().scale(2)
+        return super().scale(min(count, 2))
 """,
 }
 """What stands for packages that need a cloud: clusters of this machine, which look at what they are asked for."""

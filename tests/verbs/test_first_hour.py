@@ -146,3 +146,13 @@ def test_areas_and_pictures_that_are_given_otherwise(dem):
     with pytest.raises(UsageError, match=r"This writes an \.npz\. .*`output`"):
         mesh.save("mesh.ply", dem.grid)
     assert repr(orograph.View((1 / 3, 0, 9), (0, 0, 1))).startswith("View(eye=(0.333, 0.0, 9.0), target=")
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "meant"),
+    [("measure", "profil", "orograph.measure.profile"), ("camera", "arround", "orograph.camera.around")],
+)
+def test_names_that_modules_do_not_have(module, name, meant):
+    with pytest.raises(AttributeError, match=f"Did you mean {meant}"):
+        getattr(getattr(orograph, module), name)
+    assert not hasattr(getattr(orograph, module), "zzzz")

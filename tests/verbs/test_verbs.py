@@ -22,7 +22,7 @@ import orograph
 from orograph.cli import VERBS, cli
 from orograph.cli.scenes import DETAILS
 from orograph.cli.wording import spoken
-from orograph.errors import UsageError
+from orograph.errors import OutputError, UsageError
 from orograph.geo import Grid
 from orograph.lighting.context import MORE, Options
 from orograph.progress import Progress
@@ -155,7 +155,7 @@ def test_synth(tmp_path: Path) -> None:
     np.testing.assert_array_equal(made.heights, orograph.read(tmp_path / "cli.tif").heights)
     file = orograph.synth(tmp_path / "own.tif", size="33x41", seed=3, compress="none")
     assert isinstance(file, Path) and file.read_bytes() == (tmp_path / "cli.tif").read_bytes()
-    with pytest.raises(UsageError, match="overwrite=True"):
+    with pytest.raises(OutputError, match="overwrite=True"):
         orograph.synth(file)
 
 

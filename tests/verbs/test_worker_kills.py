@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import random
 import shutil
-import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from affine import Affine
+from killed_workers import KILLS, killed, until_done
 from pyproj import CRS
 
 import orograph
 from orograph import store
-from orograph.errors import StoreError
 from orograph.geo.grid import Grid
 from orograph.lighting.context import Options
-from orograph.store.clusters import workforce
 from orograph.store.source import ArraySource
 
 pytestmark = pytest.mark.stress
-
-KILLS = 40
 
 
 @pytest.fixture
@@ -43,40 +34,6 @@ def terrain(tmp_path):
 
 def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-@contextlib.contextmanager
-def killed(seed):
-    """A cluster of two workers, of which one is killed after every random time; and how many were."""
-    pytest.importorskip("distributed")
-    rng, kills, ended, began = random.Random(seed), [0], threading.Event(), time.monotonic()
-
-    def killer(local, longest):
-        while not ended.wait(rng.uniform(0.1, 1.0) * longest):
-            pids = [nanny.pid for nanny in local.workers.values() if nanny.pid]
-            if pids:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(rng.choice(pids), signal.SIGKILL)
-                    kills[0] += 1
-
-    with workforce(2, None, 1, 4 << 30, 0) as client:
-        start = time.monotonic() - began  # on a busy machine workers take long to come back
-        thread = threading.Thread(target=killer, args=(client.cluster, 1.5 * start))
-        thread.start()
-        try:
-            yield client, kills
-        finally:
-            ended.set()
-            thread.join()
-
-
-def until_done(work):
-    """Run it again as long as tasks are given up."""
-    while True:
-        try:
-            return work()
-        except StoreError as error:
-            assert "given up" in str(error)
 
 
 def test_a_bake(terrain, tmp_path):

@@ -41,7 +41,7 @@ from orograph.store.clusters import Cluster
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.layers import PARTIAL, LayerRecord
-from orograph.store.parts import pack, unpack
+from orograph.store.parts import pieces, unpack
 from orograph.store.storage import FolderStorage
 from orograph.store.stored import open as open_store
 from orograph.store.workshop import guarded
@@ -327,12 +327,12 @@ class SweepStage(Stage[bool]):
             for index, hulls in part.sweep(shop.context.heights, self._handed(part, spot), add, 1, SWEEP // 2):
                 left |= hulls.packed(index)
             if left:
-                storage.put(self._hulls(spot), [pack(left)])
+                storage.put(self._hulls(spot), pieces(left))
         folder = folder_of(self.group, self.way)
         for square in shop.squares(window):
             r0, r1, c0, c1 = square
             own = slice(None), slice(r0 - window[0], r1 - window[0]), slice(c0 - window[2], c1 - window[2])
-            storage.put(shop.square(folder, square), [pack({str(k): sums[own] for k, sums in canvases.items()})])
+            storage.put(shop.square(folder, square), pieces({str(k): sums[own] for k, sums in canvases.items()}))
         storage.put(self.key(spot), [b"all of its sums are there"])
         return True
 

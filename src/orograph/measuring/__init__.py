@@ -12,6 +12,9 @@ Points are (easting, northing) in the terrain's CRS, or with ``lonlat=True`` (lo
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from orograph.errors import absent
 from orograph.measuring.area import Area, area
 from orograph.measuring.flood import flood
 from orograph.measuring.height_error import HeightError
@@ -45,3 +48,9 @@ __all__ = [
     "slope_aspect",
     "viewshed",
 ]
+
+
+if not TYPE_CHECKING:  # (who check types look for names themselves)
+
+    def __getattr__(name: str) -> object:
+        raise absent("orograph.measure", name, __all__)

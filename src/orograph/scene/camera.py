@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import NothingInViewError, UsageError
+from orograph.errors import NothingInViewError, UsageError, absent
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside, place
 from orograph.scene.parts import check_exaggeration
@@ -368,3 +369,9 @@ def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
         return default
     height = Caster.of(np.ascontiguousarray(patch), 1).surface(col - c0, row - r0)
     return height if math.isfinite(height) else default
+
+
+if not TYPE_CHECKING:  # (who check types look for names themselves)
+
+    def __getattr__(name: str) -> object:
+        raise absent("orograph.camera", name, ("whole", "around", "standing", "plan"))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import os
 import queue
 import signal
@@ -43,6 +44,9 @@ EACH = 8
 
 PAUSE = 0.5
 """Seconds before workers are told again."""
+
+COUNTING = 1.0
+"""Seconds after which workers are counted again."""
 
 SILENCE = 60.0
 """Seconds without a scheduler after which the build ends."""
@@ -135,9 +139,23 @@ def _loop_apart() -> Iterator[Any]:
         runner.stop()
 
 
+LOST = (OSError, AttributeError)
+"""What a client of Dask raises whose scheduler is gone (it has none any more while it tries to connect again)."""
+
+
 def threads_of(client: Any) -> int:
-    """Threads of all workers there are now, at least 1."""
-    return max(1, int(sum(client.nthreads().values())))
+    """Threads of all workers there are now, at least 1.
+
+    Raises:
+        StoreError: the scheduler is gone.
+    """
+    try:
+        return max(1, int(sum(client.nthreads().values())))
+    except LOST as error:
+        raise StoreError(
+            "The scheduler of the cluster is gone.",
+            remedy="See that one runs, and do the same again (a build with `resume=True`): what was done is kept.",
+        ) from error
 
 
 def levels_of(client: Any, shape: Shape, shard: int) -> int:
@@ -203,7 +221,7 @@ class Cluster:
             try:
                 self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
                 break
-            except OSError as error:  # a worker has died while it was told; others may not have been
+            except LOST as error:  # a worker has died while it was told; others may not have been
                 if not left:
                     raise StoreError(
                         f"The workers of the cluster cannot be reached: {error}.", remedy="See that they run."
@@ -242,7 +260,7 @@ class _Round:
         self.done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.begun: Counter[Spot] = Counter()
         self.given_up: dict[Spot, str] = {}
-        self.heard = time.monotonic()
+        self.heard, self.counted, self.threads = time.monotonic(), -math.inf, 1
 
     def go(self) -> None:
         """Do them."""
@@ -263,7 +281,9 @@ class _Round:
 
     def _fill(self) -> bool:
         """Begin tasks as far as there is room; whether any are under way."""
-        room = AHEAD * threads_of(self.client) - len(self.pending)
+        if time.monotonic() - self.counted > COUNTING:  # it is asked of the scheduler, which takes some milliseconds
+            self.threads, self.counted = threads_of(self.client), time.monotonic()
+        room = AHEAD * self.threads - len(self.pending)
         if len(self.given_up) < GIVEN_UP:
             for spot in itertools.islice(self._next(), max(room, 0)):
                 self.begun[spot] += 1
@@ -319,8 +339,9 @@ class _Round:
         """Notice when the scheduler, or every worker, is gone."""
         if self.client.status == "running":
             self.heard = time.monotonic()
-            if not self.client.nthreads():
-                self.task.note("waiting for workers")
+            with contextlib.suppress(*LOST):  # it is noticed the next time
+                if not self.client.nthreads():
+                    self.task.note("waiting for workers")
             return
         if self.client.status == "closed" or time.monotonic() - self.heard > SILENCE:
             raise StoreError(

@@ -28,11 +28,11 @@ ENTRY = 16
 CRC = 4
 
 
-def crc32c(data: bytes) -> int:
-    """The checksum of Zarr's crc32c codec."""
+def crc32c(data: bytes | NDArray[np.uint8], before: int = 0) -> int:
+    """The checksum of Zarr's crc32c codec, of what has the checksum ``before`` and these data behind it."""
     import google_crc32c
 
-    return int(google_crc32c.value(data))
+    return int(google_crc32c.extend(before, data))
 
 
 def digest_of(data: bytes) -> bytes:

@@ -17,13 +17,22 @@ from numpy.typing import NDArray
 from orograph.store.digests import crc32c
 
 
-def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Arrays as bytes: the length of the table of contents, it, all samples, and a checksum over all of them."""
+def pieces(arrays: Mapping[str, NDArray[Any]]) -> list[bytes]:
+    """Arrays as what is written one after the other: the length of the table of contents, it, all samples, and a
+    checksum over all of them. Samples are not copied where they lie in a row."""
     contents = json.dumps([(name, array.dtype.str, array.shape) for name, array in arrays.items()]).encode()
-    data = b"".join(
-        [len(contents).to_bytes(8, "little"), contents, *(np.ascontiguousarray(a).tobytes() for a in arrays.values())]
-    )
-    return data + crc32c(data).to_bytes(4, "little")
+    found: list[Any] = [len(contents).to_bytes(8, "little") + contents]
+    check = crc32c(found[0])
+    for array in arrays.values():
+        samples = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+        check = crc32c(samples, check)
+        found.append(samples)
+    return [*found, check.to_bytes(4, "little")]
+
+
+def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The same as bytes."""
+    return b"".join(pieces(arrays))
 
 
 def unpack(data: bytes) -> dict[str, NDArray[Any]]:
