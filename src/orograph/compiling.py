@@ -1,4 +1,4 @@
-"""How many kernels were compiled, and how long that took: told by ``_numba``, shown by progress.
+"""How many kernels were compiled, and how long that took: counted by ``_numba``, shown by progress.
 
 Compiling happens within whatever needs a kernel first, once on a machine: without this the time would be put down to
 that work. It imports nothing of its own, so that whoever only wants to show it need not load the compiler.
@@ -41,8 +41,8 @@ class Compiling:
         if self._here.depth == 1:
             self._here.began = time.perf_counter()
             self.count += 1
-            for tell in self.changed:
-                tell()
+            for notify in self.changed:
+                notify()
 
     def end(self) -> None:
         """It is compiled."""
@@ -52,7 +52,7 @@ class Compiling:
 
 
 LONG = 4.0
-"""Seconds of compiling that tell of a machine's first run."""
+"""Seconds of compiling that mark a machine's first run."""
 
 COMPILING = Compiling()
 """Of this process."""

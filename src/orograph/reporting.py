@@ -1,7 +1,7 @@
 """Progress that people see: bars in terminals and notebooks (rich), warnings as their place has them.
 
 Functions of the package take ``progress``: a ``Progress``, True or None (``Shown``: bars where somebody looks on, and
-Python's warnings), or False (nothing is said). ``reporting`` tells which.
+Python's warnings), or False (nothing is said). ``reporting`` decides which.
 """
 
 from __future__ import annotations

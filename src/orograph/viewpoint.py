@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
 from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -29,10 +28,16 @@ from orograph.documents import load_object, naming, write
 from orograph.errors import UsageError
 from orograph.geo.chart import AffineChart, Chart
 from orograph.geo.grid import Grid
-from orograph.geo.vectors import Vector, cross, dot, length, unit
+from orograph.geo.vectors import Vector, camera_axes, dot
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
+
+NUMBERS: dict[str, tuple[type[int] | type[float], int]] = {
+    **dict.fromkeys(("eye", "target", "up"), (float, 3)), **dict.fromkeys(("fov_y", "near", "far"), (float, 1)),
+    **dict.fromkeys(("width", "height"), (int, 1)), "part": (int, 4),
+}  # fmt: skip
+"""What the numbers of a VIEW.json are, and how many."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -124,30 +129,8 @@ class View:
         for name in ("eye", "target"):
             if name not in given:
                 raise UsageError(f"The view lacks {name!r}: three numbers.")
-        try:
-            for name in ("eye", "target", "up"):
-                if name in given:
-                    given[name] = tuple(float(v) for v in given[name])
-                    if len(given[name]) != 3:
-                        raise ValueError(name)
-            for name in ("fov_y", "near", "far"):
-                if name in given:
-                    given[name] = float(given[name])
-            for name in ("width", "height"):
-                if name in given:
-                    if float(given[name]) != int(given[name]):
-                        raise ValueError(name)
-                    given[name] = int(given[name])
-            if "part" in given:
-                name = "part"
-                given[name] = tuple(int(v) for v in given[name])
-                if len(given[name]) != 4:
-                    raise ValueError(name)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise UsageError(
-                f"The view's {name} is not a number, or not {'four' if name == 'part' else 'three'} of them: "
-                f"{values.get(name)!r}."
-            ) from error
+        for name in given.keys() & NUMBERS.keys():
+            given[name] = _numbers(name, given[name])
         if values.get("crs") is not None:
             from orograph.geo.transform import transformer
 
@@ -218,7 +201,7 @@ class View:
 
     def plain_axes(self, exaggeration: float = 1.0) -> tuple[Vector, Vector, Vector]:
         """``axes`` in plain numbers, which take a fifth of NumPy's time for so few: cameras move at every frame."""
-        return _axes(self.eye, self.target, self.up, self.projection == "plan", exaggeration)
+        return camera_axes(self.eye, self.target, self.up, self.projection == "plan", exaggeration)
 
     @property
     def distance(self) -> float:
@@ -342,26 +325,20 @@ class View:
         return np.array(self.eye), zero, zero, d0, du, dv
 
 
-@lru_cache(maxsize=16)  # a frame's parts all ask for those of its camera
-def _axes(
-    eye: Vector, target: Vector, up: Vector, plan: bool, exaggeration: float
-) -> tuple[Vector, Vector, Vector]:  # fmt: skip
-    """Right, up and forward of a camera, in stretched space."""
-    (x, y, z), (u, v, w) = eye, target
-    forward = unit((u - x, v - y, (w - z) * exaggeration))
-    if plan:
-        heading = up[0], up[1], 0.0
-        if length(heading) < 1e-9 * max(1.0, length(up)):
-            heading = forward[0], forward[1], 0.0
-        up = heading if length(heading) >= 1e-9 else (0.0, 1.0, 0.0)
-        forward = 0.0, 0.0, -1.0
-    right = cross(forward, up)
-    if length(right) < 1e-9 * length(up):  # looking along up: north is up in the picture
-        right = cross(forward, (0.0, 1.0, 0.0))
-        if length(right) < 1e-9:
-            right = 1.0, 0.0, 0.0
-    right = unit(right)
-    return right, cross(right, forward), forward
+def _numbers(name: str, value: Any) -> Any:
+    """What a VIEW.json says, as the numbers that it must be."""
+    kind, count = NUMBERS[name]
+    try:
+        found = tuple(float(v) for v in (value if count > 1 else (value,)))
+        if len(found) != count or (kind is int and any(v % 1 for v in found)):
+            raise ValueError(name)
+        numbers = tuple(kind(v) for v in found)
+    except (TypeError, ValueError, OverflowError) as error:
+        wanted = {1: "a number", 3: "three numbers", 4: "four whole numbers"}[count]
+        raise UsageError(
+            f"The view's {name} is not {'a whole number' if kind is int and count == 1 else wanted}: {value!r}."
+        ) from error
+    return numbers if count > 1 else numbers[0]
 
 
 @dataclass(frozen=True, slots=True)

@@ -165,7 +165,7 @@ def test_plots(tmp_path, monkeypatch):
     sights = [line_of_sight(t, *ends, e) for t, e in ((terrain, 2.0), (terrain, 900.0), (holed, 2.0))]
     assert [s.visible for s in sights][:2] == [False, True]
     for k, sight in enumerate(sights):
-        save_sight(sight, tmp_path / f"s{k}.png", "Seen?")
+        save_sight(sight, tmp_path / f"s{k}.png")
         with Image.open(tmp_path / f"s{k}.png") as image:
             colors = {tuple(c) for c in np.asarray(image.convert("RGB")).reshape(-1, 3)}
         assert ((198, 47, 29) in colors) == (not sight.visible)  # the mark

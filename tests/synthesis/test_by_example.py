@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +17,7 @@ from click.testing import CliRunner
 
 import orograph
 from orograph.cli.synth import command
-from orograph.errors import UsageError
+from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
 from orograph.synthesis.terrain import ByExample
 
@@ -82,6 +87,64 @@ def test_a_fractal_store(tmp_path: Path) -> None:
     orograph.synth(tmp_path / "hills.oro", size=(90, 70), seed=3, progress=False)
     with orograph.terrain(tmp_path / "hills.oro") as terrain:
         np.testing.assert_array_equal(terrain.read(0, 0, 90, 0, 70), made.heights)
+
+
+KILLED = """
+import importlib, os, signal, sys
+import orograph
+from orograph.dem.synth import Synth
+from orograph.synthesis.terrain import ByExample
+
+importlib.import_module("orograph.store.build").SHARDS = (512,)  # (as an attribute it is the function)
+lidar, store = sys.argv[1:]
+how = {"exemplar": lidar} if lidar else {}
+one, left = ByExample if lidar else Synth, 5
+read = one.read
+
+def killing(self, *window):
+    global left
+    left -= 1
+    if not left:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return read(self, *window)
+
+one.read = killing
+orograph.synth(store, size=(1100, 1030), seed=4, jobs=1, progress=False, **how)
+"""
+
+
+def files(store: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(store)): path.read_bytes() for path in store.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("example", [True, pytest.param(False, marks=pytest.mark.stress)], ids=["example", "fractal"])
+def test_a_killed_store_is_finished_to_the_same_bytes(
+    lidar: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, example: bool
+) -> None:
+    killed, whole, begun = (tmp_path / name for name in ("killed.oro", "whole.oro", "killed.oro.partial"))
+    ended = subprocess.run([sys.executable, "-c", KILLED, str(lidar) if example else "", str(killed)], env=os.environ)
+    assert ended.returncode == -signal.SIGKILL and not killed.exists()
+    made = {name: (begun / name).stat().st_mtime_ns for name in files(begun) if name.startswith("heights/0/")}
+    assert any("/c/" in name for name in made), "nothing was kept of what was done"
+    said = ["-o", str(killed), "--size", "1100x1030", "--seed", "4", *(("--exemplar", str(lidar)) if example else ())]
+    for wrong in (["--seed", "5", "--resume"], ["--size", "1100x1031", "--resume"], ["--overwrite", "--resume"], []):
+        ran = CliRunner().invoke(command, [*said, *wrong], obj=None)
+        assert isinstance(ran.exception, OrographError) and begun.exists(), wrong
+    ran = CliRunner().invoke(command, [*said, "--resume", "-j", "2"], obj=None)
+    assert ran.exit_code == 0, ran.output
+    kept = {name: at for name, at in made.items() if "/c/" in name}
+    assert {name: (killed / name).stat().st_mtime_ns for name in kept} == kept, "what was done is done again"
+    monkeypatch.setattr(importlib.import_module("orograph.store.build"), "SHARDS", (512,))
+    more = {"exemplar": lidar} if example else {}
+    for _ in range(2):  # begins one; and finds it complete
+        assert orograph.synth(whole, size=(1100, 1030), seed=4, resume=True, progress=False, **more) == whole
+        assert files(killed) == files(whole)
+
+
+def test_only_a_store_is_finished(tmp_path: Path) -> None:
+    for output in (None, tmp_path / "a.tif"):
+        with pytest.raises(UsageError, match="Only a store"):
+            orograph.synth(output, size=40, resume=True, progress=False)
 
 
 @pytest.mark.parametrize("name", ["spacing", "relief", "roughness"])

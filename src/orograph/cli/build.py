@@ -270,11 +270,11 @@ def command(
                 err=True,
             )
             raise
-    _tell(terrain, time.perf_counter() - started, as_json, getattr(source, "skipped", ()))
+    _report(terrain, time.perf_counter() - started, as_json, getattr(source, "skipped", ()))
 
 
-def _tell(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequence[str]) -> None:
-    """Tell what was built."""
+def _report(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequence[str]) -> None:
+    """Print what was built, as text or as JSON."""
     from orograph.store.colors import COLORS
 
     grid, size = terrain.grid, terrain.size_bytes
@@ -323,7 +323,7 @@ def _repair(
     ctx: click.Context, dem: tuple[str, ...], store: str, max_memory: int, jobs: int | None, as_json: bool,
     options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Mend a store, and tell what was."""
+    """Repair a store, and print what was repaired."""
     from orograph.store.given import source_of
     from orograph.store.repair import repair
 

@@ -72,6 +72,7 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     help="Compression of the file: zstd takes a third of the space of none, and is read half as fast from memory.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+@click.option("--resume", is_flag=True, help="Finish a store that was begun with the same options and interrupted.")
 @jobs_option
 @click.pass_context
 def command(
@@ -90,6 +91,7 @@ def command(
     ground: str | None,
     compress: str,
     overwrite: bool,
+    resume: bool,
     jobs: int | None,
 ) -> None:
     """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example; or
@@ -97,7 +99,8 @@ def command(
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
     blocks, so any size works in some hundred MiB of memory (a store's build takes up to 1 GiB); the file appears under
-    its name only when it is whole.
+    its name only when it is whole. A store that is interrupted (Ctrl-C, a full disk, a crash) is finished by the same
+    command with --resume, to the same bytes.
 
     \b
     Examples:
@@ -106,11 +109,15 @@ def command(
       orograph synth -o strip.tif --size 2049x8193 --relief 800 --spacing 10
       orograph synth -o like.tif --exemplar lidar.tif --size 8193
       orograph synth -o like.oro --exemplar lidar.tif --size 65537
+      orograph synth -o like.oro --exemplar lidar.tif --size 65537 --resume
       orograph synth -o colours.tif --over dem.tif --exemplar photo.tif --ground lidar.tif
     """
-    check_vacant(output, overwrite)
-    from orograph.verbs.synth import STORE, colours, maker, write
+    from orograph.verbs.synth import STORE, check_resumable, colours, maker, write
 
+    if resume:
+        check_resumable(output)
+    else:
+        check_vacant(output, overwrite)
     if output.suffix.lower() != STORE:
         check_ending("--output", str(output))
     check_outputs({"--output": str(output)}, {"--exemplar": [exemplar], "--over": [over], "--ground": [ground]})
@@ -122,7 +129,13 @@ def command(
         click.echo(f"{output}: colours for {over}, after {exemplar}")
         return
     made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, progress_of(ctx), passes=passes)
-    write(made, output, compress=compress, overwrite=overwrite, jobs=jobs, progress=progress_of(ctx))
+    try:
+        write(made, output, compress=compress, overwrite=overwrite, resume=resume, jobs=jobs, progress=progress_of(ctx))
+    except KeyboardInterrupt:
+        if output.suffix.lower() == STORE:
+            again = "with --resume" + " in place of --overwrite" * overwrite
+            click.echo(f"\n{output} is not complete; run the same command {again} to finish it.", err=True)
+        raise
     rows, cols = made.grid.shape
     apart = " × ".join(f"{metres:g}" for metres in dict.fromkeys(made.grid.spacing))
     click.echo(f"{output}: {rows} × {cols} samples, {apart} m apart, {made.name if exemplar else f'seed {seed}'}")

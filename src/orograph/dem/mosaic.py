@@ -53,7 +53,6 @@ class Mosaic:
         vertical: name of the vertical datum, None if unknown or mixed.
         warnings: what a user should know, full sentences.
         sources: the rasters, in order of precedence within a lattice.
-        height_source: file names, for the store's metadata.
         projection: why the grid has its CRS ("UTM zone 11N", "as the source").
         lossless: whether every sample is a source's own, none interpolated.
         resampling: "nearest", "bilinear" or "cubic".
@@ -115,7 +114,6 @@ class Mosaic:
         self.lossless = all(layer.offset is not None for layer in self._layers)
         others = f" and {len(self.sources) - 1} more" if len(self.sources) > 1 else ""
         self.name = self.sources[0].name + others
-        self.height_source = [Path(getattr(s, "path", s.name)).name for s in self.sources]
         self.dtypes = tuple(sorted({str(getattr(s, "dtype", "float32")) for s in self.sources}))
         self.attribution = tuple(dict.fromkeys(a for s in self.sources for a in getattr(s, "attribution", ())))
         self.vertical = self._one_datum()

@@ -1,4 +1,4 @@
-"""What a survey of diamonds knows of its raster, and the pieces in which it tells what it has found.
+"""What a survey of diamonds knows of its raster, and the pieces in which it reports what it found.
 
 Metres; indices are (row, col) of samples, or entries (i, j) of an octave: the vertex (i·2^k, j·2^k).
 """
@@ -83,7 +83,7 @@ class Rest:
 
     Attributes:
         part: its diamonds of the last octave that blocks finish.
-        sums, states: of that octave's square diamonds (see ``wedgies`` and ``holes``); None where they tell nothing.
+        sums, states: of that octave's square diamonds (see ``wedgies`` and ``holes``); None where they are of no use.
         raw: octave, first entry (i, j), deviations of the block's samples from the octave's coarse triangles.
     """
 

@@ -312,12 +312,12 @@ class Device:
         """A copy of a buffer's content (its usage must have COPY_SRC), one-dimensional."""
         return np.frombuffer(self.queue.read_buffer(buffer), dtype)
 
-    def read_texture(self, texture: Any, dtype: Any, channels: int, *, level: int = 0, layer: int = 0) -> NDArray[Any]:
-        """A copy of a texture's level and layer (usage COPY_SRC): (height, width, channels)."""
-        width, height = max(1, texture.size[0] >> level), max(1, texture.size[1] >> level)
+    def read_texture(self, texture: Any, dtype: Any, channels: int, *, layer: int = 0) -> NDArray[Any]:
+        """A copy of a texture's layer (usage COPY_SRC): (height, width, channels)."""
+        width, height = texture.size[:2]
         row = width * channels * np.dtype(dtype).itemsize
         data = self.queue.read_texture(
-            {"texture": texture, "mip_level": level, "origin": (0, 0, layer)},
+            {"texture": texture, "mip_level": 0, "origin": (0, 0, layer)},
             {"offset": 0, "bytes_per_row": row, "rows_per_image": height},
             (width, height, 1),
         )

@@ -30,7 +30,6 @@ from orograph.lighting.sweep_lines import direction
 from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
-F64 = NDArray[np.float64]
 Measure = Literal["sky-view", "sky-view-slope", "visible-sky"]
 
 

@@ -21,7 +21,6 @@ import datetime
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,13 +66,6 @@ class Sun:
         """Unit vector (east, north, up) towards the sun."""
         a, h = math.radians(self.azimuth), math.radians(self.altitude)
         return math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)
-
-
-class SunSource(Protocol):
-    """What ``--sun`` means before it is known where the terrain lies."""
-
-    def over(self, grid: Grid) -> Sun:
-        """The sun over a terrain's grid; UsageError where that cannot be said."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,7 +105,8 @@ class Resources:
 
     Attributes:
         max_memory: bytes of tiles in memory. jobs: threads; None: all processors.
-        progress: hears of what takes long. color: colour errors, for methods that refine by colour (``lod.field``).
+        progress: hears of what takes long. color: colour errors, for methods that refine by colour (``lod.field``), or
+            colours (``Method.samples_colored``).
 
     Raises:
         UsageError: the number of threads makes no sense.
@@ -161,6 +162,8 @@ class Method(ABC):
     """
 
     info: ClassVar[MethodInfo]
+    samples_colored: ClassVar[bool] = False
+    """Whether it wants colours of samples (``geovis.color_errors.Colors``) where others want errors of diamonds."""
 
     def __init__(
         self, terrain: Terrain, options: Any = None, resources: Resources | None = None, **given: Any

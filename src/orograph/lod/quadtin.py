@@ -13,6 +13,7 @@ Metres, pixels.
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -25,6 +26,7 @@ from orograph.errors import UsageError
 from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
+from orograph.lod.quadtin_colors import color_errors
 from orograph.lod.quadtin_pass import activate, leaves_of, strip_of
 from orograph.lod.quadtin_tree import Hierarchy, Resident
 from orograph.lod.right_triangles import Pass, by_tolerance
@@ -41,7 +43,7 @@ BYTES_PER_TRIANGLE = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuadTinOptions:
-    """Options of ``quadtin``."""
+    """Options of all methods on a QuadTIN."""
 
     finest: float = option(
         0.0, "How far the finest triangles may be from the points' surface, or the raster's; 0: a sixteenth of the "
@@ -55,6 +57,16 @@ class QuadTinOptions:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColoredOptions(QuadTinOptions):
+    """Options of ``quadtin``."""
+
+    color_tolerance: float | None = option(
+        None, "Refine also where coarser triangles would change colours by more (CIELAB; 2.3 is just seen), down to "
+        "the finest triangles.", unit="ΔE", least=0.0,
+    )  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -95,12 +107,18 @@ class QuadTin(Method):
 
     info = MethodInfo(
         "quadtin", "a restricted quadtree's triangles over irregular points", "Pajarola, Antonijuan & Lario 2002",
-        "triangles", QuadTinOptions, lambda options: True,
+        "triangles", ColoredOptions, lambda options: True,
     )  # fmt: skip
+
+    samples_colored = True
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         check_surface(self.terrain)
+        gamma = getattr(self.options, "color_tolerance", None)
+        if gamma is not None and not hasattr(self.resources.color, "colors"):
+            raise UsageError("A color tolerance needs colours.", remedy="Give those of samples with the resources.")
+        self.color_tolerance: float = math.inf if gamma is None else gamma
         self.truth = "points" if has_points(self.terrain) else "raster"
         what = {"finest": self.options.finest, "split": self.options.split}
         if self.terrain.has("quadtin", **what):
@@ -112,7 +130,8 @@ class QuadTin(Method):
                 self.terrain, **what, jobs=resources.jobs, progress=resources.progress, max_memory=resources.max_memory
             )
         self._resident = Resident(
-            source, self.terrain.grid, self.resources.max_memory, self.terrain.name, self._needs_all
+            source, self.terrain.grid, self.resources.max_memory, self.terrain.name,
+            self._needs_all or gamma is not None,
         )  # fmt: skip
         self._last = Pass()
         self._prepare()
@@ -148,6 +167,9 @@ class QuadTin(Method):
         """Room for a refinement."""
         self._prepared = self.tree
         count = len(self.tree.vertices)
+        self._colors = np.zeros(count, np.float32)
+        if self.color_tolerance < math.inf:
+            self._colors = color_errors(self.tree, self.terrain.grid.shape, self.resources.color.colors)
         self._active, self._met = np.zeros(count, np.uint8), np.zeros(count + 1, np.int32)
         self._stack, self._leaves = np.empty(count + 1, np.int32), np.empty(1 << 12, np.int32)
         self._depth = np.empty((1024, 2), np.int32)
@@ -192,7 +214,7 @@ class QuadTin(Method):
         lens = self._lens(camera, tolerance)
         if self._resident.follow(lens, self.options.cull) is not self._prepared:
             self._prepare()
-        active = activate(lens, self.options.cull, self.tree, self._active, self._met, self._stack)
+        active = activate(lens, self.options.cull, self.tree, self._colors, self._active, self._met, self._stack)
         while True:
             count, bound = leaves_of(lens, self.tree, self._active, self._leaves, self._depth)
             if count >= 0:
@@ -200,7 +222,7 @@ class QuadTin(Method):
             self._leaves = np.empty(2 * len(self._leaves), np.int32)
 
     def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
-        return camera_parameters(camera, tolerance=tolerance)
+        return camera_parameters(camera, tolerance=tolerance, color_tolerance=self.color_tolerance)
 
     def _mesh(self, found: Refined, stats: dict[str, Any]) -> Tessellation:
         """The triangles of a mesh, its vertices numbered, with its strip."""

@@ -9,7 +9,15 @@ shares a side with the one before, so they are one generalised strip (Pajarola 1
 from __future__ import annotations
 
 from orograph._numba import inlined, kernel
-from orograph.error.screen import ANISOTROPIC, anisotropic_exceeds, outside, sphere_bound, to_camera, triangle_bound
+from orograph.error.screen import (
+    ANISOTROPIC,
+    anisotropic_exceeds,
+    color_exceeds,
+    outside,
+    sphere_bound,
+    to_camera,
+    triangle_bound,
+)
 from orograph.store.quadtin_build import LIVE
 
 FIRST = 4
@@ -37,10 +45,11 @@ def parts_needed(camera, cull, centres, radii, errors, out):
 
 
 @kernel
-def activate(camera, cull, tree, active, met, stack):
+def activate(camera, cull, tree, colors, active, met, stack):
     """Mark the active vertices; how many there are.
 
     Args:
+        colors: (v,) float32, color errors, ΔE.
         active: (v,) uint8, of the last time, cleared by its marks in ``met``. met: (v,) int32, vertices that were
             looked at; its first entry is their number. stack: (v,) int32.
     """
@@ -58,7 +67,8 @@ def activate(camera, cull, tree, active, met, stack):
         v = stack[depth]
         col, row, z = tree.vertices[v, 0], tree.vertices[v, 1], tree.vertices[v, 2]
         r = tree.radius[v] * camera.stretch
-        split, _ = anisotropic_exceeds(camera, col, row, z, tree.error[v], r)
+        split, w = anisotropic_exceeds(camera, col, row, z, tree.error[v], r)
+        split = split or color_exceeds(camera, colors[v], w, r)
         seen = True
         if cull and split:
             gone, _ = outside(camera, col, row, z, r, 0)

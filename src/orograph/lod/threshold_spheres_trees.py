@@ -27,9 +27,6 @@ mixed, −1: never split, NaN: not yet known; 1 if the metric has no such sphere
 RADIANS = 2.0**-34
 """Radians per unit of turn."""
 
-FAR = np.int64(1) << 60
-"""The way at which what never changes is due."""
-
 
 class Frame(NamedTuple):
     """What a frame is about, beside the camera.

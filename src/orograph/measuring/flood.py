@@ -38,7 +38,6 @@ from orograph.progress import Progress
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 
-State = NDArray[np.uint8]
 Window = tuple[int, int, int, int]
 
 CERTAIN = HeightError()

@@ -20,23 +20,17 @@ from orograph.measuring.viewshed import Viewshed
 from orograph.output import check_folder
 
 Values = NDArray[np.float32]
-Color = tuple[int, int, int, int]
-
 SEEN, HIDDEN = (255, 176, 0, 165), (38, 44, 74, 120)
 """Red, green, blue and opacity: seen ground is as if lit, hidden ground as if in the dark."""
 MOST = 36_000_000
 """Texels of the image."""
 
 
-def save_paint(
-    shed: Viewshed, blocks: Iterable[tuple[int, int, Values]], path: str | os.PathLike[str],
-    seen: Color = SEEN, hidden: Color = HIDDEN,
-) -> None:  # fmt: skip
+def save_paint(shed: Viewshed, blocks: Iterable[tuple[int, int, Values]], path: str | os.PathLike[str]) -> None:
     """Write a GeoTIFF of red, green, blue, opacity.
 
     Args:
         blocks: of the viewshed, in any order (``Viewshed.blocks``).
-        seen, hidden: sRGB and opacity, 0 to 255. What is not known stays as it is.
 
     Raises:
         OutputError: it cannot be written.
@@ -48,7 +42,7 @@ def save_paint(
     while (rows // step) * (cols // step) > MOST:
         step *= 2  # blocks begin at multiples of 256
     image = np.zeros((4, -(-rows // step), -(-cols // step)), np.uint8)
-    palette = np.array([(0, 0, 0, 0), hidden, seen], np.float32)
+    palette = np.array([(0, 0, 0, 0), HIDDEN, SEEN], np.float32)
     palette[:, :3] *= palette[:, 3:] / 255.0  # means are of colours times opacity
     for row, col, values in blocks:
         code = np.where(np.isnan(values), 0, 1 + (values <= 0 if shed.heights else values > 0))

@@ -35,12 +35,11 @@ def check_plot(path: str | os.PathLike[str]) -> None:
         raise ReadError("Plots need matplotlib, which is not installed.", remedy="pip install 'orograph[sample]'")
 
 
-def save_profile(profile: Profile, path: str | os.PathLike[str], title: str | None = None) -> None:
+def save_profile(profile: Profile, path: str | os.PathLike[str]) -> None:
     """Draw a profile.
 
     Args:
         path: .png, .svg or .pdf.
-        title: above it.
 
     Raises:
         UsageError: another ending. ReadError: matplotlib is not installed. OutputError: the file cannot be written.
@@ -54,10 +53,10 @@ def save_profile(profile: Profile, path: str | os.PathLike[str], title: str | No
             f"+{profile.climb:,.0f} m  −{profile.descent:,.0f} m"]  # fmt: skip
     if profile.missing:
         told.append(f"{_metres(profile.missing)} without data")
-    _finish(figure, axes, profile, unit, scale, title or f"Profile over {profile.places.terrain.name}", told, path)
+    _finish(figure, axes, profile, unit, scale, f"Profile over {profile.places.terrain.name}", told, path)
 
 
-def save_sight(sight: Sight, path: str | os.PathLike[str], title: str | None = None) -> None:
+def save_sight(sight: Sight, path: str | os.PathLike[str]) -> None:
     """Draw a line of sight over its ground; arguments and errors as ``save_profile``."""
     check_plot(path)
     profile = sight.profile
@@ -89,7 +88,7 @@ def save_sight(sight: Sight, path: str | os.PathLike[str], title: str | None = N
     told = ["visible" if sight.visible else f"not visible: a target needs {sight.needed:,.1f} m",
             f"eye {sight.eye:g} m, target {sight.target:g} m above ground",
             "round body, refraction" if sight.bend else "plane"]  # fmt: skip
-    _finish(figure, axes, profile, unit, scale, title or f"Line of sight over {profile.places.terrain.name}", told,
+    _finish(figure, axes, profile, unit, scale, f"Line of sight over {profile.places.terrain.name}", told,
             path)  # fmt: skip
 
 

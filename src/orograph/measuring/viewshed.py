@@ -24,7 +24,7 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,7 +46,6 @@ from orograph.store.terrain import Terrain
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 BLOCK = 256
@@ -127,7 +126,7 @@ class Viewshed:
         return out
 
     def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, float]:
-        """Write a Cloud Optimized GeoTIFF of float32, and tell how much was seen (``summary``).
+        """Write a Cloud Optimized GeoTIFF of float32, and return how much is seen (``summary``).
 
         Raises:
             OutputError: it cannot be written.
@@ -264,11 +263,3 @@ def viewshed(
         terrain.grid.window(row0, row1, col0, col1), row0, col0, (float(points[0][0]), float(points[0][1])), ground,
         float(eye_height), float(target_height), radius, bend, heights, quantum, on_disk, scene,
     )  # fmt: skip
-
-
-def summary(shed: Viewshed, values: Values) -> dict[str, Any]:
-    """How much of a viewshed in memory is seen (see ``Summary.result``)."""
-    told = Summary(shed)
-    for _ in told.over(iter([(0, 0, values)])):
-        pass
-    return told.result()

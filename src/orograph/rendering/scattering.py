@@ -156,8 +156,8 @@ class ManyTimes:
         return np.asarray(grid_lookup(self.table, u, v).reshape(*height.shape, 3))
 
 
-def sky_table(altitude: float, height: float = OBSERVER) -> tuple[Array, Array]:
-    """The sky's smooth parts over directions, for a sun at ``altitude`` (radians), seen from ``height`` km.
+def sky_table(altitude: float) -> tuple[Array, Array]:
+    """The sky's smooth parts over directions, for a sun at ``altitude`` (radians), seen from ``OBSERVER`` km.
 
     Returns:
         air (ELEVATIONS, AZIMUTHS, 3): radiance scattered by air once, by anything more than once;
@@ -171,7 +171,7 @@ def sky_table(altitude: float, height: float = OBSERVER) -> tuple[Array, Array]:
     cosine = 1.0 - 2.0 * np.linspace(0.0, 1.0, AZIMUTHS)[None, :] ** 2
     sun, beside = np.sin(altitude), np.cos(altitude)
     towards = z * sun + np.sqrt(1.0 - z * z) * cosine * beside
-    r = GROUND + height
+    r = GROUND + OBSERVER
     length = to_top(np.full_like(towards, r), np.broadcast_to(z, towards.shape))
     edges = np.linspace(0.0, 1.0, 33) ** 2
     depth = np.zeros((*towards.shape, 3))

@@ -51,7 +51,7 @@ class Detail:
         return f"detail beyond the data is invented, after {called}"
 
 
-def detail_of(value: Any, terrain: Any = None) -> Detail | None:
+def detail_of(value: Any) -> Detail | None:
     """Detail as users give it: a ``Detail``, a text (``Detail.parse``), True for fractal detail, False or None.
 
     Raises:

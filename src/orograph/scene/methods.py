@@ -79,12 +79,15 @@ def made(
         UsageError, StoreError: as ``Choice.make``. ReadError: the image cannot be read.
     """
     if getattr(choice.options, "color_tolerance", None) is not None and resources.color is None:
-        from orograph.geovis.color_errors import ColorErrors
+        from orograph.geovis.color_errors import ColorErrors, Colors
         from orograph.geovis.color_store import stored
+        from orograph.lod.registry import method_of
 
         progress = resources.progress
-        color: Any = stored(terrain, drape, progress=progress)
-        if color is None:
+        color: Any
+        if method_of(choice.info.name).samples_colored:
+            color = Colors(terrain, drape=drape, max_memory=resources.max_memory, progress=progress)
+        elif (color := stored(terrain, drape, progress=progress)) is None:
             with progress.task("Colour errors"):
                 color = ColorErrors(
                     terrain, drape=drape, max_memory=resources.max_memory, jobs=resources.jobs, progress=progress

@@ -139,9 +139,23 @@ def _loop_apart() -> Iterator[Any]:
         runner.stop()
 
 
+LOST = (OSError, AttributeError)
+"""What a client of Dask raises whose scheduler is gone (it has none any more while it tries to connect again)."""
+
+
 def threads_of(client: Any) -> int:
-    """Threads of all workers there are now, at least 1."""
-    return max(1, int(sum(client.nthreads().values())))
+    """Threads of all workers there are now, at least 1.
+
+    Raises:
+        StoreError: the scheduler is gone.
+    """
+    try:
+        return max(1, int(sum(client.nthreads().values())))
+    except LOST as error:
+        raise StoreError(
+            "The scheduler of the cluster is gone.",
+            remedy="See that one runs, and do the same again (a build with `resume=True`): what was done is kept.",
+        ) from error
 
 
 def levels_of(client: Any, shape: Shape, shard: int) -> int:
@@ -207,7 +221,7 @@ class Cluster:
             try:
                 self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
                 break
-            except OSError as error:  # a worker has died while it was told; others may not have been
+            except LOST as error:  # a worker has died while it was told; others may not have been
                 if not left:
                     raise StoreError(
                         f"The workers of the cluster cannot be reached: {error}.", remedy="See that they run."
@@ -325,8 +339,9 @@ class _Round:
         """Notice when the scheduler, or every worker, is gone."""
         if self.client.status == "running":
             self.heard = time.monotonic()
-            if not self.client.nthreads():
-                self.task.note("waiting for workers")
+            with contextlib.suppress(*LOST):  # it is noticed the next time
+                if not self.client.nthreads():
+                    self.task.note("waiting for workers")
             return
         if self.client.status == "closed" or time.monotonic() - self.heard > SILENCE:
             raise StoreError(

@@ -71,7 +71,7 @@ def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSo
 
 
 def opened(files: list[str], options: dict[str, Any], progress: Progress = SILENT) -> HeightSource:
-    """The source of which ``recipe`` told these files and options: points, or rasters.
+    """The source of these files and options (``recipe`` lists them): points, or rasters.
 
     Raises:
         ReadError: a file cannot be read.

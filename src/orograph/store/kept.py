@@ -69,9 +69,9 @@ class Use:
         self.release()
 
 
-def entries(folder: Path | None = None) -> list[Entry]:
-    """What is kept in the cache folder (or another), the longest unused first."""
-    folder = folder or cache_folder()
+def entries() -> list[Entry]:
+    """What is kept in the cache folder, the longest unused first."""
+    folder = cache_folder()
     found = []
     stores = {Path(str(p).removesuffix(".partial")) for p in (*folder.glob("*.oro"), *folder.glob("*.oro.partial"))}
     for path in (*stores, *(folder / IMAGES).glob("*")):
@@ -85,13 +85,13 @@ def entries(folder: Path | None = None) -> list[Entry]:
     return sorted(found, key=lambda entry: (entry.used, entry.path))
 
 
-def make_room(progress: Progress = SILENT, folder: Path | None = None) -> None:
+def make_room(progress: Progress = SILENT) -> None:
     """Remove what was used longest ago until the cache keeps within ``cache_limit``; what is in use stays.
 
     Raises:
         UsageError: ``OROGRAPH_CACHE_SIZE`` is no size.
     """
-    limit, kept = cache_limit(), entries(folder)
+    limit, kept = cache_limit(), entries()
     total, removed, freed = sum(entry.size for entry in kept), 0, 0
     for entry in kept:
         if total - freed <= limit:

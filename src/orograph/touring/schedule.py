@@ -14,14 +14,11 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.touring.keys import Key
 from orograph.touring.ways import Curve, OrbitWay, Pace, SplineWay, Way, ZoomWay
 from orograph.viewpoint import View
-
-Array = NDArray[np.float64]
 
 RAMP = 1.0
 """Seconds in which a tour with a speed reaches it from rest."""

@@ -25,9 +25,6 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from orograph.documents import load_object, naming, number, write
 from orograph.errors import UsageError
 from orograph.flight import SAME, Flight
@@ -38,8 +35,6 @@ from orograph.touring.keys import INHERITED, SETTINGS, Key
 from orograph.touring.schedule import Schedule
 from orograph.touring.ways import Way
 from orograph.viewpoint import View
-
-Array = NDArray[np.float64]
 
 DEFAULT_FPS = 30.0
 MOST_FRAMES = 1_000_000

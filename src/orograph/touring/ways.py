@@ -211,12 +211,11 @@ def _wide(view: View) -> float:
     return view.pixel_metres * view.width
 
 
-def zoom_path(w0: float, w1: float, u1: float, rho: float = RHO) -> Callable[[float], tuple[float, float]]:
+def zoom_path(w0: float, w1: float, u1: float) -> Callable[[float], tuple[float, float]]:
     """The optimal path between two views of a map (van Wijk & Nuij 2003, section 4).
 
     Args:
         w0, w1: what is seen across the first and the last view, metres. u1: from the one's middle to the other's.
-        rho: the more, the more the way leads up.
 
     Returns:
         part of the way (0 to 1, even perceived speed) → (part of u1 covered, what is seen across, metres).
@@ -227,17 +226,17 @@ def zoom_path(w0: float, w1: float, u1: float, rho: float = RHO) -> Callable[[fl
             return part, w0 * (w1 / w0) ** part
 
         return zoomed
-    r2 = rho * rho
+    r2 = RHO * RHO
 
     def ends(w: float, sign: float) -> float:
         b = (w1 * w1 - w0 * w0 + sign * r2 * r2 * u1 * u1) / (2 * w * r2 * u1)
         return -math.asinh(b)  # ln(−b + √(b² + 1))
 
     r0, r1 = ends(w0, 1.0), ends(w1, -1.0)
-    length = (r1 - r0) / rho
+    length = (r1 - r0) / RHO
 
     def path(part: float) -> tuple[float, float]:
-        r = rho * part * length + r0
+        r = RHO * part * length + r0
         # cosh r0 tanh r − sinh r0, without the cancellation of large numbers
         moved = w0 / r2 * math.sinh(r - r0) / math.cosh(r)
         return moved / u1, w0 * math.cosh(r0) / math.cosh(r)

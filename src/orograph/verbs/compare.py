@@ -38,7 +38,7 @@ COLUMNS: dict[str, Callable[[Measurement], str]] = {
     "rms px": lambda m: _pixels(m.rms), "largest px": lambda m: _pixels(m.largest),
     "conservative": lambda m: "yes" if m.conservative else "no",
 }  # fmt: skip
-"""What a table of measurements tells of each."""
+"""The columns of a table of measurements, and how each is written."""
 
 SIZE = (1280, 720)
 """Pixels of the usual views."""
@@ -67,7 +67,10 @@ class Comparison(dict[str, Measurement]):
 
     def rows(self) -> list[list[str]]:
         """The table's cells, its heads first."""
-        return [["method", *COLUMNS], *([name, *(tell(m) for tell in COLUMNS.values())] for name, m in self.items())]
+        return [
+            ["method", *COLUMNS],
+            *([name, *(text_of(m) for text_of in COLUMNS.values())] for name, m in self.items()),
+        ]
 
     def __repr__(self) -> str:
         rows = self.rows()

@@ -92,7 +92,7 @@ def doctor() -> Facts:
             "screen": _screen(),
             "cache": str(folder),
             "cache_free_gib": round(shutil.disk_usage(place).free / 2**30, 1),
-            "cache_used_gib": round(sum(entry.size for entry in entries(folder)) / 2**30, 3),
+            "cache_used_gib": round(sum(entry.size for entry in entries()) / 2**30, 3),
             "cache_limit_gib": round(cache_limit() / 2**30, 3),
         }
     )

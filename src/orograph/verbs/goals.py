@@ -42,7 +42,7 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
 
 
 def check_colors(drape: Any, choices: Sequence[Choice]) -> None:
-    """Raise UsageError where an image is given of which nothing is asked."""
+    """Raise UsageError where an image is given that nothing uses."""
     if drape is not None and all(getattr(choice.options, "color_tolerance", None) is None for choice in choices):
         raise UsageError(
             "`drape` is looked at for a method's color-tolerance.",

@@ -1,4 +1,4 @@
-"""What ``orograph.info`` tells of a file of points: how many, where, how dense, how high. It is not triangulated."""
+"""What ``orograph.info`` reports of a file of points: how many, where, how dense, how high. It is not triangulated."""
 
 from __future__ import annotations
 

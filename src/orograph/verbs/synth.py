@@ -42,6 +42,7 @@ def synth(
     ground: Any = None,
     compress: str = "zstd",
     overwrite: bool = False,
+    resume: bool = False,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | Path:
@@ -65,6 +66,8 @@ def synth(
             the file an image, a layer for pictures (``layers=``).
         ground: with ``over``, the heights of what the photo shows.
         compress: of the file: "zstd", "deflate" or "none". overwrite: replace one that is there.
+        resume: finish a store that was begun with the same arguments and interrupted, to the same bytes; begins one if
+            there is none.
         jobs: threads; None: all processors. progress: hears of it; False: nothing is said.
 
     Returns:
@@ -73,9 +76,12 @@ def synth(
     Raises:
         UsageError: an option makes no sense, or the exemplar is no good.
         ReadError: the exemplar cannot be read. OutputError: the file cannot be written, or is there.
+        StoreError: the store cannot be written, or what is to be finished was begun with other arguments.
     """
     path = None if output is None else Path(output)
-    if path is not None:
+    if resume:
+        check_resumable(path)
+    elif path is not None:
         check_vacant(path, overwrite)
     heard = reporting(progress)
     if over is not None or ground is not None:
@@ -84,12 +90,21 @@ def synth(
         return colours(over, exemplar, ground, path, seed, said, compress=compress, jobs=jobs, progress=heard)
     made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, heard, passes=passes)
     if path is not None:
-        write(made, path, compress=compress, overwrite=overwrite, jobs=jobs, progress=heard)
+        write(made, path, compress=compress, overwrite=overwrite, resume=resume, jobs=jobs, progress=heard)
         return path
     rows, cols = made.grid.shape
     if isinstance(made, Synth):
         made.prepare(heard)
     return Dem(made.read(0, rows, 0, cols), made.grid, None, made.name, tuple(getattr(made, "attribution", ())))
+
+
+def check_resumable(path: Path | None) -> None:
+    """Raise UsageError unless what is to be finished is a store."""
+    if path is None or path.suffix.lower() != STORE:
+        raise UsageError(
+            "Only a store can be finished: a file is either whole or not there.", path=path,
+            remedy=f"Leave out `resume`, or write a store ({STORE}).",
+        )  # fmt: skip
 
 
 def maker(
@@ -154,8 +169,9 @@ def colours(
 
 
 def write(
-    made: Synth | ByExample, path: Path, *, compress: str, overwrite: bool, jobs: int | None, progress: Progress
-) -> None:
+    made: Synth | ByExample, path: Path, *, compress: str, overwrite: bool, resume: bool, jobs: int | None,
+    progress: Progress,
+) -> None:  # fmt: skip
     """Write a terrain as a GeoTIFF, or build a store of it (``.oro``).
 
     Raises:
@@ -166,7 +182,7 @@ def write(
 
         if isinstance(made, Synth):
             made.prepare(progress)
-        build(made, path, overwrite=overwrite, jobs=jobs, progress=progress).close()
+        build(made, path, overwrite=overwrite, resume=resume, jobs=jobs, progress=progress).close()
     elif isinstance(made, Synth):
         made.write(path, compress=compress, jobs=jobs, progress=progress)
     else:

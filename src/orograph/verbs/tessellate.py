@@ -106,7 +106,7 @@ def triangulate(
     drape: Any, exaggeration: float, check: bool, output: str | os.PathLike[str] | None, max_memory: int | None,
     jobs: int | None, progress: Progress, **reading: Any,
 ) -> Triangulated:  # fmt: skip
-    """``tessellate``, with all that there is to tell.
+    """``tessellate``, with everything that there is to report.
 
     Args:
         view: gives the camera over the terrain. goals: of which one may be given (``goal_of``).

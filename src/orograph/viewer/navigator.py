@@ -188,11 +188,6 @@ class Navigator:
     def _modifiers(self, modifiers: Collection[str]) -> None:
         self.pace = (FAST if "Shift" in modifiers else 1.0) * (SLOW if "Control" in modifiers else 1.0)
 
-    def release_all(self) -> None:
-        """Forget what is held: the window lost the keyboard."""
-        self.keys.clear()
-        self._drag = None
-
     # ---- time ----------------------------------------------------------------------------------------------------
 
     @property
@@ -247,12 +242,12 @@ class Navigator:
         """The ground in the middle of the picture; where there is none, the view's target."""
         return self.pick(self.view.width / 2, self.view.height / 2) or self.view.target
 
-    def go(self, view: View, seconds: float | None = None) -> None:
+    def go(self, view: View) -> None:
         """Fly to a view (its direction and place; the picture keeps its size)."""
         end = kept_above(view.resized(self.view.width, self.view.height), self.limits, self.exaggeration)
         self.stop()
         start = self._focused()
-        self._glide = Glide(start, end, self.limits, self.exaggeration, seconds), 0.0
+        self._glide = Glide(start, end, self.limits, self.exaggeration), 0.0
 
     def jump(self, view: View) -> None:
         """Be at a view at once."""

@@ -42,8 +42,6 @@ LEVELS = ("height", "above", "depth")
 BELOW = 0.65
 """With which opacity what is below the ground is seen through it, where nothing is said."""
 
-INTRINSIC = ("transparency", "noise", "blur", "saturation", "whiteness", "palette")
-
 Measure = Literal["spread", "ci90"]
 """Uncertainties of the members of an ensemble: their standard deviation (n − 1), or half the width between their 5 %
 and 95 % quantiles (linear between members)."""

@@ -47,8 +47,6 @@ from orograph.lighting.gpu.rings import MISSING, Held, Store
 from orograph.lighting.occlusion import flat_only
 from orograph.lighting.rho import Transmission, transmission
 
-Array = NDArray[np.float64]
-
 TILE = 128
 """Samples along a tile's side."""
 LEVELS = 12

@@ -52,12 +52,11 @@ def axes_of(
 
 
 def camera_of(
-    view: View, terrain: Terrain, exaggeration: float, *, scale: float = 1.0, shift: tuple[float, float] = (0.0, 0.0)
+    view: View, terrain: Terrain, exaggeration: float, *, shift: tuple[float, float] = (0.0, 0.0)
 ) -> NDArray[np.void]:
     """The uniform for a view of a terrain.
 
     Args:
-        scale: pixels of the target per pixel of the view (supersampling).
         shift: where in a pixel its sample lies, pixels from its centre (jitter).
     """
     grid = terrain.grid
@@ -78,7 +77,7 @@ def camera_of(
         a, b, d, e, e / area, -b / area, -d / area, a / area,
         col - math.floor(col), row - math.floor(row), *centre,
         math.floor(col), math.floor(row), grid.cols - 1, grid.rows - 1, high, view.eye[2] - high, near, far,
-        view.width * scale, view.height * scale, plan, pixel, *shift,
+        view.width, view.height, plan, pixel, *shift,
     )  # fmt: skip
     out: NDArray[np.void] = np.frombuffer(packed, CAMERA).reshape(())
     return out

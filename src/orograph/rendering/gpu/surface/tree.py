@@ -54,9 +54,6 @@ SHOWN = 16
 LEAST = 1 << 14
 """Slots that a workgroup of the sum reduction adds up."""
 
-THREADS = 64
-"""Of a workgroup of the update."""
-
 
 class Paged(Protocol):
     """Pages of diamonds (``stream.diamonds.DiamondPages``)."""

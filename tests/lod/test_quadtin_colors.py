@@ -1,0 +1,77 @@
+"""QuadTIN refined where triangles would change colours: errors against all samples, and the tolerance on a view."""
+
+from __future__ import annotations
+
+import numpy as np
+import plain
+import pytest
+from scipy.ndimage import map_coordinates
+
+from orograph import verify
+from orograph.errors import UsageError
+from orograph.lod.method import Goal, Resources
+from orograph.lod.registry import chosen
+from orograph.scene.camera import whole
+from orograph.viewpoint import Camera
+
+
+class Painted:
+    """Colours of samples: two fields of stripes and a gradient."""
+
+    def __init__(self, shape):
+        i, j = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+        self.lab = np.stack([50 + 30 * np.sin(j / 9), 20 * np.sign(np.sin(i / 13)), 0.1 * (i + j)], -1).astype(
+            np.float32
+        )
+
+    def colors(self, row0, row1, col0, col1):
+        return self.lab[row0:row1, col0:col1]
+
+
+def off_in(triangle, lab):
+    """The largest differences of channels in a triangle (3, 2) of samples, column and row, to what is interpolated."""
+    (ax, ay), (bx, by), (cx, cy) = triangle
+    i, j = np.mgrid[: lab.shape[0], : lab.shape[1]]
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    u = ((j - ax) * (cy - ay) - (i - ay) * (cx - ax)) / area
+    v = ((bx - ax) * (i - ay) - (by - ay) * (j - ax)) / area
+    inside = (u >= 0) & (v >= 0) & (u + v <= 1)
+    at = [map_coordinates(lab[..., k], [[ay, by, cy], [ax, bx, cx]], order=1, mode="nearest") for k in range(3)]
+    wanted = np.stack([p + u * (q - p) + v * (r - p) for p, q, r in at], -1)
+    return np.abs(wanted - lab)[inside].max(0, initial=0.0)
+
+
+def test_color_errors_are_those_of_all_samples_and_saturated():
+    t = plain.terrain(plain.rough(np.random.default_rng(31), (70, 90)))
+    painted = Painted((70, 90))
+    method = chosen("quadtin,color-tolerance=5").make(t, Resources(color=painted))
+    tree, found = method.tree, method._colors
+    own = np.zeros((len(tree.vertices), 3))
+    for node, corners in zip(tree.node, tree.corners):
+        if node >= 0:
+            own[node] = np.maximum(own[node], off_in(tree.vertices[corners, :2], painted.lab))
+    bare = np.sqrt((own**2).sum(1))
+    assert (found >= bare - 1e-4).all() and np.isclose(found.max(), bare.max(), atol=1e-4)
+    for v in range(4, len(found)):
+        assert (found[tree.parents[v]] >= found[v]).all()
+        below = [found[u] for u in tree.nodes[v] if u >= 0]
+        assert found[v] == pytest.approx(max([bare[v], *below]), abs=1e-4)
+
+
+def test_colors_are_kept_down_to_the_finest_triangles():
+    t = plain.terrain(plain.rough(np.random.default_rng(32), (129, 129)))
+    painted, view = Painted((129, 129)), whole(t, (1600, 1200))
+    counts = []
+    for gamma in (40.0, 15.0, 6.0):
+        method = chosen(f"quadtin,color-tolerance={gamma}").make(t, Resources(color=painted))
+        found = method.refined(Camera.over(t.grid, view), Goal(500.0))
+        counts.append(found.triangles)
+        for leaf in found.leaves:
+            if method.tree.node[leaf] >= 0:
+                off = off_in(method.tree.vertices[method.tree.corners[leaf], :2], painted.lab)
+                assert np.sqrt((off**2).sum()) <= gamma + 1e-4
+        mesh = method.select(Camera.over(t.grid, view), Goal(500.0)).tessellation()
+        assert verify.judge_mesh(mesh, t, view).defects == {}
+    assert counts[0] < counts[1] < counts[2]
+    with pytest.raises(UsageError, match="needs colours"):
+        chosen("quadtin,color-tolerance=2").make(t)
