@@ -179,8 +179,3 @@ def test_shapes_that_are_no_region_are_refused(ground, data, tmp_path):
         drawn(ground, data, Focus({"type": "Point", "coordinates": [-2.9, 50.5]}))
     with pytest.raises(UsageError, match="lens, near, or a file"):
         drawn(ground, data, Focus("heights.tif"))
-    pytest.importorskip("wgpu")
-    from orograph.viewer.settings import Settings
-
-    with pytest.raises(UsageError, match="not in the window"):
-        Settings(ground, focus=Focus("lens"))

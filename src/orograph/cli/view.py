@@ -32,9 +32,6 @@ NOT_HERE = (
     "wireframe",
     "mesh_view",
     "detail",
-    "focus",
-    "flight",
-    "ghosts",
 )
 """Options of pictures that the window's panels have, or that are not for a window."""
 

@@ -41,7 +41,17 @@ def blended(
     whole = scene.view.part is None
     bare = replace(scene, variants=())
     picture = draw(bare.but(furniture=False, title=None) if whole else bare)
-    linear = None
+    pixels = mixed(scene, picture, others, warn)
+    if whole and scene.annotations.furniture:
+        pixels = _furnished(scene, picture, pixels, draw)
+    return replace(picture, pixels=pixels, facts={**picture.facts, "description": describe(scene)})
+
+
+def mixed(
+    scene: Scene, picture: Picture, others: Callable[[int], Draw], warn: Callable[[str], None] | None = None
+) -> NDArray[np.uint8]:
+    """The pixels of a scene's picture with its variants; arguments as of ``blended``."""
+    whole, linear = scene.view.part is None, None
     for number, variant in enumerate(scene.variants):
         weight = variant.weight(*_seen(picture))
         if not (weight > LEAST).any():
@@ -59,10 +69,7 @@ def blended(
         part = weight[..., None].astype(np.float32)
         linear = _linear(picture.pixels) if linear is None else linear
         linear = linear * (1 - part) + _linear(other.pixels) * part
-    pixels = picture.pixels if linear is None else np.rint(linear_to_srgb(linear) * 255).astype(np.uint8)
-    if whole and scene.annotations.furniture:
-        pixels = _furnished(scene, picture, pixels, draw)
-    return replace(picture, pixels=pixels, facts={**picture.facts, "description": describe(scene)})
+    return picture.pixels if linear is None else np.rint(linear_to_srgb(linear) * 255).astype(np.uint8)
 
 
 def _nowhere(picture: Picture) -> str:

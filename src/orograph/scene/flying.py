@@ -94,7 +94,7 @@ def _between(value: float, low: float | None, high: float | None) -> float:
     return float(smooth_step(np.array(value - (low + high) / 2), high - low))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Flown(Weight):
     """How much of a scenario shows: as much everywhere.
 

@@ -44,7 +44,7 @@ OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "tit
 """Options that ghosted surfaces share with their scene."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Variant:
     """A scene that shows instead of another one, where, and what its legend says beside names."""
 
@@ -112,11 +112,11 @@ class Scene:
         elif focus is not None:
             there = cls.of(terrain, view, **{**bare, "focus": None, "priority": focus.priority})
             made = replace(made, variants=(Variant(there, focus.over(terrain.grid)),))
-        ghosts = tuple(cls._ghost(made, one) for one in made.theme.ghosts)
+        ghosts = tuple(cls.ghost(made, one) for one in made.theme.ghosts)
         return replace(made, variants=(*made.variants, *ghosts)) if ghosts else made
 
     @classmethod
-    def _ghost(cls, scene: Self, ghost: Ghost) -> Variant:
+    def ghost(cls, scene: Self, ghost: Ghost) -> Variant:
         """Another surface that is seen through."""
         from orograph.scene.ghosts import Seen
 

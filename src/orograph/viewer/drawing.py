@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from orograph.errors import OrographError
 from orograph.gpu.device import Device
-from orograph.scene.aids import interval_of
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
+from orograph.viewer.layered import Others, Standing
 from orograph.viewer.reopening import Coming
 from orograph.viewer.screen import TOO_SLOW, Draft, Screen
 from orograph.viewpoint import View
@@ -87,7 +87,7 @@ class Drawing:
         self.drawn = 0
         self.failed = 0.0
         self.stood: Stood | None = None
-        self._placed: tuple[Any, float, Any] | None = None
+        self._standing, self._others = Standing(), Others(window, make)
         self._told_missing = False
         self._scene: tuple[Any, ...] | None = None
         self._resting = True
@@ -144,7 +144,8 @@ class Drawing:
                 self.screen.view, self.screen.format, scene, overlay=overlay, freeze=settings.frozen
             )  # fmt: skip
             self._stand(scene)
-            self._scene, self._resting = state, bool(self.renderer.resting)
+            rests = self._others.draw(scene, self.renderer, self.screen, {"freeze": settings.frozen})
+            self._scene, self._resting = state, bool(self.renderer.resting) and rests
             self.drawn += 1
             self._drawn_at = time.perf_counter()
             self._slow = self._drawn_at - now > TOO_SLOW
@@ -196,31 +197,15 @@ class Drawing:
             samples=samples,
         )  # fmt: skip
         self._stand(scene)
+        self._others.draw(
+            scene, self.renderer, self.screen, {"freeze": settings.frozen, "wait": True, "samples": samples}
+        )  # fmt: skip
         self._scene = None
 
     def _stand(self, scene: Scene) -> None:
         """Draw what stands over the picture: on its depth, as in pictures."""
-        self.stood, things = None, scene.theme.things
-        gridded = interval_of(scene.annotations.aids, scene.view) is not None
-        if things is None and not gridded:
-            return
-        from orograph.rendering.lines.ground_grid import label, lay_on_bytes
-        from orograph.rendering.standing import places, stand
-
-        pixels, depth = self.screen.pixels(), self.renderer.depth()
-        if gridded:
-            pixels = pixels.copy()
-            lay_on_bytes(scene, pixels, depth)
-        if things is None:
-            self.screen.write(label(scene, pixels))
-            return
-
-        stretch = scene.surface.exaggeration
-        if self._placed is None or self._placed[0] is not things or self._placed[1] != stretch:
-            self._placed = things, stretch, places(things, scene)
-        self.stood = stand(things, pixels, depth, scene, self._placed[2])
-        self.screen.write(label(scene, self.stood.pixels))
-        if self.stood.missing and not self._told_missing:
+        self.stood = self._standing.draw(scene, self.renderer, self.screen)
+        if self.stood is not None and self.stood.missing and not self._told_missing:
             self._told_missing = True
             told = f"{self.stood.missing} place(s) of the data have no ground: nothing stands there."
             self.window.session.messages.say(told)
@@ -254,11 +239,17 @@ class Drawing:
         """Go on with another renderer, of another terrain."""
         if not self.coming:
             self.renderer.close()
+        self._others.close()
         self.renderer, self.stats, self._scene, self._resting, self.failed = renderer, None, None, False, 0.0
-        self.stood = self._placed = None
+        self.stood, self._standing = None, Standing()
         self._trouble = self._making = ""
         for said in (UNREAD, UNDRAWN):
             self.window.session.messages.drop(said)
+
+    def close(self) -> None:
+        """Let go of everything."""
+        self._others.close()
+        self.renderer.close()
 
     def check(self) -> None:
         """Raise wgpu's error if the device is lost: making a buffer says so, writing to one may end the process."""
@@ -280,6 +271,8 @@ class Drawing:
             return  # the same loss, heard of again
         with contextlib.suppress(Exception):  # it is lost anyway
             self.renderer.close()
+        with contextlib.suppress(Exception):
+            self._others.close()
         with contextlib.suppress(Exception):
             window.context.unconfigure()  # lets go of textures of the lost device: nothing is to be shown of them
         window.device.lost = window.device.lost or "lost while drawing"

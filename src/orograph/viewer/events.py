@@ -110,7 +110,7 @@ class Events:
     def _on_close(self, event: dict[str, Any]) -> None:
         self.window.renewal.close()
         self.window.session.close()
-        self.window.drawing.renderer.close()
+        self.window.drawing.close()
 
 
 def _text(event: dict[str, Any]) -> str:

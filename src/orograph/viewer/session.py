@@ -216,12 +216,13 @@ class Session:
         """Let time pass."""
         self.nav.advance(seconds)
         self.settings.sun.advance(seconds)
+        self.settings.variants.advance(self.view, seconds)
 
     @property
     def moving(self) -> bool:
         """Whether time changes the picture."""
         light = self.settings.sun
-        return self.nav.moving or (light.playing and light.mode == "moment")
+        return self.nav.moving or self.settings.variants.moving or (light.playing and light.mode == "moment")
 
     def stretch(self, exaggeration: float, *, hold: bool = True) -> None:
         """Set the exaggeration; who has not left home sees all of the stretched terrain.

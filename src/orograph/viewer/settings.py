@@ -20,13 +20,14 @@ from orograph.geovis.data.standing import Things
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
-from orograph.scene.aids import aids_of
+from orograph.scene.flying import BASE
 from orograph.scene.methods import mesh_choice
 from orograph.scene.parts import OPTIONS, SHINING, check_options, made_of
 from orograph.scene.scene import Scene
 from orograph.scene.theming import themed
 from orograph.store.terrain import Terrain
 from orograph.viewer.data import ShownData
+from orograph.viewer.variants import Variants
 from orograph.viewpoint import View
 
 DEFAULT_TOLERANCE = 1.0
@@ -147,6 +148,7 @@ class Settings:
         budget: triangles to keep near instead of a tolerance, or None.
         method: as in ``Scene``; "auto": patches, the window's own.
         shown: data, what comes first of them, and their times; None: there are none.
+        variants: focus, flight and ghosted surfaces, drawn over the scene.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
 
@@ -165,6 +167,7 @@ class Settings:
         self.normals: Normals = "computed"
         self.frozen: View | None = None
         self.shown: ShownData | None = None
+        self.variants = Variants()
         self._own: tuple[Layer, ...] = ()
         self._replaced: dict[str, tuple[Any, Any]] = {}
         self.panels = self.furniture = True
@@ -172,19 +175,20 @@ class Settings:
         self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
         self.options |= {"tolerance": DEFAULT_TOLERANCE, "sky": True}
         check_options(options)
-        for name in ("focus", "flight", "ghosts"):
-            if options.get(name):
-                raise UsageError(f"`{name}` is drawn in pictures and films, not in the window.")
-        if (aids := aids_of(options.get("aids"))) is not None and aids.walls:
-            raise UsageError("The aid walls is drawn in pictures and films, not in the window.")
         for name, value in options.items():
             setattr(self, name, made_of(name, value, terrain))
         self.options["layers"] = list(self.options["layers"])
         data, first = self.options["data"], self.options["priority"]
         self.options |= {"data": (), "priority": None}
-        if data or first is not None:
+        if self.flight is not None:
+            if first is not None:
+                raise UsageError("`flight` says which priority holds, and so does `priority`.", remedy="Give one.")
+            first = Priority.parse(BASE)
+        if data or first is not None or (self.aids is not None and self.aids.walls):
             self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
             self.show(terrain)
+        else:
+            self.variants.make(self.options, terrain, PAINTED)
         if options.get("normals") == "auto":
             self.normals = "computed"
 
@@ -200,7 +204,10 @@ class Settings:
         """
         shown = self.shown
         if shown is None:
+            self.variants.make(self.options, terrain, PAINTED)
             return
+        if self.flight is not None and priority is not None:
+            raise UsageError("A flight says which priority holds.", remedy="Open the window without it.")
         before = shown.priority, shown.time
         try:
             shown.priority = priority or shown.priority
@@ -213,7 +220,9 @@ class Settings:
                 if base[name] is new:
                     base[name] = old
             size = PLAYED if shown.playing else PAINTED
-            theme = themed({**base, "data": shown.current(terrain), "priority": shown.priority}, terrain, size)
+            given = {**base, "data": shown.current(terrain), "priority": shown.priority}
+            theme = themed(given, terrain, size)
+            self.variants.make(given, terrain, size)
         except Exception:
             shown.priority, shown.time = before
             raise
@@ -254,9 +263,14 @@ class Settings:
         changed = {"sun": self.sun.sun(terrain), "layers": self.stack, "contours": lines, "depths": depths}
         if self.light not in SHINING:
             changed |= {"lamps": (), "discs": ()}
-        scene = Scene.of(terrain, view, **{**self.options, **changed})
+        if self.shown is not None and self.aids is not None:
+            changed["aids"] = replace(self.aids, walls=False)  # they stand among the things that were made
+        options = {**self.options, **changed, "focus": None, "flight": None, "ghosts": ()}
+        scene = Scene.of(terrain, view, **options)
         things = None if self.shown is None else self.seen() if self.seen is not None else self.shown.things
-        return scene if things is None else replace(scene, theme=replace(scene.theme, things=things))
+        if things is not None:
+            scene = replace(scene, theme=replace(scene.theme, things=things))
+        return self.variants.over(scene, options, self.stack[len(self.layers) :])
 
     def renew(self, terrain: Terrain, before: Grid) -> list[str]:
         """The terrain is another one: what does not stay of what was set over the grid ``before``."""

@@ -33,7 +33,9 @@ def draw(window: Window) -> None:
         imgui.text_wrapped("There are no data: name some as the window is opened.")
         return
     imgui.text_unformatted("what comes first")
-    for name, what in SWITCHES:
+    if told := settings.variants.told:
+        imgui.text_wrapped(f"{told} (as the camera is high and fast)")
+    for name, what in () if told else SWITCHES:
         moved, on = imgui.checkbox(f"{name}##first", getattr(shown.priority, name))
         tip(what)
         if moved:
