@@ -124,6 +124,9 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
         bake(path, ["aperture", "ambient-occlusion"]).close()
         lights = ("none", "aperture", "ao", "relief")
         wall, cpu, command, stages = (dict.fromkeys(lights, np.inf) for _ in range(4))
+        for light in lights:  # kernels are compiled
+            with orograph.open(path) as terrain:
+                orograph.render(terrain, size=(64, 36), sun=(300, 30), light=light)
         for _ in range(rounds):
             for light in lights:
                 begun, used = time.perf_counter(), time.process_time()
@@ -133,7 +136,7 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
                 used = time.process_time() - used
                 if used < cpu[light]:
                     cpu[light], stages[light] = used, picture.facts["seconds"]
-        for _ in range(rounds - 2):
+        for _ in range(max(rounds - 2, 1)):
             for light in lights:
                 begun = time.perf_counter()
                 given = ["render", str(path), "-o", str(Path(folder) / "a.jpg"), "--sun", "300,30", "--light", light]

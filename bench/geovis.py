@@ -183,7 +183,7 @@ def main() -> None:
     for marks in product("+-", repeat=3):
         name = "".join(letter + mark for letter, mark in zip("TDU", marks))
         row(name, data=data, priority=name)
-    for style in (one for one in Style.__args__ if one not in ("arrows", "classes")):  # type: ignore[attr-defined]
+    for style in (one for one in Style.__args__ if one not in ("arrows", "lic", "bivariate", "classes")):  # type: ignore[attr-defined]
         row(f"style {style}", data=data.but(style=style, uncertainty=None))
     plain = data.but(uncertainty=None, style="continuous")
     row("member value p90", data=plain.but(value="p90"))
