@@ -314,5 +314,5 @@ def test_the_verb(tmp_path: Path) -> None:
     assert "40 × 60 samples" in result.output
     with rasterio.open(path) as file:
         assert file.shape == (40, 60)
-    bad = CliRunner().invoke(cli, ["-q", "synth", "-o", str(path), "--crs", "EPSG:4326"])
+    bad = CliRunner().invoke(cli, ["-q", "synth", "-o", str(tmp_path / "new.tif"), "--crs", "EPSG:4326"])
     assert isinstance(bad.exception, UsageError)

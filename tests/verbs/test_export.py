@@ -12,7 +12,7 @@ from pyproj import CRS, Transformer
 
 import orograph
 from orograph.cli import cli
-from orograph.errors import UsageError
+from orograph.errors import OutputError, UsageError
 
 
 def run(*args: object) -> str:
@@ -72,6 +72,6 @@ def test_what_cannot_be_is_told(shared_data: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"\.tif"):
         orograph.export(terrain, tmp_path / "a.png", progress=False)
     (tmp_path / "there.tif").write_text("mine")
-    with pytest.raises(UsageError, match="already"):
+    with pytest.raises(OutputError, match="already"):
         orograph.export(terrain, tmp_path / "there.tif", progress=False)
     assert (tmp_path / "there.tif").read_text() == "mine" and not (tmp_path / "a.tif").exists()
