@@ -32,7 +32,7 @@ EVERYTHING = """
 # The shaders that are included by others and have no entry of their own.
 PARTS = {
     "angles", "aperture", "camera", "cbt_node", "contours", "drawn", "faces", "field", "imagery", "lines", "place",
-    "ray_field", "rays", "rho", "sky", "slopes", "synthesis_plane",
+    "ray_field", "rays", "rho", "runs", "sky", "slopes", "synthesis_plane",
 }  # fmt: skip
 
 

@@ -41,7 +41,7 @@ OWN = ("onto", "resampling", "quantiles", "limit", "any_vertical")
 )  # fmt: skip
 @click.option(
     "--quantiles", metavar="Q[,Q…]", default="0.05,0.25,0.75,0.95", show_default=True,
-    help="Which quantiles of the difference are told.",
+    help="Which quantiles of the difference are printed.",
 )  # fmt: skip
 @click.option(
     "--limit", type=FloatRange(min=0, min_open=True), metavar="METRES",

@@ -25,17 +25,8 @@ KNOTS = 257
 Window = tuple[int, int, int, int]
 
 
-class Readable(Protocol):
+class Readable(Raster, Protocol):
     """A raster that says what of it differs from another."""
-
-    @property
-    def grid(self) -> Grid: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def vertical(self) -> str | None: ...
-
-    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights: ...
 
     def fingerprint(self) -> str: ...
 

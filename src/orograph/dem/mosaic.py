@@ -31,7 +31,7 @@ from orograph.dem.points import heights_at
 from orograph.dem.resample import METHODS
 from orograph.dem.target import choose, ground_spacing, parse_crs
 from orograph.dem.undulation import ConvertedLattice, Direction, Undulation, check_datums, check_request, latitudes_of
-from orograph.dem.void import check_void, told, void_of
+from orograph.dem.void import check_void, void_of, void_warning
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geo.operations import approximation, same_body
@@ -323,7 +323,7 @@ class Mosaic:
                 if text not in seen:
                     seen.add(text)
                     self.warnings.append(text if len(self.sources) == 1 else f"{source.name}: {text}")
-        if len(self.sources) > 1 and (text := told(self.void, self.grid)) is not None:
+        if len(self.sources) > 1 and (text := void_warning(self.void, self.grid)) is not None:
             self.warnings.append(text)
         scale = scale_at_centre(self.grid)
         if self.projection == "as asked for":

@@ -1,6 +1,6 @@
-"""How much of a mosaic lies in none of its files: told where it is most of it, refused where that would be built.
+"""How much of a mosaic lies in none of its files: warned of where it is most of it, refused where that would be built.
 
-What covers a lattice is the area of its members, overlaps counted twice, so the void is at least what is told.
+What covers a lattice is the area of its members, overlaps counted twice, so the void is at least what is said.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 
 VOID, MOSTLY = 0.75, 0.9
-"""Parts from which on it is told, and refused."""
+"""Parts from which on it is warned of, and refused."""
 LARGE, HUGE = 1 << 24, 2 << 30
 """Samples of the whole from which on it is."""
 
@@ -28,7 +28,7 @@ def void_of(lattices: Sequence[Lattice], grid: Grid) -> float:
     return max(0.0, 1.0 - covered / (grid.rows * grid.cols * ground_spacing(grid) ** 2))
 
 
-def told(void: float, grid: Grid) -> str | None:
+def void_warning(void: float, grid: Grid) -> str | None:
     """A warning where most of a large terrain is void; None of others."""
     if void < VOID or grid.rows * grid.cols < LARGE:
         return None

@@ -192,7 +192,7 @@ def difference(
         output: the file to write, or several: .tif, the difference in metres; .png, .jpg, .webp, a picture of it.
         onto: whose samples are kept: of the "first", the "second", or the "finer" of the two.
         resampling: of the other: "nearest", "bilinear" or "cubic".
-        quantiles: which of the difference are told, 0 to 1.
+        quantiles: which of the difference are computed, 0 to 1.
         limit: of a picture, metres at both ends of the colours; None: a round number that 98 % lie within.
         any_vertical: take heights above different vertical datums as they are; else such are refused.
         to_vertical: "ellipsoidal" or "orthometric": convert those that are not yet so. geoid: by this grid (a file).

@@ -24,13 +24,4 @@ fn point(corner: u32, run: Run) -> Point {
   return Point(vec2<i32>(s.col, s.row), between, height);
 }
 
-@vertex
-fn vertex(@builtin(vertex_index) k: u32, run: Run) -> Vertex {
-  let which = k / 3u;
-  if (which >= run.span.y) {
-    var nothing: Vertex;   // all three in one place
-    return nothing;
-  }
-  let at = 3u * (run.span.x + which);
-  return face(k % 3u, point(triangles[at], run), point(triangles[at + 1u], run), point(triangles[at + 2u], run));
-}
+// include: runs.wgsl

@@ -84,6 +84,7 @@ def draw(
         NothingInViewError: no ground is in view.
         UsageError: the picture is larger than the device can draw, or the scene's method is unknown.
     """
+    # (One function, though long: a renderer that is its own is closed whatever part of the work fails.)
     begun = time.perf_counter()
     device = device or open_device()
     view, whole = scene.view, scene.view.part is None
