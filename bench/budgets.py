@@ -41,8 +41,8 @@ def frames(method: Method, views: Sequence[View], goal: Goal) -> np.ndarray:
     for view in views:
         camera = Camera.over(method.terrain.grid, view)
         began = time.thread_time()
-        if method.info.kind == "triangles":
-            mesh, _ = method.mesh(camera, goal)  # type: ignore[attr-defined]
+        if hasattr(method, "mesh"):
+            mesh, _ = method.mesh(camera, goal)
             count, reached = mesh.triangles, mesh.tolerance if mesh.within or method.info.incremental else None
         else:
             selection = method.select(camera, goal)
