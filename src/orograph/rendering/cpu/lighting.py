@@ -237,8 +237,7 @@ class Raytraced:
         normals(gradient, ground.to_world, x * self.strength, shaded)
         pixels = np.stack([np.floor(px * 64), np.floor(py * 64)], 1).astype(np.int64)
         skip = ground.skip(hits, np.arange(n))
-        s = ground.caster.stack
-        around = s.scene, s.ints, s.floats, s.low, s.high, hits.points
+        around = ground.caster.stack.scene, hits.points
         amount = np.empty(n)
         sky_on_hits(*around, true, skip, pixels, ground.to_samples, x, rays, amount)
         share = amount.astype(np.float32)[:, None]
