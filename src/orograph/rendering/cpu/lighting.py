@@ -206,8 +206,8 @@ class Apertures:
         ground, field, relief, x = self.ground, self.field, self.ground.relief, self.scene.surface.exaggeration
         out = np.zeros((len(hits.t), 3), np.float32)
         light_caps(
-            field.pool, field.ints, field.floats, relief.pool, relief.ints, relief.floats, hits.points, hits.width,
-            ground.to_world, x * self.strength, x, *self.tables, self.shine.bounce, ground.linear, out,
+            field.windows, relief.windows, hits.points, hits.width, ground.to_world, x * self.strength, x,
+            *self.tables, self.shine.bounce, ground.linear, out,
         )  # fmt: skip
         if not self.scene.lighting.shadows:
             gradient = relief.gradient(hits.points, hits.width)
