@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.hierarchy.clip_stack import ClipStack
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.store.chunked import Layout
+from orograph.store.terrain import Heights
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
@@ -210,6 +211,8 @@ class ClipRings(Selection):
         blends: of each. seen: of each, (block rows, block cols) bool: which of its blocks of ``block`` × ``block``
             cells, counted from the one with its first sample, are in view.
         block: cells along a side.
+        read: heights of a part of a window, metres, of the moment when it was selected; None: the triangles are not
+            those of whole cells alone, for some are split along missing ground.
         expand: makes the triangles of the rings.
     """
 
@@ -217,6 +220,7 @@ class ClipRings(Selection):
     blends: Sequence[Blend]
     seen: Sequence[NDArray[np.bool_]]
     block: int
+    read: Callable[[Rectangle], Heights] | None
     expand: Any
 
     def tessellation(self) -> Tessellation:
