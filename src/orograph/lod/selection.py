@@ -105,6 +105,27 @@ class PatchSet(Selection):
         return made
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PieceSet(PatchSet):
+    """Instances (``PIECE``) of pieces of square patches, which lie on the terrain: only their heights are their own.
+
+    Attributes:
+        side: lattice points from one side of a patch to the other.
+        clockwise: whether the triangles of topologies have to be turned over to turn as a ``Tessellation``'s do.
+        heights: of some instances (m,) and the number of their topology the heights (m, v) float32 of its points, NaN
+            where there is no ground.
+    """
+
+    side: int
+    clockwise: bool
+    heights: Callable[[NDArray[Any], int], NDArray[np.float32]]
+
+
+PIECE = np.dtype([("row", "<i4"), ("col", "<i4"), ("p", "<i4"), ("turns", "<i4"), ("level", "<i4")])
+"""A piece of a patch: its patch's upper left sample, the exponent of the patch's side, quarters by which it is turned
+clockwise, and the level that its finest vertices are on."""
+
+
 @dataclass(frozen=True, slots=True)
 class TinBatch:
     """A small mesh of its own, which may be between two others.

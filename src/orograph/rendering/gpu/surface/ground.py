@@ -4,9 +4,9 @@ A *surface* draws one kind of selection into depth and marks. The terrain's own 
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
 that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
 is selected, its tree is updated and drawn (``growing``, ``tree``); batches of small meshes stay there (``batches``),
-chunks in few bytes are decoded there first (``chunks``), and heights of a clipmap's rings lie in toroidal textures
-(``clipmap``). All that comes after (light, lines, voids) reads the targets only. A new kind of selection gets its
-surface by a line in ``Ground.surfaces``.
+chunks in few bytes are decoded there first (``chunks``), pieces of patches are instances (``pieces``), and heights of a
+clipmap's rings lie in toroidal textures (``clipmap``). All that comes after (light, lines, voids) reads the targets
+only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from orograph.lod.selection import (
     ClipRings,
     CodedChunks,
     PatchesAndRays,
+    PieceSet,
     RayWindows,
     Selection,
     TinBatches,
@@ -40,6 +41,7 @@ from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
 from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
+from orograph.rendering.gpu.surface.pieces import DrawnPieces, PiecePass, Pieces
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
 from orograph.rendering.gpu.surface.resident import Resident, ResidentMeshes
 from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
@@ -156,6 +158,7 @@ class Ground:
             DecodedChunks: ChunkPass(device, camera, field, absent),
             ResidentMeshes: BatchPass(device, camera, field, absent),
             HeldRings: ClipPass(device, camera, field, absent),
+            DrawnPieces: PiecePass(device, camera, field, absent),
         }
         windows = Windows(device, terrain, most, jobs)
         self._mixer = Mixer(device, terrain, camera, legs, mixed)
@@ -164,6 +167,7 @@ class Ground:
             RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
             CodedChunks: Chunks(device, most).ready, TinBatches: self.batches.ready,
             ClipRings: ready_of(terrain.grid.shape, most),
+            PieceSet: Pieces(device, absent, most).ready,
         }  # fmt: skip
         self._selected = Selected(terrain, own)
         self._growing = Growing(device, terrain, 2 * most, jobs)
