@@ -72,6 +72,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "tree": {"method": "cbt", "wireframe": True},
     "chunks": {"method": "chunked-lod,cells=16,compressed=yes", "wireframe": True},
     "batches": {"method": "bdam,legs=8,geomorph=yes", "wireframe": True},
+    "pieces": {"method": "seamless-patches,segments=8", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
     "cast at breaks": {"method": "raycast,antialias=breaks", "samples": 2},
