@@ -4,7 +4,8 @@ To Dask a task is opaque and a few bytes: the stage, and where (``worker_state``
 process alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a
 bounded number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so
 nothing that is done is lost with a worker, and what is found there is not made again. A task that fails, or whose
-workers die, is tried again; what fails every time is given up, and told when all others are done. """
+workers die, is tried again; what fails every time is given up, and told when all others are done.
+"""
 
 from __future__ import annotations
 
