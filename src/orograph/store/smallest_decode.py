@@ -13,28 +13,31 @@ from typing import Any
 import numpy as np
 
 from orograph._numba import inlined, kernel
-from orograph.store.compact_decode import (
+from orograph.store.codec_head import (
     BITS,
     CUT_OFF,
     DIRECT,
     LEAST,
     MASK,
-    MISSING,
     NEIGHBOURS,
     STREAM,
     TABLES,
     TOTAL,
     UNKNOWN,
-    full_weights,
+    mark_missing,
+    read_mask,
+    read_tables,
+    read_weights,
+    read_words,
+    u16,
+    u32,
+)
+from orograph.store.compact_decode import (
     next_symbol,
     plain_bits,
     predicted,
     ranged,
-    read_mask,
-    read_tables,
-    u16,
-    u32,
-)  # fmt: skip
+)
 
 VERSION = 2
 PARTS = 2  # at most: of a chunk, each decoded by itself
@@ -281,7 +284,7 @@ def decode(data, out):
         data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
 
     Returns:
-        0, or what is wrong (``compact_decode``).
+        0, or what is wrong (``codec_head``).
     """
     rows, cols = out.shape
     if data.size < HEADER:
@@ -302,14 +305,10 @@ def decode(data, out):
     if at + coded * CLASS + 2 * (groups - 1) > data.size:
         return CUT_OFF
     weights, shares = np.zeros((CLASSES, NEIGHBOURS + 1), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
-    given = np.empty(NEIGHBOURS, np.int64)
     for k in range(classes - coded, classes):
-        for i in range(NEIGHBOURS):
-            given[i] = np.int16(u16(data, at + 2 * i))
-        full_weights(given, weights[k])
-        for i in range(SIGNS):
-            shares[k, i] = data[at + 2 * NEIGHBOURS + i]
-        at += CLASS
+        at = read_weights(data, at, weights[k])
+        shares[k] = data[at : at + SIGNS]
+        at += SIGNS
     group_of = np.zeros(STEPS, np.uint8)
     for _ in range(groups - 1):
         for step in range(u16(data, at), STEPS):
@@ -346,9 +345,7 @@ def decode(data, out):
         return STREAM
     words = np.zeros((parts, count.max() + WORDS * cols + 1), np.uint16)
     for k in range(parts):
-        for n in range(count[k]):
-            words[k, n] = np.uint16(u16(data, at + 2 * n))
-        at += 2 * count[k]
+        at = read_words(data, at, words[k, : count[k]])
     lines, sizes = np.empty((PARTS, 3, cols + 4), np.int32), np.zeros((PARTS, 3, cols + 4), np.int32)
     side, halves = np.zeros((PARTS, 2, 9), np.int32), np.empty((2, cols), np.int32)
     bases, signs = np.empty((PARTS, cols), np.int32), np.empty((PARTS, cols), np.int32)
@@ -383,9 +380,5 @@ def decode(data, out):
     for k in range(parts):
         if nexts[k] != count[k] or states[k] != LEAST:
             return STREAM
-    if mode:
-        for row in range(rows):
-            for col in range(cols):
-                if marks[row, col]:
-                    out[row, col] = MISSING
+    mark_missing(marks, out)
     return 0

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import kernel
+from orograph.store.codec_head import (
+    LEAST,
+    MISSING,
+    NEIGHBOURS,
+    SYMBOLS,
+    full_weights,
+)
 from orograph.store.compact_contexts import TOKENS, cost_of, grouped, joined, length, token
-from orograph.store.compact_decode import LEAST, MISSING, NEIGHBOURS, SYMBOLS, full_weights
 from orograph.store.compact_encode import decided_tables, push, push_plain, symbol_of, write_mask, write_tables
 from orograph.store.smallest_decode import (
     BINS,
