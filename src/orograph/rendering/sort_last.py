@@ -43,7 +43,7 @@ from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.parts import Surface as Surfacing
 from orograph.scene.scene import Scene
 from orograph.store.clusters import TRIES, Cluster, check_workers, workers_of, workforce
-from orograph.store.workshop import opened
+from orograph.store.worker_state import opened
 from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
@@ -129,10 +129,10 @@ class Parts:
 
 def ask(ident: str, part: Part, area: Area | None, px: Array | None = None, py: Array | None = None) -> Answer:
     """What a part shows in an area, or at pixel positions; done by a worker."""
-    shop = opened(ident)
-    assert isinstance(shop, Parts)
+    state = opened(ident)
+    assert isinstance(state, Parts)
     began = time.perf_counter()
-    surface = shop.surface(part)
+    surface = state.surface(part)
     first = 0, 0
     if area is None:
         assert px is not None and py is not None

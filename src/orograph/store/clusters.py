@@ -1,10 +1,10 @@
 """Work on the workers of a Dask cluster, of this machine or of many that share a file system (or a bucket).
 
-To Dask a task is opaque and a few bytes: the stage, and where (``workshop`` has what workers do with it). This process
-alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a bounded
-number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so nothing that
-is done is lost with a worker, and what is found there is not made again. A task that fails, or whose workers die, is
-tried again; what fails every time is given up, and told when all others are done.
+To Dask a task is opaque and a few bytes: the stage, and where (``worker_state`` is what workers do with it). This
+process alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a
+bounded number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so
+nothing that is done is lost with a worker, and what is found there is not made again. A task that fails, or whose
+workers die, is tried again; what fails every time is given up, and told when all others are done.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.groups import group_levels
 from orograph.store.terrain import Shape
-from orograph.store.workshop import Done, Recipe, do
+from orograph.store.worker_state import Done, Recipe, do
 
 TRIES = 4
 """How often a task is begun before it is given up; Dask itself moves those of dead workers several times before."""
