@@ -1,11 +1,11 @@
-"""Patches of ``bdam`` that stay on the GPU, on a flight, beside their triangles brought anew in every frame.
+"""Patches that stay on the GPU, on a flight, beside their triangles brought anew in every frame.
 
     python bench/batches.py [--terrain gabilan] [--method bdam] [--frames 30] [--speed 60] [--tolerance 1.0]
 
 The flight is that of ``bench/roam.py`` (300 m above the ground, 60 frames a second, turning), 1280 × 720; both ways
 draw the same selections. *welded*: all patches in one mesh of shared vertices, packed and brought, as any method's
-triangles are (``surface.meshes``); *resident*: only new patches are brought, and the runs that are drawn
-(``surface.batches``).
+triangles are (``surface.meshes``); *resident*: only new patches are brought, or of ``seamless-patches`` the heights of
+new pieces, and the runs that are drawn (``surface.batches``, ``surface.pieces``).
 *kB*: brought in the first frame, and in the others (mean, largest). *made*: ms of the CPU from the selection to what
 is drawn. *frame*: ms of a whole frame, until it is drawn. Medians but for the first frame.
 """
@@ -20,35 +20,36 @@ from typing import Any
 
 import promise
 from orograph.gpu.device import open_device
-from orograph.lod.selection import TinBatches, TriangleMesh
+from orograph.lod.selection import TriangleMesh
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.gpu.surface import ground
 from orograph.rendering.gpu.surface.batches import Batches
 from orograph.rendering.gpu.surface.meshes import packed
+from orograph.rendering.gpu.surface.pieces import Pieces
 from orograph.scene.scene import Scene
 from roam import flight
 
 SIZE = 1280, 720
 
 
-class Resident(Batches):
+class Resident:
     """As they are, with notes of what is brought and how long it takes."""
 
     brought: list[int]
     took: list[float]
 
-    def ready(self, selection: TinBatches, again: Any) -> Any:
+    def ready(self, selection: Any, again: Any) -> Any:
         began = time.perf_counter()
-        made = super().ready(selection, again)
+        made = super().ready(selection, again)  # type: ignore[misc]
         self.took.append(1e3 * (time.perf_counter() - began))
-        self.brought.append(self.sent + made.runs.nbytes)
+        self.brought.append(self.sent + made.runs.nbytes)  # type: ignore[attr-defined]
         return made
 
 
 class Welded(Resident):
     """As any method's triangles."""
 
-    def ready(self, selection: TinBatches, again: Any) -> Any:
+    def ready(self, selection: Any, again: Any) -> Any:
         began = time.perf_counter()
         mesh = selection.tessellation()
         points, corners = packed(mesh)
@@ -75,7 +76,8 @@ def main() -> None:
     print(f"{given.terrain}, {given.method}, {device.adapter.name}")
     for name, kind in (("welded", Welded), ("resident", Resident)):
         kind.brought, kind.took = [], []
-        ground.Batches = kind  # type: ignore[misc]
+        for usual in (Batches, Pieces):
+            setattr(ground, usual.__name__, type(usual.__name__, (kind, usual), {}))
         renderer = Renderer(device, terrain)
         frames, triangles = [], []
         for view in views:

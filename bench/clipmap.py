@@ -6,7 +6,7 @@ mean, 99.9th percentile and largest error (Losasso & Hoppe 2004 claim less than 
 with n = 255). The flight moves an eye at a steady speed over the synthetic terrain and leaps once (the paper's update
 budget of n² samples a frame).
 
-Run: ``python bench/clipmap.py [--views N] [--terrain NAME] [--flight] [--data FOLDER]``.
+Run: ``python bench/clipmap.py [--views N] [--terrain NAME] [--flight | --gpu] [--data FOLDER]``.
 """
 
 from __future__ import annotations
@@ -95,6 +95,61 @@ def fly(options: argparse.Namespace) -> None:
             )
 
 
+def fly_on_gpu(terrain: Terrain) -> None:
+    """A flight drawn on the GPU, by the mesh of every frame and by rings in toroidal textures: bytes, milliseconds.
+
+    A frame is all from the camera to the depth of its pixels; both draw the same frames, in turns.
+    """
+    from orograph.gpu.device import open_device
+    from orograph.lod.selection import TriangleMesh
+    from orograph.rendering.gpu.camera import camera_of
+    from orograph.rendering.gpu.renderer import Renderer
+    from orograph.rendering.gpu.surface.clipmap import HeldRings, ready_of
+    from orograph.rendering.gpu.surface.left import DEPTH_ONLY
+    from orograph.rendering.gpu.surface.meshes import packed
+    from orograph.rendering.gpu.targets import Targets
+
+    device, spacing = open_device(), terrain.grid.spacing[0]
+    renderer = Renderer(device, terrain)
+    ground, camera_buffer, targets = renderer._ground, renderer._camera, Targets(device, 1280, 720)
+    surfaces, ready = ground.surfaces, ready_of(terrain.grid.shape, 1 << 28)
+    methods = {label: chosen("clipmap").make(terrain, Resources()) for label in ("mesh", "rings")}
+    view = View((0, 0, 0), (1, 1, 0), width=1280, height=720)
+    for speed in (0.5, 4.0, 32.0):  # samples a frame
+        told: dict[str, list[tuple[float, ...]]] = {"mesh": [], "rings": []}
+        for frame in range(22):
+            col = 600 + speed * frame
+            x, y = (float(v) for v in terrain.grid.xy(col, 2048 + 0.3 * speed * frame))
+            z = terrain.height_range[1] + 20 * spacing
+            view = View((x, y, z), (x + 3000, y, z - 1500), width=1280, height=720)
+            for label, method in methods.items():
+                device.queue.write_buffer(camera_buffer, 0, camera_of(view, terrain, 1.0))
+                device.wait()
+                began, worked = time.perf_counter(), time.process_time()
+                selection = method.select(Camera.over(terrain.grid, view), Goal(0.0))
+                if label == "mesh":
+                    mesh = selection.tessellation()
+                    drawn = TriangleMesh(method="clipmap", bound=None, mesh=mesh)
+                else:
+                    drawn = ready(selection, None)
+                    assert isinstance(drawn, HeldRings)
+                encoder = device.handle.create_command_encoder()
+                surfaces[type(drawn)].draw(encoder, targets, drawn, DEPTH_ONLY)
+                device.queue.submit([encoder.finish()])
+                device.wait()
+                took = time.perf_counter() - began, time.process_time() - worked
+                came = surfaces[HeldRings].sent if label == "rings" else sum(a.nbytes for a in packed(mesh))
+                told[label].append((came, *took))
+        for label, found in told.items():
+            came, took, worked = np.median(np.array(found[2:]), 0)
+            print(
+                f"{label:6} {speed:5.1f} samples a frame: {came:12,.0f} bytes, {took * 1e3:6.1f} ms, "
+                f"{worked * 1e3:6.1f} ms of processors",
+                flush=True,
+            )
+    renderer.close()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
@@ -103,7 +158,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
     parser.add_argument("--flight", action="store_true", help="the flight and nothing else")
+    parser.add_argument("--gpu", action="store_true", help="a flight drawn on the GPU and nothing else")
     options = parser.parse_args()
+    if options.gpu:
+        terrain = terrain_of("synthetic 4097", options.data)
+        assert terrain is not None
+        fly_on_gpu(terrain)
+        return
     if options.flight:
         fly(options)
         return

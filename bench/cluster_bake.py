@@ -2,7 +2,7 @@
 
     python bench/cluster_bake.py STORE [--azimuths 16]
 
-Tasks are done here, one after the other, by a shop as a worker has it; nothing is put into the store.
+Tasks are done here, one after the other, by a state as a worker has it; nothing is put into the store.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from orograph.lighting.bake import BAKED, _kept, _record
-from orograph.lighting.bake_shop import BakeShop, SweepStage, recipe_of
+from orograph.lighting.bake_state import BakeState, SweepStage, recipe_of
 from orograph.lighting.context import Options
 from orograph.lighting.products import product
 from orograph.store.storage import FolderStorage
@@ -40,9 +40,9 @@ def main() -> None:
         made = [_record(product(name), options, None, record) for name in args.products.split(",") if name in BAKED]
         _kept(storage, record, made, True)
         recipe = recipe_of(storage, storage.named(), options, made, record.shard, 1 << 30)
-        shop = BakeShop(recipe)
+        state = BakeState(recipe)
         read, written = [0], [0]
-        get, put = shop.storage.get, shop.storage.put
+        get, put = state.storage.get, state.storage.put
 
         def counted_get(key):
             data = get(key)
@@ -53,8 +53,8 @@ def main() -> None:
             written[0] += sum(map(len, parts))
             put(key, parts)
 
-        shop.storage.get, shop.storage.put = counted_get, counted_put
-        heights = shop.context.heights
+        state.storage.get, state.storage.put = counted_get, counted_put
+        heights = state.context.heights
         swept = [0]
 
         def counted(*window):
@@ -62,10 +62,10 @@ def main() -> None:
             swept[0] += found.nbytes
             return found
 
-        shop.context.heights = counted
+        state.context.heights = counted
         rows, done = [], 0
-        for number in range(len(shop.numbers)):
-            stage = SweepStage(shop, number)
+        for number in range(len(state.numbers)):
+            stage = SweepStage(state, number)
             for spot in stage.tasks():
                 read[0] = written[0] = swept[0] = 0
                 tracemalloc.start()

@@ -51,8 +51,8 @@ BENCHES = {
     "batches": Bench("--frames 4", data=True, gpu=True, least="lsd-topo/gabilan.tif"),
     "bdam": Bench("--part table --count 2 --terrain bigtujunga", data=True, least="bigtujunga-srtm30m-utm"),
     "budgets": Bench("--size 1025 --frames 10 --ms 5 --no-best"),
-    "cluster": Bench("--quick --kills 2", data=True, modules=("distributed",), least="california-3s-tiles"),
-    "cluster_plan": Bench("--tiles 9", data=True, least="california-3s-tiles"),
+    "cluster": Bench("--quick", data=True, modules=("distributed",), least="california-3s-tiles"),
+    "cluster_plan": Bench("--tiles 4", data=True, least="california-3s-tiles"),
     "codec": Bench("--quick", data=True, least="n44w072-hgt/N44W072.hgt"),
     "embree": Bench("--size 513 --repeat 1", data=True, modules=("embreex",)),
     "errors": Bench("--size 1025 --rounds 1"),
@@ -61,8 +61,10 @@ BENCHES = {
     "imagery": Bench("--side 2048 --frames 12 --size 320x180", path=HGT, gpu=True),
     "layouts": Bench("--size 1025 --frames 10"),
     "measure": Bench("--size 513 --radius 5000"),
-    "memory": Bench("--size 1025 --picture 1024x1024"),
-    "methods": Bench("--size 129"),
+    "memory": Bench(
+        "--size 1025 --picture 512x512 --only build --only render --only light --only movie --only compare"
+    ),
+    "methods": Bench("--size 65"),
     "mosaic": Bench("--size 1025 --tiles 4", data=True, least="california-3s-tiles"),
     "movie": Bench("--frames 3 --size 320x180", data=True, least=HGT),
     "occlusion": Bench("--size 32 --radius 300 --only sweep"),
@@ -70,7 +72,7 @@ BENCHES = {
         "--views 1 --terrain bigtujunga --method soar --method roam", data=True, least="bigtujunga-srtm30m-utm"
     ),
     "raster": Bench("--size 401 --repeat 1", data=True),
-    "render": Bench("--runs 1 --size 2049", data=True),
+    "render": Bench("--runs 1 --size 1025", data=True),
     "roam": Bench("--size 1025 --frames 8"),
     "shimmer": Bench("--terrain noise --size 160x90 --frames 3", data=True, gpu=True),
     "soar": Bench("--size 1025 --rounds 3", programs=("g++",)),

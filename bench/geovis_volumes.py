@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 import orograph
 
-SIZE = (900, 640)
+SIZE = (300, 214) if "--quick" in sys.argv else (900, 640)
 SHARED = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 
 BEDS = (("Soil", 5, 30), ("Navajo sandstone", 150, 420), ("Kayenta", 60, 150), ("Moenave", 40, 90), ("Chinle", 80, 200))

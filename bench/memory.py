@@ -3,7 +3,8 @@
     python bench/memory.py [--size 8193] [--allowed 512MiB] [--picture 4096x4096] [--only VERB]...
 
 A synthetic terrain of so many samples a side is read by each verb in a process of its own; told are its seconds and its
-peak resident set. A peak counts what the interpreter and its libraries take. ``kept``: from a store that is there.
+peak resident set. A peak counts what the interpreter and its libraries take, and what compiling takes where kernels are
+cold. ``kept``: from a store that is there.
 Where a software driver draws, its memory counts too: there 704 MiB is the least that a picture by tiles is allowed.
 """
 

@@ -160,18 +160,21 @@ def small() -> tuple[Tessellation, Grid]:
 def test_files_hold_everything(tmp_path: Path):
     mesh, grid = small()
     assert mesh.save(tmp_path / "mesh.npz", grid) == tmp_path / "mesh.npz"
-    again, where = Tessellation.load(tmp_path / "mesh.npz")
+    again = Tessellation.load(tmp_path / "mesh.npz")
     assert np.array_equal(again.vertices, mesh.vertices) and np.array_equal(again.triangles, mesh.triangles)
     assert again.strip is not None and np.array_equal(again.strip, np.arange(5))
-    assert again.stats == mesh.stats and where == grid
+    assert again.stats == mesh.stats and again.grid == grid
     with np.load(tmp_path / "mesh.npz") as file:  # as others read it
         assert file["vertices"].dtype == np.float64 and file["triangles"].dtype == np.int32
         assert json.loads(str(file["stats"]))["method"] == "test"
         assert CRS.from_wkt(str(file["crs"])).to_epsg() == 32633
     bare = Tessellation(mesh.vertices, mesh.triangles)
     bare.save(tmp_path / "bare.npz", Grid((9, 9), NORTH_UP))
-    again, where = Tessellation.load(tmp_path / "bare.npz")
-    assert again.strip is None and again.stats == {} and where.crs is None
+    again = Tessellation.load(tmp_path / "bare.npz")
+    assert again.strip is None and again.stats == {} and again.grid is not None and again.grid.crs is None
+    assert again.save(tmp_path / "bare.npz").read_bytes() and np.array_equal(
+        again.positions(), bare.positions(again.grid)
+    )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.npz", "mesh.npz"]
 
 
@@ -181,6 +184,8 @@ def test_files_that_cannot_be_used(tmp_path: Path):
         mesh.save(tmp_path / "none" / "mesh.npz", grid)
     with pytest.raises(UsageError, match="not JSON"):
         Tessellation(mesh.vertices, mesh.triangles, None, {"error": float("nan")}).save(tmp_path / "m.npz", grid)
+    with pytest.raises(UsageError, match=r"knows no grid.*terrain\.grid"):
+        mesh.save(tmp_path / "m.npz")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ReadError, match="cannot be read"):
         Tessellation.load(tmp_path / "absent.npz")

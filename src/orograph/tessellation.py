@@ -40,6 +40,7 @@ class Tessellation:
             None where the method makes none.
         stats: what the method says of itself, as JSON has it: method, error, metric, tolerance, conservative, …;
             geomorph where vertices on samples may be on their way from other heights.
+        grid: the full-resolution grid that columns and rows count on, where the mesh knows it: the verbs' meshes do.
 
     Raises:
         UsageError: an array has another shape or type, or an index points at no vertex.
@@ -49,6 +50,7 @@ class Tessellation:
     triangles: NDArray[np.int32]
     strip: NDArray[np.int32] | None = None
     stats: dict[str, Any] = field(default_factory=dict)
+    grid: Grid | None = None
 
     def __post_init__(self) -> None:
         _check("vertices", self.vertices, np.float64, (None, 3))
@@ -138,23 +140,29 @@ class Tessellation:
 
     # ---- places ----------------------------------------------------------------------------------------------------
 
-    def positions(self, grid: Grid) -> NDArray[np.float64]:
-        """The vertices in the grid's CRS: (n, 3) easting, northing, height in metres."""
+    def positions(self, grid: Grid | None = None) -> NDArray[np.float64]:
+        """The vertices in the grid's CRS: (n, 3) easting, northing, height in metres; None: the mesh's own grid."""
+        grid = self._grid(grid)
         x, y = grid.xy(self.vertices[:, 0], self.vertices[:, 1])
         return np.stack([x, y, self.vertices[:, 2]], -1)
 
     # ---- files -----------------------------------------------------------------------------------------------------
 
-    def save(self, path: str | os.PathLike[str], grid: Grid) -> Path:
+    def save(self, path: str | os.PathLike[str], grid: Grid | None = None) -> Path:
         """Write an .npz that can be used alone.
+
+        Args:
+            path: ends with .npz. grid: the one that columns and rows count on; None: the mesh's own.
 
         Its arrays: ``vertices``, ``triangles``, ``strip`` (if there is one), ``stats`` (a JSON string); and the grid's
         ``shape`` (rows, cols), ``transform`` (the six numbers of GDAL's affine map in the order a, b, c, d, e, f) and
         ``crs`` (WKT, empty if unknown).
 
         Raises:
-            UsageError: the statistics are not JSON, or the ending is another. OutputError: the file cannot be written.
+            UsageError: the statistics are not JSON, the ending is another, or no grid is known. OutputError: the file
+                cannot be written.
         """
+        grid = self._grid(grid)
         if Path(path).suffix.lower() != ".npz":
             raise UsageError(
                 "This writes an .npz.", path=path,
@@ -179,9 +187,14 @@ class Tessellation:
             np.savez(file, allow_pickle=False, **arrays)
         return out
 
+    def _grid(self, given: Grid | None) -> Grid:
+        if (grid := given or self.grid) is None:
+            raise UsageError("This mesh knows no grid.", remedy="Give the terrain's: `terrain.grid`.")
+        return grid
+
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> tuple[Self, Grid]:
-        """Read what ``save`` wrote: the mesh and the grid its columns and rows count on.
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read what ``save`` wrote; ``grid`` is the one it was saved with.
 
         Raises:
             ReadError: the file cannot be read, or is no tessellation.
@@ -196,7 +209,7 @@ class Tessellation:
             crs = CRS.from_wkt(wkt) if wkt else None
             grid = Grid((rows, cols), Affine(*map(float, arrays["transform"])), crs)
             stats = json.loads(str(arrays["stats"]))
-            return cls(arrays["vertices"], arrays["triangles"], arrays.get("strip"), stats), grid
+            return cls(arrays["vertices"], arrays["triangles"], arrays.get("strip"), stats, grid)
         except OSError as error:
             raise ReadError(f"The tessellation cannot be read: {error.strerror or error}.", path=path) from error
         except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, UsageError) as error:

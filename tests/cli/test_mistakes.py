@@ -153,6 +153,56 @@ def test_an_interrupt_while_something_is_collected():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_interrupts_while_a_kernel_makes_its_results():
+    """Numba does not look for an exception there: without care one of these many crashes the interpreter."""
+    code = """
+import signal, threading, time
+from typing import NamedTuple
+import numba, numpy as np
+from orograph.cli import stopping
+
+class Pair(NamedTuple):
+    first: np.ndarray
+    second: np.ndarray
+
+@numba.njit
+def pair(count):
+    return Pair(np.zeros(count), np.ones(count))
+
+pair(3)
+stopping.GRACE, caught, main = 1e9, 0, threading.main_thread().ident
+stopping.guard()
+ending = time.monotonic() + 2
+
+def pester():
+    while time.monotonic() < ending - 0.5:
+        signal.pthread_kill(main, signal.SIGINT)
+        time.sleep(2e-4)
+
+def work():
+    while time.monotonic() < ending:
+        pair(3)
+
+armed = False
+def forgiving(signum, frame):
+    if armed:
+        stopping._raise(signum, frame)
+signal.signal(signal.SIGINT, forgiving)
+threading.Thread(target=pester, daemon=True).start()
+while time.monotonic() < ending:
+    try:
+        armed = True
+        work()
+    except KeyboardInterrupt:
+        armed = False
+        caught += 1
+print(caught)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and int(done.stdout) > 20, (done.returncode, done.stdout, done.stderr[-3000:])
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("seed", range(6))
 def test_interrupts_at_any_time(hilly, tmp_path, seed):
     """From the import of the command line on: 130 (143 for SIGTERM) within a second, and the words for it."""

@@ -77,9 +77,9 @@ def test_the_referee_does_not_mind_morphs(run, hilly, tmp_path):
     report = json.loads(said)["report"]
     assert code == 0 and not err and report["largest"] <= 2 and report["wrong_heights"] == 0
     # It is morphs that are measured: some vertex is on its way.
-    mesh = Tessellation.load(tmp_path / "a.npz")[0]
+    mesh = Tessellation.load(tmp_path / "a.npz")
     still = run("tessellate", hilly, "-o", tmp_path / "b.npz", "--tolerance", 1, "--quiet")
-    heights = {(c, r): z for c, r, z in Tessellation.load(tmp_path / "b.npz")[0].vertices.tolist()}
+    heights = {(c, r): z for c, r, z in Tessellation.load(tmp_path / "b.npz").vertices.tolist()}
     assert still[0] == 0 and any(heights.get((c, r), z) != z for c, r, z in mesh.vertices.tolist())
 
 
@@ -99,7 +99,7 @@ def test_a_budget_that_is_not_enough(run, hilly, tmp_path, monkeypatch):
     for method in ("soar", "top-down"):
         arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--triangles", 5, "--method", method, "--check")
         code, said, err = run(*arguments)
-        made = Tessellation.load(tmp_path / "a.npz")[0].stats
+        made = Tessellation.load(tmp_path / "a.npz").stats
         assert code == 0 and "no defects" in said and made["within_budget"] is False and made["triangles"] > 5
         words = f"5 triangles are not enough for a sound mesh of this view by {method}: it has {made['triangles']:,}."
         assert words in err and err.count("warning") == 1
@@ -123,7 +123,7 @@ def test_cameras_and_methods(run, hilly, tmp_path):
     }.items():  # fmt: skip
         out = tmp_path / "mesh.npz"
         assert run("tessellate", hilly, "-o", out, *more, "--quiet")[0] == 0
-        sizes[name] = len(Tessellation.load(out)[0].triangles)
+        sizes[name] = len(Tessellation.load(out).triangles)
     assert sizes["by file"] == sizes["by options"] != sizes["other"]
     for finer in ("wedgie", "isotropic", "tall", "colors"):
         assert sizes[finer] > sizes["by file"]
@@ -136,7 +136,7 @@ def test_culling(run, hilly, tmp_path):
     counts = []
     for more in ((), ("--method", "soar,cull=no"), ("--method", "soar,geomorph=yes")):
         assert run("tessellate", hilly, "-o", tmp_path / "m.npz", "--view", view, *more, "--quiet")[0] == 0
-        counts.append(len(Tessellation.load(tmp_path / "m.npz")[0].triangles))
+        counts.append(len(Tessellation.load(tmp_path / "m.npz").triangles))
     assert counts[0] < counts[1] and counts[0] < counts[2]
 
 
@@ -144,7 +144,7 @@ def test_a_store_gives_the_same_mesh(run, hilly, tmp_path):
     store.build([str(hilly)], tmp_path / "hilly.oro").close()
     for source, name in ((hilly, "a"), (tmp_path / "hilly.oro", "b")):
         assert run("tessellate", source, "-o", tmp_path / f"{name}.npz", "--quiet")[0] == 0
-    (a, _), (b, _) = (Tessellation.load(tmp_path / f"{n}.npz") for n in "ab")
+    a, b = (Tessellation.load(tmp_path / f"{n}.npz") for n in "ab")
     assert a.stats["triangles"] == pytest.approx(b.stats["triangles"], rel=0.15)  # a store's errors are rounded up
     code, _, err = run("tessellate", tmp_path / "hilly.oro", "-o", tmp_path / "hilly.oro" / "m.npz", "--quiet")
     assert code == 2 and "within" in err

@@ -21,6 +21,8 @@ from orograph.geo.grid import Grid, apply
 from orograph.geovis import mipmap
 from orograph.geovis.color import srgb_to_linear
 from orograph.geovis.drape import Drape
+from orograph.geovis.layers import Layer
+from orograph.geovis.laying import Laid
 from orograph.geovis.placement import TOLERANCE
 
 UTM = CRS("EPSG:32633")
@@ -253,3 +255,15 @@ def test_threads_agree_and_nowhere_is_transparent(tmp_path: Path) -> None:
         for got in pool.map(lambda _: drape.sample(x, y, footprint), range(8)):
             np.testing.assert_array_equal(got, alone)
     assert drape.sample(x[:0], y[:0], footprint[:0]).shape == (0, 4)
+
+
+@pytest.mark.parametrize(("values", "said"), [(10, True), (2, False), (200, False)])
+def test_classes_without_colors_are_told(tmp_path, values, said):
+    codes = np.arange(64 * 64, dtype=np.uint8).reshape(64, 64) % values
+    with rasterio.open(tmp_path / "classes.tif", "w", driver="GTiff", width=64, height=64, count=1, dtype="uint8",
+                       crs="EPSG:32611", transform=Affine(10, 0, 5e5, 0, -10, 4e6)) as file:  # fmt: skip
+        file.write(codes, 1)
+    grid = Grid((64, 64), Affine(10, 0, 5e5, 0, -10, 4e6), CRS.from_epsg(32611))
+    laid = Laid.open(Layer(tmp_path / "classes.tif"), grid)
+    assert any("Give it a colormap" in warning for warning in laid.warnings) == said
+    assert not Laid.open(Layer(tmp_path / "classes.tif", colormap="viridis"), grid).warnings

@@ -11,7 +11,7 @@ from orograph import store
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting.bake import bake
-from orograph.lighting.bake_shop import BakeShop
+from orograph.lighting.bake_state import BakeState
 from orograph.lighting.context import Options
 from orograph.store.source import ArraySource
 
@@ -36,14 +36,14 @@ def files(folder):
 
 
 class Workers:
-    """Stands for a cluster: each task is done by a shop of its own, which knows nothing but what lies in files."""
+    """Stands for a cluster: each task is done by a state of its own, which knows nothing but what lies in files."""
 
     def __init__(self, recipe, stop_after=None):
         self.recipe, self.left = recipe, stop_after
 
     def run(self, stage, progress):
         for spot in stage.tasks():
-            own = BakeShop(self.recipe).stage(stage.name, stage.number)
+            own = BakeState(self.recipe).stage(stage.name, stage.number)
             if own.found(spot) is None:
                 if self.left == 0:
                     raise StoreError("stopped")

@@ -6,27 +6,26 @@ import numpy as np
 import pytest
 
 from orograph.lighting.field import LightField, light_caps
-from orograph.lighting.relief import _gradients
+from orograph.lighting.relief import Windows, _gradients
 
 SIZE = 96
 AMBIENT, BOUNCE = np.array([0.5, 0.6, 0.9]), np.array([0.1, 0.05, 0.02])
 
 
-def windows(values: np.ndarray, boxes: list[tuple[int, int, int, int]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Box means of values (SIZE, SIZE, …) as nested windows (pool, ints, floats): the whole at a block of 2^k for the
+def windows(values: np.ndarray, boxes: list[tuple[int, int, int, int]]) -> Windows:
+    """Box means of values (SIZE, SIZE, …) as nested windows: the whole at a block of 2^k for the
     first of k boxes, then each box (row0, row1, col0, col1, of samples) twice as fine as the one before."""
-    pool, ints, floats, base = [], [], [], 0
+    pool, shapes, places = [], [], []
     for n, (row0, row1, col0, col1) in enumerate(boxes):
         block = 2 ** (len(boxes) - 1 - n)
         cut = values[row0:row1, col0:col1]
         rows, cols = (row1 - row0) // block, (col1 - col0) // block
         means = cut.reshape(rows, block, cols, block, -1).mean((1, 3))
         pool.append(means.reshape(rows * cols, -1))
-        ints.append([base, rows, cols, 0])
+        shapes.append((rows, cols))
         holds = [col0 + 2.0 * block, col1 - 3.0 * block, row0 + 2.0 * block, row1 - 3.0 * block]
-        floats.append([block, *(holds if n else [-np.inf, np.inf, -np.inf, np.inf]), col0 / block, row0 / block, 0, 0])
-        base += rows * cols
-    return np.concatenate(pool).astype(np.float32), np.array(ints, np.int64), np.array(floats, np.float64)
+        places.append([block, *(holds if n else [-np.inf, np.inf, -np.inf, np.inf]), col0 / block, row0 / block, 0, 0])
+    return Windows.of(np.concatenate(pool).astype(np.float32), shapes, places)
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +39,12 @@ def looked_at():
     )
     caps[40:44, 40:50] = np.nan
     field = windows(caps, [(0, SIZE, 0, SIZE), (0, 64, 16, 80), (16, 48, 32, 64)])
-    means, *tables = windows(heights, [(0, SIZE, 0, SIZE), (32, 96, 0, 64), (48, 80, 16, 48)])
+    means = windows(heights, [(0, SIZE, 0, SIZE), (32, 96, 0, 64), (48, 80, 16, 48)])
     n = 3000
     points = np.stack([*rng.uniform(-1, SIZE, (2, n)), rng.uniform(0, 9, n)], 1)
     points[::17] = np.nan
     width = np.exp(rng.uniform(-1, 2.5, n))
-    return field, (means[:, 0].copy(), *tables), points, width
+    return field, means._replace(pool=means.pool[:, 0].copy()), points, width
 
 
 def lit(looked_at, order) -> np.ndarray:
@@ -53,7 +52,7 @@ def lit(looked_at, order) -> np.ndarray:
     none = np.zeros((0, 10)), np.zeros((0, 6))
     out = np.zeros((len(order), 3), np.float32)
     light_caps(
-        *field, *relief, points[order], width[order], np.eye(2), 1.3, 1.0, *none, AMBIENT, BOUNCE, np.eye(2), out
+        field, relief, points[order], width[order], np.eye(2), 1.3, 1.0, *none, AMBIENT, BOUNCE, np.eye(2), out
     )  # fmt: skip
     return out
 
@@ -78,8 +77,8 @@ def test_beside_numpy(looked_at):
     """The cap of the nearest level and the slope between two, under a sky without suns."""
     field, relief, points, width = looked_at
     slope = np.zeros((len(points), 2))
-    _gradients(*relief, points, width, slope, 0, len(points))
-    cap = LightField(*field).values(points, width).astype(np.float64)
+    _gradients(relief, points, width, slope, 0, len(points))
+    cap = LightField(field).values(points, width).astype(np.float64)
     cap[np.isnan(cap).any(1)] = 0, 0, 1, 0
     seen = np.isfinite(points[:, 0])
     direction = cap[:, :3] / np.linalg.norm(cap[:, :3], axis=1, keepdims=True)

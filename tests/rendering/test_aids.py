@@ -368,13 +368,6 @@ def test_walls_are_the_same_in_tiles_and_on_the_gpu(device):
     assert (np.abs(gpu - whole).max(-1) > 40).mean() < 0.006
 
 
-def test_the_window_refuses_walls():
-    from orograph.viewer.settings import Settings
-
-    with pytest.raises(UsageError, match="walls"):
-        Settings(ground(), aids="walls")
-
-
 @pytest.mark.stress
 def test_the_cues_carry_the_information():
     import runpy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lighting.relief import Relief
+from orograph.lighting.relief import Relief, Windows
 from orograph.rendering.lines.smooth import SMALL, interpolated, smoothed
 
 Array = NDArray[np.float64]
@@ -55,9 +55,7 @@ def test_beside_missing_samples_heights_are_the_grounds() -> None:
     z = field()
     z[5, 5] = np.nan
     rows, cols = z.shape
-    relief = Relief(
-        z.ravel(), np.array([[0, rows, cols, 0]]), np.array([[1, -np.inf, np.inf, -np.inf, np.inf, 0, 0, 0, 0]], float)
-    )
+    relief = Relief(Windows.one(z.ravel(), (rows, cols)))
     x, y = (a.ravel() + 0.5 for a in np.indices((cols - 1, rows - 1)))
     points = np.stack([x, y, 0 * x], -1)
     found = smoothed(relief, points, np.zeros(len(x)), np.full(len(x), 7.0))
@@ -68,9 +66,7 @@ def test_beside_missing_samples_heights_are_the_grounds() -> None:
 def test_where_pixels_cover_samples_heights_are_the_grounds() -> None:
     z = field()
     rows, cols = z.shape
-    relief = Relief(
-        z.ravel(), np.array([[0, rows, cols, 0]]), np.array([[1, -np.inf, np.inf, -np.inf, np.inf, 0, 0, 0, 0]], float)
-    )
+    relief = Relief(Windows.one(z.ravel(), (rows, cols)))
     wide = np.linspace(0.0, 1.0, 201)
     points = np.tile([6.3, 5.6, 0.0], (len(wide), 1))
     found = smoothed(relief, points, wide, np.full(len(wide), 2000.0))

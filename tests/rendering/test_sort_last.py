@@ -26,7 +26,7 @@ from orograph.rendering.ray_surface import RaySurface
 from orograph.scene import camera
 from orograph.scene.scene import Scene
 from orograph.store.clusters import Cluster
-from orograph.store.workshop import forget, learn
+from orograph.store.worker_state import forget, learn
 from orograph.viewpoint import Camera
 
 SIZE = (257, 150)

@@ -31,7 +31,7 @@ def ground():
 
 
 class Workers:
-    """Stands for a cluster: its tasks are done by a shop that knows nothing but the recipe, the last ones first."""
+    """Stands for a cluster: its tasks are done by a state that knows nothing but the recipe, the last ones first."""
 
     def __init__(self, client, recipe):
         self.recipe, self.left = recipe, client
@@ -46,9 +46,9 @@ class Workers:
         return 1.25
 
     def run(self, stage, progress):
-        shop = self.recipe.open()
+        state = self.recipe.open()
         for spot in reversed(stage.tasks()):
-            own = shop.stage(stage.name, stage.number)
+            own = state.stage(stage.name, stage.number)
             if own.found(spot) is None:
                 if self.left[0] == 0:
                     raise StoreError("stopped")

@@ -124,7 +124,7 @@ change.render(limit=5).save("d.png")
 
 mesh = orograph.tessellate(terrain, view, method="soar", tolerance=2, check=True)
 print(mesh.stats["report"], mesh.triangles.shape, mesh.vertices.shape)
-mesh.save("m.npz", terrain.grid)
+mesh.save("m.npz")
 tin = orograph.tin(terrain, max_error=10, output="t.stl", model_size=180)
 print(len(tin.triangles))
 found = orograph.compare(terrain, [view], methods=["soar", "roam"])

@@ -24,7 +24,7 @@ import orograph
 from orograph import store
 from orograph.geo.grid import Grid
 from orograph.lighting import bake as baking
-from orograph.lighting.bake_shop import BakeShop
+from orograph.lighting.bake_state import BakeState
 from orograph.lighting.context import Options
 from orograph.store.source import ArraySource
 
@@ -45,7 +45,7 @@ def files(folder):
 
 
 class Alone:
-    """A cluster of this process alone: each task by a shop of its own."""
+    """A cluster of this process alone: each task by a state of its own."""
 
     def __init__(self, recipe):
         self.recipe = recipe
@@ -54,7 +54,7 @@ class Alone:
         spots = list(stage.tasks())
         random.shuffle(spots)
         for spot in spots:
-            own = BakeShop(self.recipe).stage(stage.name, stage.number)
+            own = BakeState(self.recipe).stage(stage.name, stage.number)
             if own.found(spot) is None:
                 own.make(spot)
         for spot in stage.tasks():

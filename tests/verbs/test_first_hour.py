@@ -133,7 +133,7 @@ def test_a_pattern_names_the_files_that_it_matches(dem, tmp_path):
         orograph.terrain(str(tmp_path / "*.hgt"))
 
 
-def test_areas_and_pictures_that_are_given_otherwise(dem):
+def test_areas_and_pictures_that_are_given_otherwise(dem, tmp_path):
     for call in (lambda: orograph.fetch(bbox=(7, 45, 8, 46)), orograph.fetch):
         with pytest.raises(UsageError, match=r"The area comes first: fetch\(\(west, south, east, north\)\)"):
             call()
@@ -143,6 +143,12 @@ def test_areas_and_pictures_that_are_given_otherwise(dem):
     with pytest.raises(UsageError, match="`interval` is a number, or several, not '20m'"):
         orograph.contours(dem, "20m")
     mesh = orograph.tessellate(dem, tolerance=2, progress=False)
+    assert mesh.save(tmp_path / "mesh.npz").exists() and len(mesh.positions()) == len(mesh.vertices)
+    for kind in (orograph.Layer, orograph.Dataset):
+        with pytest.raises(UsageError, match=r"no 'cmap'\. It is called colormap here"):
+            kind("a.tif", cmap="viridis")
+        with pytest.raises(UsageError, match=r"Did you mean opacity"):
+            kind("a.tif", opacty=1)
     with pytest.raises(UsageError, match=r"This writes an \.npz\. .*`output`"):
         mesh.save("mesh.ply", dem.grid)
     assert repr(orograph.View((1 / 3, 0, 9), (0, 0, 1))).startswith("View(eye=(0.333, 0.0, 9.0), target=")

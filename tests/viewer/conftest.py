@@ -69,7 +69,8 @@ def screen() -> Iterator[str]:
             missing(f"{tool} is not installed")
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1400x900x24", "-nolisten", "tcp"],
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1400x900x24", "-nolisten", "tcp", "-noreset"],
+        # (Else it starts anew when the last client leaves, and refuses the next one meanwhile.)
         pass_fds=[write], stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(write)
@@ -89,7 +90,7 @@ class Person:
         folder: where the program was started.
     """
 
-    def __init__(self, display: str, command: list[str], folder: Path, config: Path) -> None:
+    def __init__(self, display: str, command: list[str], folder: Path, config: Path, pause: float = 0.2) -> None:
         self.display, self.folder, self.config = display, folder, config
         self.log = folder / "stderr.txt"
         env = {**os.environ, "DISPLAY": display, "OROGRAPH_CONFIG": str(config), "OROGRAPH_ADAPTER": "software"}
@@ -97,7 +98,9 @@ class Person:
         self.program = subprocess.Popen(
             [sys.executable, "-m", "orograph", *command], env=env, cwd=folder, stderr=self.log.open("w")
         )
-        self.window = self.wait(self._find, 180)
+        self.window = self.wait(self._find, 180, pause)
+        if pause < 0.1:  # in a hurry
+            return
         self.do("windowfocus", self.window)
         self.wait(self.view, 120)
 
@@ -168,14 +171,14 @@ class Person:
         return whole[y : y + h, x : x + w]
 
     @staticmethod
-    def wait(what: Callable, seconds: float):
-        """What ``what`` gives, once it gives something."""
+    def wait(what: Callable, seconds: float, pause: float = 0.2):
+        """What ``what`` gives, once it gives something; asked again after a pause."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             found = what()
             if found is not None and found is not False:
                 return found
-            time.sleep(0.2)
+            time.sleep(pause)
         raise AssertionError(f"waited {seconds} s in vain for {what}")
 
     def close(self) -> int:
@@ -210,8 +213,9 @@ def person(screen: str, device: Device, dem: Path, tmp_path: Path, own_config: P
     """Starts ``orograph view`` on the test terrain, or on what it is given."""
     begun: list[Person] = []
 
-    def start(*words: str) -> Person:
-        begun.append(Person(screen, ["view", *(words or [str(dem)]), "--size", "1200x800"], tmp_path, own_config))
+    def start(*words: str, pause: float = 0.2) -> Person:
+        command = ["view", *(words or [str(dem)]), "--size", "1200x800"]
+        begun.append(Person(screen, command, tmp_path, own_config, pause))
         return begun[-1]
 
     yield start

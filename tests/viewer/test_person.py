@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import math
+import random
 import shutil
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -158,6 +160,24 @@ def test_resizing_hiding_and_closing_at_once(person):
     someone.do("mousemove", "300", "300")
     someone.do("click", "--repeat", "8", "4")  # closed while it moves and loads
     assert someone.close() == 0
+
+
+@pytest.mark.stress
+def test_a_window_may_be_closed_at_any_moment(person, dem, tmp_path):
+    """While it opens, while tiles load, while the camera moves: the exit code is 0, and nothing is printed."""
+    store, rng = tmp_path / "ground.oro", random.Random(18)
+    import orograph
+
+    orograph.build([str(dem)], str(store), shard=64, chunk=32, progress=False).close()
+    for _ in range(30):
+        someone = person(str(store), pause=0.02)
+        then = time.monotonic() + rng.choice([rng.uniform(0.0, 0.3), rng.uniform(0.2, 2.0), rng.uniform(0.2, 8.0)])
+        if rng.random() < 0.5:
+            someone.do("mousemove", "300", "300")
+            someone.do("click", "--repeat", "6", "4")
+        time.sleep(max(then - time.monotonic(), 0.0))
+        assert someone.close() == 0
+        assert not any(word in someone.log.read_text() for word in ("Traceback", "rror", "panicked"))
 
 
 def test_closing_by_key_right_after_a_click_on_a_panel(person):

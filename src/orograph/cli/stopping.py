@@ -4,6 +4,9 @@ A signal raises KeyboardInterrupt in the main thread, which cleans up. Libraries
 own, so ``asked`` remembers it; and a compiler or a driver may not let the main thread run for seconds, so a thread that
 the signal wakes ends the process where ``GRACE`` has gone by. Until ``guard`` is called nothing needs to be cleaned up.
 
+Where machine code has called Python and does not look for errors, an exception would crash the interpreter: Numba makes
+its results so, and LLVM asks so for kernels that were compiled before. A signal that comes there is sent again.
+
 This module is the first that the command line imports, and imports little itself.
 """
 
@@ -14,11 +17,14 @@ import signal
 import sys
 import threading
 import time
+from types import FrameType
 from typing import NoReturn
 
 GRACE = 0.8  # seconds
+AGAIN = 0.005  # seconds until a signal is sent again
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 _asked: list[int] = []
+_postponed: list[int] = []
 
 
 class Stopped(KeyboardInterrupt):
@@ -43,19 +49,19 @@ def guard(cleaning: bool = True) -> None:
     """From here on a signal raises KeyboardInterrupt (``Stopped`` for SIGTERM), and ends the process after ``GRACE``.
 
     Args:
-        cleaning: False: signals do what they do by themselves (the window has a loop of its own).
+        cleaning: False: SIGTERM ends the process at once, and SIGINT waits as long as it takes (the window has a loop
+            of its own).
     """
+    _handle(_raise, *(() if cleaning else (signal.SIGINT,)))
     if not cleaning:
-        _handle(signal.default_int_handler, signal.SIGINT)
         _handle(signal.SIG_DFL, signal.SIGTERM)
-        return
-    _handle(_raise)
     sys.unraisablehook = _unraisable
     if os.name == "posix":
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-        threading.Thread(target=_watch, args=(reading,), daemon=True).start()
+        grace = GRACE if cleaning else float("inf")
+        threading.Thread(target=_watch, args=(reading, grace), daemon=True).start()
 
 
 def end(code: int) -> NoReturn:
@@ -70,9 +76,23 @@ def _handle(handler: signal._HANDLER, *signals: signal.Signals) -> None:
             signal.signal(signum, handler)
 
 
-def _raise(signum: int, frame: object) -> None:
+def _raise(signum: int, frame: FrameType | None) -> None:
     _asked.append(signum)
+    if os.name == "posix" and _called_by_native_code(frame):
+        _postponed.append(signum)
+        return
     raise KeyboardInterrupt if signum == signal.SIGINT else Stopped
+
+
+def _called_by_native_code(frame: FrameType | None) -> bool:
+    """Whether an exception in this frame would reach machine code that does not look for one."""
+    if frame is not None and str(frame.f_globals.get("__name__")).startswith("namedtuple_"):
+        return True
+    while frame is not None:
+        if frame.f_code.co_name == "_numba_unpickle" or "llvmlite" in frame.f_code.co_filename:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _unraisable(what: sys.UnraisableHookArgs) -> None:
@@ -82,11 +102,18 @@ def _unraisable(what: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(what)
 
 
-def _watch(reading: int) -> None:
+def _watch(reading: int, grace: float) -> None:
+    """Send again what came at a bad moment, and end the process ``grace`` seconds after a signal."""
+    main = threading.main_thread().ident
+    assert main is not None
     while signals := os.read(reading, 1):
         code = CODES.get(signals[0])  # type: ignore[call-overload]
         if code is not None:
-            time.sleep(GRACE)
+            ending = time.monotonic() + grace
+            while time.monotonic() < ending:
+                time.sleep(AGAIN)
+                if _postponed:
+                    signal.pthread_kill(main, _postponed.pop())
             output = sys.modules.get("orograph.output")
             if output is not None:
                 output.remove_unfinished()

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from orograph.error.diamonds import BLOCK
 from orograph.errors import UsageError
 from orograph.geovis.color_errors import Colors, decoded
-from orograph.geovis.color_shop import recipe_of
 from orograph.geovis.color_stage import PARTIAL, SAMPLE, ColorStage, made_with
+from orograph.geovis.color_state import recipe_of
 from orograph.parallel import threads_for
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at

@@ -32,6 +32,9 @@ Colors = NDArray[np.float32]
 CUT = (2.0, 98.0)
 """Percentiles that become black and white."""
 
+FEW = range(3, 33)
+"""Different values of a band that has classes: an image of greys has more, one in black and white fewer."""
+
 PROBE = 512
 """Side of the reduced window from which the percentiles are taken."""
 
@@ -79,6 +82,7 @@ class Bands:
         table: (n, 3) uint8, or (n, 4) with opacity, the colour map of one band's values, else None.
         nodata: the value that means "nothing here" besides what the file says, or None.
         span: the values that become black and white, or the ends of the table.
+        classes: how many different values one band of integers without colours has, if few: classes, not greys.
     """
 
     colors: tuple[int, ...]
@@ -87,6 +91,7 @@ class Bands:
     table: Bytes | None = None
     nodata: float | None = None
     span: tuple[float, float] = (0.0, 255.0)
+    classes: int = 0
 
     @classmethod
     def of(cls, file: Any, layer: Layer) -> Bands:
@@ -132,8 +137,13 @@ class Bands:
         """With the span of the layer's range, or else of the values in a window."""
         if not self.stretched:
             return self
-        own = getattr(layer.colormap, "span", None)
-        return replace(self, span=layer.range or own or _span(file, self, window))
+        given = layer.range or getattr(layer.colormap, "span", None)
+        if given is not None and self.table is not None:
+            return replace(self, span=given)
+        values = _sampled(file, self, window)
+        greys = self.table is None and values.dtype.kind in "iu" and len(values) == 1
+        found = len(np.unique(values)) if greys else 0
+        return replace(self, span=given or _span(values), classes=found if found in FEW else 0)
 
     def factors(self, file: Any) -> list[int]:
         """Pixels along the side of a texel of the file's overviews, finest first."""
@@ -301,8 +311,8 @@ def _spots(file: Any, area: Area) -> Iterator[Area]:
             yield (row, row + SPOT), (col, col + SPOT)
 
 
-def _span(file: Any, bands: Bands, window: ImageWindow) -> tuple[float, float]:
-    """The values that become black and white: percentiles over the window."""
+def _sampled(file: Any, bands: Bands, window: ImageWindow) -> NDArray[Any]:
+    """Valid values (bands, n) of pixels spread over the window."""
     cols = (max(window.col0, 0), min(window.col1, file.width))
     area = ((window.row0, window.row1), cols if cols[0] < cols[1] else (0, file.width))
     whole = math.prod(b - a for a, b in area)
@@ -311,12 +321,17 @@ def _span(file: Any, bands: Bands, window: ImageWindow) -> tuple[float, float]:
         values, valid = (np.concatenate(part, -1) for part in zip(*found, strict=True))
     else:
         values, valid = _probed(file, bands, area, tuple(min(PROBE, b - a) for a, b in area))
-    values = values.astype(np.float64)
-    if not valid.any():
+    return values[:, valid]
+
+
+def _span(values: NDArray[Any]) -> tuple[float, float]:
+    """The values that become black and white: percentiles of samples."""
+    if not values.size:
         return 0.0, 0.0
-    low, high = (float(p) for p in np.percentile(values[:, valid], CUT))
+    values = values.astype(np.float64)
+    low, high = (float(p) for p in np.percentile(values, CUT))
     if not high > low:  # a few bright marks on one ground
-        low, high = float(values[:, valid].min()), float(values[:, valid].max())
+        low, high = float(values.min()), float(values.max())
     return low, high
 
 

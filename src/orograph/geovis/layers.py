@@ -11,7 +11,6 @@ where a is the image's own opacity times the layer's. Units: those of the raster
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -29,6 +28,7 @@ from orograph.errors import UsageError
 from orograph.geovis.basemaps import PREFIX, Basemap, location_of
 from orograph.geovis.held import Held, held
 from orograph.geovis.keys import Legend
+from orograph.geovis.named import named, remedy
 from orograph.geovis.tables import Table
 
 Colors = NDArray[np.float32]
@@ -42,6 +42,7 @@ MOST = 8
 """Layers that a picture shows at once."""
 
 
+@named("A layer")
 @dataclass(frozen=True, slots=True, repr=False)
 class Layer:
     """An image or a raster over the ground.
@@ -203,9 +204,7 @@ class Layer:
             raise UsageError('A layer lacks its "path": a file.')
         for key in given:
             if key not in FIELDS:
-                close = difflib.get_close_matches(key, FIELDS, 1)
-                hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(FIELDS[1:])}."
-                raise UsageError(f"A layer has no {key!r}.", path=path, remedy=hint)
+                raise UsageError(f"A layer has no {key!r}.", path=path, remedy=remedy(key, FIELDS[1:]))
         try:
             for key in ("opacity", "nodata"):
                 if key in given:

@@ -82,6 +82,11 @@ class Laid:
                 bands = bands.spanned(file, layer, area)
         except (RasterioError, OSError) as error:
             raise unreadable(location, error) from None
+        if bands.classes:
+            warnings.append(
+                f"{name} has {bands.classes} different values and no colours, as classes have: it is drawn in greys. "
+                "Give it a colormap, or show it as data."
+            )
         return cls(layer, location, placement, lattice, area, bands, overviews, tuple(warnings))
 
     def aligned(self) -> tuple[ImageWindow, int]:

@@ -153,7 +153,7 @@ def _rays(context: Context, rays: int, seed: int) -> Blocks:
         heights = np.ascontiguousarray(near.block(near.heights))
         out = np.zeros((4, *heights.shape))
         ray_cone(
-            *near.scene(), heights, near.inverse, lift(context), radius, rays, seed, near.row0 + near.inner[0],
+            near.scene(), heights, near.inverse, lift(context), radius, rays, seed, near.row0 + near.inner[0],
             near.col0 + near.inner[2], 0, len(heights), out,
         )  # fmt: skip
         return _caps(out.astype(np.float32), np.isnan(heights))

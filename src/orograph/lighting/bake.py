@@ -192,7 +192,7 @@ def _on_cluster(
     Args:
         how: workers, dask, threads of each worker, bytes.
     """
-    from orograph.lighting.bake_shop import on_cluster, recipe_of
+    from orograph.lighting.bake_state import on_cluster, recipe_of
 
     folder = storage if isinstance(storage, FolderStorage) else _scratch(storage)
     kept = _kept(folder, before, made, overwrite)

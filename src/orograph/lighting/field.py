@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orograph._numba import inlined, kernel, leaf
 from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.aperture_kernels import illuminate
-from orograph.lighting.relief import Tables, finest, slope_at, slope_inside
+from orograph.lighting.relief import Windows, finest, slope_at, slope_inside
 from orograph.parallel import map_ordered
 from orograph.store.layers import LayerBand, StoredLayer
 from orograph.store.terrain import Terrain
@@ -62,26 +62,22 @@ class LightField:
     """Values over nested windows.
 
     Attributes:
-        pool: (samples, 1 or 4) float32, all windows one after the other, row by row; NaN where missing.
-        ints, floats: see ``relief.Tables``.
+        windows: with pool (samples, 1 or 4); NaN where missing.
     """
 
-    pool: Values
-    ints: NDArray[np.int64]
-    floats: Array
+    windows: Windows
 
     @classmethod
     def load(
         cls, layer: StoredLayer, terrain: Terrain, rectangles: Sequence[Rectangle], jobs: int | None = None
     ) -> LightField:
         """Read a layer of one band, or one of caps, over ``rectangles`` (outermost first; see ``raycast.select``)."""
-        tables = Tables.over(terrain, rectangles)
-        caps = len(layer.bands) == 4
-        pool = np.empty((sum(r.samples for r in tables.windows), len(layer.bands)), np.float32)
+        wanted, windows = Windows.over(terrain, rectangles, len(layer.bands))
+        pool, caps = windows.pool, len(layer.bands) == 4
         first, radius = _table(layer.bands[0]), _table(layer.bands[-1], cosine=caps)
         work = [
             (r, int(base), row, min(row + _STRIP, r.row1 - r.row0))
-            for r, base in zip(tables.windows, tables.ints[:, 0])
+            for r, base in zip(wanted, windows.base)
             for row in range(0, r.row1 - r.row0, _STRIP)
         ]
 
@@ -97,81 +93,82 @@ class LightField:
 
         for _ in map_ordered(read, work, jobs):
             pass
-        return cls(pool, tables.ints, tables.floats)
+        return cls(windows)
 
     @classmethod
     def of(cls, values: Values, level: int, row0: int, col0: int) -> LightField:
         """One window: values (rows, cols) or (rows, cols, 4), samples of ``level``, the first (row0, col0)."""
         rows, cols = values.shape[:2]
-        floats = np.array([[2.0**level, -np.inf, np.inf, -np.inf, np.inf, col0, row0, 0.0, 0.0]])
         pool = np.ascontiguousarray(values.reshape(rows * cols, -1), np.float32)
-        return cls(pool, np.array([[0, rows, cols, 0]], np.int64), floats)
+        return cls(Windows.one(pool, (rows, cols), level, (row0, col0)))
 
     def values(self, points: Array, footprint: Array) -> Values:
         """Values (n, 1 or 4) at points (n, 2 or 3), seen with a footprint (n,) in samples; NaN where missing."""
-        out = np.empty((len(points), self.pool.shape[1]), np.float32)
-        _look_up(self.pool, self.ints, self.floats, points, footprint, out)
+        out = np.empty((len(points), self.windows.pool.shape[1]), np.float32)
+        _look_up(self.windows, points, footprint, out)
         return out
 
 
 @inlined
-def _place(ints, floats, x, y, footprint):
+def _place(windows, x, y, footprint):
     """Where in the pool a point lies: the four samples around it, and how far between them."""
-    w = finest(ints, floats, x, y, SQRT_HALF * footprint)
-    blocks = 1.0 / floats[w, 0]
-    rows, cols = ints[w, 1], ints[w, 2]
-    u, v = (x + 0.5) * blocks - 0.5 - floats[w, 5], (y + 0.5) * blocks - 0.5 - floats[w, 6]
+    w = finest(windows, x, y, SQRT_HALF * footprint)
+    blocks = 1.0 / windows.size[w]
+    rows, cols = windows.rows[w], windows.cols[w]
+    u, v = (x + 0.5) * blocks - 0.5 - windows.col0[w], (y + 0.5) * blocks - 0.5 - windows.row0[w]
     j = min(max(np.int64(u), 0), max(cols - 2, 0))
     i = min(max(np.int64(v), 0), max(rows - 2, 0))
     f, g = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
-    a = ints[w, 0] + i * cols + j
+    a = windows.base[w] + i * cols + j
     right, down = (1 if cols > 1 else 0), (cols if rows > 1 else 0)
     return a, a + right, a + down, a + down + right, f, g
 
 
 @inlined
-def _window(ints, floats, x, y, least):
+def _window(windows, x, y, least):
     """``finest``'s window at a point, and the box of points (west, east, north, south) for which it stays the same
     while ``least`` does; an empty box where a finer window would do but ends elsewhere."""
-    w = finest(ints, floats, x, y, least)
+    w = finest(windows, x, y, least)
     finer = False
-    for other in range(w + 1, ints.shape[0]):
-        finer = finer or floats[other, 0] > least
+    for other in range(w + 1, len(windows.size)):
+        finer = finer or windows.size[other] > least
     if finer:
         return w, np.inf, -np.inf, np.inf, -np.inf
     if w == 0:
         return w, -np.inf, np.inf, -np.inf, np.inf
-    return w, floats[w, 1], floats[w, 2], floats[w, 3], floats[w, 4]
+    return w, windows.west[w], windows.east[w], windows.north[w], windows.south[w]
 
 
 @inlined
-def _axes(ints, floats, w):
+def _axes(windows, w):
     """Of a window: blocks per sample, where its first lies, and its base and columns as indices without a sign, which
     need no care for those below 0."""
-    return 1.0 / floats[w, 0], 0.5 + floats[w, 5], 0.5 + floats[w, 6], np.uint64(ints[w, 0]), np.uint64(ints[w, 2])
+    per, u0, v0 = 1.0 / windows.size[w], 0.5 + windows.col0[w], 0.5 + windows.row0[w]
+    return per, u0, v0, np.uint64(windows.base[w]), np.uint64(windows.cols[w])
 
 
 @inlined
-def _slope(pool, ints, floats, w, x, y, inside):
+def _slope(windows, w, x, y, inside):
     """``relief.slope_at``; ``inside``: what ``_axes`` says of the window, and its last column and row but two."""
     per, u0, v0, base, cols, end_u, end_v = inside
     u, v = (x + 0.5) * per - u0, (y + 0.5) * per - v0
     across = down = np.nan
     if 1.0 <= u < end_u and 1.0 <= v < end_v:
-        across, down = slope_inside(pool, base, cols, u, v)
+        across, down = slope_inside(windows.pool, base, cols, u, v)
     if across + down != across + down:
-        across, down = slope_at(pool, ints, floats, w, x, y)
+        across, down = slope_at(windows, w, x, y)
     return across, down
 
 
 @kernel
-def _look_up(pool, ints, floats, points, footprint, out):
+def _look_up(windows, points, footprint, out):
+    pool = windows.pool
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         if x != x:
             out[k] = np.nan
             continue
-        a, b, c, d, f, g = _place(ints, floats, x, y, footprint[k])
+        a, b, c, d, f, g = _place(windows, x, y, footprint[k])
         for m in range(pool.shape[1]):
             top = pool[a, m] * (1.0 - f) + pool[b, m] * f
             low = pool[c, m] * (1.0 - f) + pool[d, m] * f
@@ -180,8 +177,7 @@ def _look_up(pool, ints, floats, points, footprint, out):
 
 @leaf
 def light_caps(
-    pool, ints, floats, means, mean_ints, mean_floats, points, width, to_world, stretch, height, suns, lamps, ambient,
-    bounce, linear, out,
+    field, means, points, width, to_world, stretch, height, suns, lamps, ambient, bounce, linear, out
 ):  # fmt: skip
     """Light through the caps of a field on hits (n,) of a picture.
 
@@ -189,7 +185,7 @@ def light_caps(
     changes. Caps are those of the level nearest to the footprint, for they differ less from one to the next.
 
     Args:
-        pool, ints, floats: the field. means, mean_ints, mean_floats: the relief (``relief.Relief``).
+        field, means: windows of caps, and of mean heights.
         points: (n, 3) sample coordinates, true heights; NaN rows are passed over. width: (n,) footprint in samples.
         to_world: (2, 2) turns metres per sample into metres per metre; ``stretch`` multiplies slopes.
         height: what true heights are stretched by, for lamps.
@@ -197,6 +193,7 @@ def light_caps(
         bounce: (3,) what ground gives in place of hidden sky.
         out: (n, 3) float32, irradiance.
     """
+    pool = field.pool
     # Neighbours mostly look at the same windows: to find them for each hit would take longer than to interpolate.
     least, most = np.inf, -np.inf  # footprints
     west, east, north, south = np.inf, -np.inf, np.inf, -np.inf  # and places that those found are for
@@ -218,19 +215,19 @@ def light_caps(
                 least, most, nearest = (size if size > 1.0 else 0.0), PIXELS * size, 0.75 * size
             else:
                 least, most, nearest = PIXELS * size, 2.0 * size, 1.5 * size
-            w, west, east, north, south = _window(ints, floats, x, y, nearest)
-            per, u0, v0, base, cols = _axes(ints, floats, w)
-            last_u, last_v = max(ints[w, 2] - 2.0, 0.0), max(ints[w, 1] - 2.0, 0.0)
-            right = np.uint64(1 if ints[w, 2] > 1 else 0)
-            below = cols if ints[w, 1] > 1 else np.uint64(0)
-            fine, x0, x1, y0, y1 = _window(mean_ints, mean_floats, x, y, 0.75 * size)
+            w, west, east, north, south = _window(field, x, y, nearest)
+            per, u0, v0, base, cols = _axes(field, w)
+            last_u, last_v = max(field.cols[w] - 2.0, 0.0), max(field.rows[w] - 2.0, 0.0)
+            right = np.uint64(1 if field.cols[w] > 1 else 0)
+            below = cols if field.rows[w] > 1 else np.uint64(0)
+            fine, x0, x1, y0, y1 = _window(means, x, y, 0.75 * size)
             west, east, north, south = max(west, x0), min(east, x1), max(north, y0), min(south, y1)
-            per1, u1, v1, base1, cols1 = _axes(mean_ints, mean_floats, fine)
-            end_u1, end_v1 = mean_ints[fine, 2] - 3.0, mean_ints[fine, 1] - 3.0
-            coarse, x0, x1, y0, y1 = _window(mean_ints, mean_floats, x, y, 1.5 * size)
+            per1, u1, v1, base1, cols1 = _axes(means, fine)
+            end_u1, end_v1 = means.cols[fine] - 3.0, means.rows[fine] - 3.0
+            coarse, x0, x1, y0, y1 = _window(means, x, y, 1.5 * size)
             west, east, north, south = max(west, x0), min(east, x1), max(north, y0), min(south, y1)
-            per2, u2, v2, base2, cols2 = _axes(mean_ints, mean_floats, coarse)
-            end_u2, end_v2 = mean_ints[coarse, 2] - 3.0, mean_ints[coarse, 1] - 3.0
+            per2, u2, v2, base2, cols2 = _axes(means, coarse)
+            end_u2, end_v2 = means.cols[coarse] - 3.0, means.rows[coarse] - 3.0
         u, v = max((x + 0.5) * per - u0, 0.0), max((y + 0.5) * per - v0, 0.0)
         j, i = np.int64(min(u, last_u)), np.int64(min(v, last_v))
         f, g = min(u - j, 1.0), min(v - i, 1.0)
@@ -250,13 +247,13 @@ def light_caps(
         # The slope between two levels, as ``Relief.gradient`` has it; the logarithm that says how far is a parabola,
         # within 0.008.
         inside = per1, u1, v1, base1, cols1, end_u1, end_v1
-        across, down = _slope(means, mean_ints, mean_floats, fine, x, y, inside)
+        across, down = _slope(means, fine, x, y, inside)
         across, down = across * per1, down * per1
         if footprint > size:
             t = footprint / size - 1.0
             part = t * (1.34 - 0.34 * t)
             inside = per2, u2, v2, base2, cols2, end_u2, end_v2
-            further, steeper = _slope(means, mean_ints, mean_floats, coarse, x, y, inside)
+            further, steeper = _slope(means, coarse, x, y, inside)
             across = across * (1.0 - part) + further * per2 * part
             down = down * (1.0 - part) + steeper * per2 * part
         p = (to_world[0, 0] * across + to_world[0, 1] * down) * stretch

@@ -20,29 +20,27 @@ SMALL = 0.9990
 
 
 @inlined
-def _free(scene, ints, floats, low, high, x, y, z, e, n, up, inverse, exaggeration, skip, far, spans):
+def _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip, far, spans):
     """Whether nothing stands in a direction between ``skip`` and ``far`` metres."""
     dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
     t, _ = ray(
-        scene, ints, floats, low, high, x, y, z, dx, dy, up / exaggeration, skip, far, 0, LEVEL, spans
+        scene, x, y, z, dx, dy, up / exaggeration, skip, far, 0, LEVEL, spans
     )  # fmt: skip
     return t == np.inf
 
 
 @kernel
-def disc_on_hits(
-    scene, ints, floats, low, high, points, normals, skip, pixels, inverse, exaggeration, axis, cosine, rays, out
-):
+def disc_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, axis, cosine, rays, out):
     """What a disc of light sends to hits: the mean over it of its cosine to the normal where it is seen.
 
     Args:
-        scene, ints, floats, low, high: the caster's.
+        scene: the caster's.
         points: (n, 3) sample coordinates, true heights; NaN rows are passed over. normals: (n, 3) unit.
         skip: (n,) metres. pixels: (n, 2) int64, what the lattice is shifted by.
         inverse: (2, 2) samples per metre. axis: (3,) to the disc's middle. cosine: of its radius.
         out: (n,) float64.
     """
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     ax, ay, az, bx, by, bz = _frame(axis[0], axis[1], axis[2])
     sine = np.sqrt(max(1.0 - cosine * cosine, 0.0))
     for k in range(len(points)):
@@ -65,7 +63,7 @@ def disc_on_hits(
                 r = 0.0 if m == 0 else sine
                 p, q = r * np.cos(v), r * np.sin(v)
                 e, n, up = p * ax + q * bx + w * axis[0], p * ay + q * by + w * axis[1], p * az + q * bz + w * axis[2]
-                if _free(scene, ints, floats, low, high, x, y, z, e, n, up, inverse, exaggeration, skip[k], np.inf,
+                if _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip[k], np.inf,
                          spans):  # fmt: skip
                     seen += 1
                 if seen != 0 and seen != m + 1:
@@ -81,16 +79,16 @@ def disc_on_hits(
             p, q = r * np.cos(v), r * np.sin(v)
             e, n, up = p * ax + q * bx + w * axis[0], p * ay + q * by + w * axis[1], p * az + q * bz + w * axis[2]
             share = e * nx + n * ny + up * nz
-            if share > 0.0 and _free(scene, ints, floats, low, high, x, y, z, e, n, up, inverse, exaggeration, skip[k],
+            if share > 0.0 and _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip[k],
                                      np.inf, spans):  # fmt: skip
                 total += share
         out[k] = total / rays
 
 
 @kernel
-def sky_on_hits(scene, ints, floats, low, high, points, normals, skip, pixels, inverse, exaggeration, rays, out):
+def sky_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, rays, out):
     """Ambient occlusion of hits without limit of distance, by cosine-weighted rays; arguments as ``disc_on_hits``."""
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         out[k] = 0.0
@@ -105,15 +103,15 @@ def sky_on_hits(scene, ints, floats, low, high, points, normals, skip, pixels, i
             r, w = np.sqrt(u), np.sqrt(1.0 - u)
             p, q = r * np.cos(v), r * np.sin(v)
             e, n, up = p * ax + q * bx + w * nx, p * ay + q * by + w * ny, p * az + q * bz + w * nz
-            if _free(scene, ints, floats, low, high, x, y, z, e, n, up, inverse, exaggeration, skip[k], np.inf, spans):
+            if _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip[k], np.inf, spans):
                 free += 1
         out[k] = free / rays
 
 
 @kernel
-def lamp_on_hits(scene, ints, floats, low, high, points, normals, skip, inverse, exaggeration, linear, lamp, out):
+def lamp_on_hits(scene, points, normals, skip, inverse, exaggeration, linear, lamp, out):
     """Add to ``out`` (n, 3) what a lamp sends to hits; ``lamp`` as a row of ``aperture_kernels``' table, stretched."""
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         if x != x:
@@ -126,7 +124,7 @@ def lamp_on_hits(scene, ints, floats, low, high, points, normals, skip, inverse,
             continue
         e, n, up = e / away, n / away, up / away
         facing = e * normals[k, 0] + n * normals[k, 1] + up * normals[k, 2]
-        if facing > 0.0 and _free(scene, ints, floats, low, high, x, y, z, e, n, up, inverse, exaggeration,
+        if facing > 0.0 and _free(scene, x, y, z, e, n, up, inverse, exaggeration,
                                   min(skip[k], away), away, spans):  # fmt: skip
             for m in range(3):
                 out[k, m] += facing / (away * away) * lamp[3 + m]

@@ -23,7 +23,7 @@ import copy
 import importlib
 import math
 from collections.abc import Callable
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,7 @@ from orograph.lighting.raster import rectangles
 from orograph.lighting.rho import Rho, Transmission, transmission
 from orograph.lighting.sweep_lines import direction
 from orograph.parallel import map_ordered
+from orograph.raycast.tables import Scene
 
 Heights = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -137,7 +138,7 @@ class Neighbourhood:
         self.gy = np.full(self.heights.shape, np.nan, np.float32)
         self.gx[a:b, c:d], self.gy[a:b, c:d] = context.gradient(row0, row1, col0, col1)
         self.inverse = inverse
-        self._scene: tuple[Any, ...] | None = None
+        self._scene: Scene | None = None
 
     def part(self, row0: int, row1: int, col0: int, col1: int) -> Neighbourhood:
         """The same neighbourhood around a part of its block (of the terrain's rows and columns)."""
@@ -150,8 +151,8 @@ class Neighbourhood:
         a, b, c, d = self.inner
         return array[..., a:b, c:d]
 
-    def scene(self) -> tuple[Any, ...]:
-        """The first arguments of the ray kernels: what the caster knows of these heights."""
+    def scene(self) -> Scene:
+        """What the caster knows of these heights."""
         if self._scene is None:
             from orograph.raycast.stack import HeightWindow, Stack
 
@@ -160,8 +161,7 @@ class Neighbourhood:
             if any(short):  # a caster needs a cell; beside a single row or column there is nothing
                 heights = np.pad(heights, [(0, n) for n in short], constant_values=np.nan)
             shape = (self.row0 + heights.shape[0], self.col0 + heights.shape[1])
-            s = Stack.build([HeightWindow(0, self.col0, self.row0, heights)], shape, 1)
-            self._scene = s.scene, s.ints, s.floats, s.low, s.high
+            self._scene = Stack.build([HeightWindow(0, self.col0, self.row0, heights)], shape, 1).scene
         return self._scene
 
 
@@ -242,7 +242,7 @@ def _rays(context: Context, ways: Transmission, rays: int, seed: int) -> Blocks:
         heights, gx, gy = (np.ascontiguousarray(near.block(a)) for a in (near.heights, near.gx, near.gy))
         out = np.empty((1, *heights.shape), np.float32)
         ray_occlusion(
-            *near.scene(), heights, gx, gy, near.inverse, lift(context), ways.table, ways.free, ways.radius, ways.step,
+            near.scene(), heights, gx, gy, near.inverse, lift(context), ways.table, ways.free, ways.radius, ways.step,
             rays, seed, near.row0 + near.inner[0], near.col0 + near.inner[2], 0, len(heights), out[0],
         )  # fmt: skip
         return out

@@ -65,7 +65,7 @@ def _rho(table, length, radius):
 
 @kernel
 def ray_occlusion(
-    scene, ints, floats, low, high, heights, gx, gy, inverse, lift, table, free, radius, step, rays, seed, row0, col0,
+    scene, heights, gx, gy, inverse, lift, table, free, radius, step, rays, seed, row0, col0,
     first, last, out,
 ):  # fmt: skip
     """Ambient occlusion of rows [first, last) by cosine-weighted rays: the mean of ρ(L).
@@ -73,7 +73,7 @@ def ray_occlusion(
     heights, gx, gy, out: (rows, cols), metres and rise per metre. inverse: (2, 2), samples per metre east and north.
     row0, col0: of the first sample, in the caster's coordinates.
     """
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     for i in range(first, last):
         for j in range(heights.shape[1]):
             z = np.float64(heights[i, j])
@@ -91,7 +91,7 @@ def ray_occlusion(
                 e, n, up = p * ax + q * bx + w * nx, p * ay + q * by + w * ny, p * az + q * bz + w * nz
                 dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
                 t, _ = ray(
-                    scene, ints, floats, low, high, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
+                    scene, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
                     0.0, radius, 1, LEVEL, spans,
                 )  # fmt: skip
                 if t >= radius:
@@ -103,7 +103,7 @@ def ray_occlusion(
 
 @kernel
 def ray_disc(
-    scene, ints, floats, low, high, heights, gx, gy, inverse, lift, axis, cosine, weigh, rays, seed, row0, col0, first,
+    scene, heights, gx, gy, inverse, lift, axis, cosine, weigh, rays, seed, row0, col0, first,
     last, out,
 ):  # fmt: skip
     """What a cap of directions around ``axis`` (cosine of its radius ``cosine``) sends to rows [first, last).
@@ -111,7 +111,7 @@ def ray_disc(
     The mean over directions uniform in the cap of: whether it is seen; or (``weigh``) its cosine to the normal where it
     is. Arrays as for ``ray_occlusion``.
     """
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     ax, ay, az, bx, by, bz = _frame(axis[0], axis[1], axis[2])
     for i in range(first, last):
         for j in range(heights.shape[1]):
@@ -133,7 +133,7 @@ def ray_disc(
                     continue
                 dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
                 t, _ = ray(
-                    scene, ints, floats, low, high, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
+                    scene, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
                     0.0, np.inf, 1, LEVEL, spans,
                 )  # fmt: skip
                 if t == np.inf:
@@ -143,12 +143,12 @@ def ray_disc(
 
 @kernel
 def ray_cone(
-    scene, ints, floats, low, high, heights, inverse, lift, radius, rays, seed, row0, col0, first, last, out
+    scene, heights, inverse, lift, radius, rays, seed, row0, col0, first, last, out
 ):  # fmt: skip
     """Moments of what is seen of the upper hemisphere: ``out`` (4, rows, cols) float64 gets the integral of V·ω
     (east, north, up) and of V over solid angle. Nothing is hit
     beyond ``radius``. Arrays as for ``ray_occlusion``."""
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     part = 2.0 * np.pi / rays
     for i in range(first, last):
         for j in range(heights.shape[1]):
@@ -160,7 +160,7 @@ def ray_cone(
                 e, n = r * np.cos(v), r * np.sin(v)
                 dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
                 t, _ = ray(
-                    scene, ints, floats, low, high, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
+                    scene, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
                     0.0, radius, 1, LEVEL, spans,
                 )  # fmt: skip
                 if t == np.inf:

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from orograph._numba import inlined, kernel, leaf
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
@@ -23,12 +24,90 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 
+class Windows(NamedTuple):
+    """Rasters of nested windows as kernels take them, outermost first.
+
+    Attributes:
+        pool: all their samples, one window after the other, row by row.
+        base, rows, cols: (W,) samples before a window's first; its shape.
+        size: (W,) 2^level, the side of a block that a sample stands for.
+        west, east, north, south: (W,) the window's limits in sample coordinates.
+        col0, row0: (W,) its first column and row.
+        short_u, short_v: (W,) by how much of a block the middles of its last column and row are nearer than a block's
+            (at the terrain's border).
+    """
+
+    pool: NDArray[np.float32]
+    base: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    cols: NDArray[np.int64]
+    size: Array
+    west: Array
+    east: Array
+    north: Array
+    south: Array
+    col0: Array
+    row0: Array
+    short_u: Array
+    short_v: Array
+
+    @classmethod
+    def of(cls, pool: NDArray[np.float32], shapes: Sequence[tuple[int, int]], places: ArrayLike) -> Windows:
+        """Windows of these (rows, cols); ``places`` (W, 9): their size and what follows it."""
+        rows, cols = np.array(shapes, np.int64).reshape(-1, 2).T
+        base = np.concatenate([[0], np.cumsum(rows * cols)[:-1]])
+        return cls(pool, base, rows.copy(), cols.copy(), *np.array(places, np.float64).reshape(-1, 9).T.copy())
+
+    @classmethod
+    def one(
+        cls, pool: NDArray[np.float32], shape: tuple[int, int], level: int = 0, first: Sequence[int] = (0, 0)
+    ) -> Windows:
+        """One window (rows, cols) of ``level``, which begins with the sample (row, col) ``first``."""
+        row0, col0 = first
+        return cls.of(pool, [shape], (2.0**level, -np.inf, np.inf, -np.inf, np.inf, col0, row0, 0.0, 0.0))
+
+    @classmethod
+    def over(cls, terrain: Terrain, rectangles: Sequence[Rectangle], *channels: int) -> tuple[ClipStack, Windows]:
+        """What is to be read, and room for it: ``rectangles`` (outermost first), and levels between them that filtering
+        needs."""
+        wanted: list[Rectangle] = []
+        # A window that covers all the terrain hides those around it; pixels larger than its samples want them.
+        for level in range(terrain.levels - 1, rectangles[0].level, -1):
+            wanted.append(Rectangle.whole(level, terrain.mean_shape(level)))
+        for r, finer in zip(rectangles, [*rectangles[1:], None]):
+            wanted.append(r)
+            # Between two windows that are several levels apart lie levels that a pixel may want: cover the finer one.
+            if finer is None:
+                break
+            for level in range(r.level - 1, finer.level, -1):
+                k, f = level - finer.level, finer
+                wanted.append(Rectangle(level, f.row0 >> k, -(-f.row1 >> k), f.col0 >> k, -(-f.col1 >> k)))
+        clipped = ClipStack(r.cut(terrain.mean_shape(r.level)) for r in wanted)
+        places = []
+        for k, r in enumerate(clipped):
+            s = 2.0**r.level
+            rows, cols = terrain.mean_shape(r.level)
+            # Differences reach one block out, unless the terrain ends there; the outermost takes whatever comes.
+            west, north = (f * s + s if f and k else -np.inf for f in (r.col0, r.row0))
+            east = r.col1 * s - s if r.col1 < cols and k else np.inf
+            south = r.row1 * s - s if r.row1 < rows and k else np.inf
+            short_u = (cols - terrain.grid.cols / s) / 2 if r.col1 == cols else 0.0
+            short_v = (rows - terrain.grid.rows / s) / 2 if r.row1 == rows else 0.0
+            places.append((s, west, east, north, south, r.col0, r.row0, short_u, short_v))
+        pool = np.empty((sum(r.samples for r in clipped), *channels), np.float32)
+        return clipped, cls.of(pool, [(r.row1 - r.row0, r.col1 - r.col0) for r in clipped], places)
+
+
 @inlined
-def finest(ints, floats, x, y, least):
-    """The finest window (see ``Tables``) that holds a point and whose samples are more than ``least`` apart."""
+def finest(windows, x, y, least):
+    """The finest window that holds a point and whose samples are more than ``least`` apart."""
     chosen = 0  # the outermost window holds every point
-    for w in range(ints.shape[0] - 1, 0, -1):
-        if floats[w, 0] > least and floats[w, 1] <= x <= floats[w, 2] and floats[w, 3] <= y <= floats[w, 4]:
+    for w in range(len(windows.size) - 1, 0, -1):
+        if (
+            windows.size[w] > least
+            and windows.west[w] <= x <= windows.east[w]
+            and windows.north[w] <= y <= windows.south[w]
+        ):
             chosen = w
             break
     return chosen
@@ -89,21 +168,21 @@ def slope_inside(pool, base, cols, u, v):
 
 
 @inlined
-def slope_at(pool, ints, floats, w, x, y):
+def slope_at(windows, w, x, y):
     """The slope of window ``w`` along columns and rows at (x, y) in sample coordinates: metres per block of it."""
-    base, rows, cols = ints[w, 0], ints[w, 1], ints[w, 2]
-    blocks = 1.0 / floats[w, 0]
-    u, v = (x + 0.5) * blocks - 0.5 - floats[w, 5], (y + 0.5) * blocks - 0.5 - floats[w, 6]
+    pool, base, rows, cols = windows.pool, windows.base[w], windows.rows[w], windows.cols[w]
+    blocks = 1.0 / windows.size[w]
+    u, v = (x + 0.5) * blocks - 0.5 - windows.col0[w], (y + 0.5) * blocks - 0.5 - windows.row0[w]
     across = down = np.nan
     if 1.0 <= u < cols - 3.0 and 1.0 <= v < rows - 3.0:
         across, down = slope_inside(pool, np.uint64(base), np.uint64(cols), u, v)
     if across + down != across + down:
-        across, down = _beside_gaps(pool, base, rows, cols, u, v, floats[w, 7], floats[w, 8])
+        across, down = _beside_gaps(pool, base, rows, cols, u, v, windows.short_u[w], windows.short_v[w])
     return across, down
 
 
 @kernel
-def _gradients(pool, ints, floats, points, footprint, out, first, last):
+def _gradients(windows, points, footprint, out, first, last):
     """Points [first, last): (n, 3) sample coordinates, footprint (n,) in samples; out (n, 2): metres per sample."""
     for k in range(first, last):
         x, y = points[k, 0], points[k, 1]
@@ -118,10 +197,10 @@ def _gradients(pool, ints, floats, points, footprint, out, first, last):
         for step in range(2):
             share = part if step == 1 else 1.0 - part
             if share != 0.0:
-                w = finest(ints, floats, x, y, least)
-                across, down = slope_at(pool, ints, floats, w, x, y)
-                gx += share * across / floats[w, 0]
-                gy += share * down / floats[w, 0]
+                w = finest(windows, x, y, least)
+                across, down = slope_at(windows, w, x, y)
+                gx += share * across / windows.size[w]
+                gy += share * down / windows.size[w]
             least *= 2.0
         out[k, 0], out[k, 1] = gx, gy
 
@@ -131,74 +210,22 @@ STRIP = 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
-class Tables:
-    """Nested windows of rasters of box means, as kernels take them.
-
-    Attributes:
-        windows: what is to be read, outermost first.
-        ints: (W, 4): samples before a window's first, rows, cols, level.
-        floats: (W, 9): 2^level, then the west, east, north and south limits of the window in sample coordinates, its
-            first column and row, and by how much of a block the middles of its last column and row are nearer than a
-            block's (at the terrain's border).
-    """
-
-    windows: ClipStack
-    ints: NDArray[np.int64]
-    floats: Array
-
-    @classmethod
-    def over(cls, terrain: Terrain, rectangles: Sequence[Rectangle]) -> Tables:
-        """Of ``rectangles`` (outermost first) and the levels between them that filtering needs."""
-        wanted: list[Rectangle] = []
-        # A window that covers all the terrain hides those around it; pixels larger than its samples want them.
-        for level in range(terrain.levels - 1, rectangles[0].level, -1):
-            wanted.append(Rectangle.whole(level, terrain.mean_shape(level)))
-        for r, finer in zip(rectangles, [*rectangles[1:], None]):
-            wanted.append(r)
-            # Between two windows that are several levels apart lie levels that a pixel may want: cover the finer one.
-            if finer is None:
-                break
-            for level in range(r.level - 1, finer.level, -1):
-                k, f = level - finer.level, finer
-                wanted.append(Rectangle(level, f.row0 >> k, -(-f.row1 >> k), f.col0 >> k, -(-f.col1 >> k)))
-        clipped = ClipStack(r.cut(terrain.mean_shape(r.level)) for r in wanted)
-        ints, floats = np.zeros((len(clipped), 4), np.int64), np.zeros((len(clipped), 9))
-        base = 0
-        for k, r in enumerate(clipped):
-            s = 2.0**r.level
-            ints[k] = base, r.row1 - r.row0, r.col1 - r.col0, r.level
-            rows, cols = terrain.mean_shape(r.level)
-            # Differences reach one block out, unless the terrain ends there; the outermost takes whatever comes.
-            west, north = (f * s + s if f and k else -np.inf for f in (r.col0, r.row0))
-            east = r.col1 * s - s if r.col1 < cols and k else np.inf
-            south = r.row1 * s - s if r.row1 < rows and k else np.inf
-            short_u = (cols - terrain.grid.cols / s) / 2 if r.col1 == cols else 0.0
-            short_v = (rows - terrain.grid.rows / s) / 2 if r.row1 == rows else 0.0
-            floats[k] = s, west, east, north, south, r.col0, r.row0, short_u, short_v
-            base += r.samples
-        return cls(clipped, ints, floats)
-
-
-@dataclass(frozen=True, slots=True)
 class Relief:
     """Box means of the heights over nested windows; ``gradient`` looks them up.
 
     Attributes:
-        pool: float32, all windows, flat. ints, floats: see ``Tables``.
+        windows: of means, metres.
     """
 
-    pool: NDArray[np.float32]
-    ints: NDArray[np.int64]
-    floats: Array
+    windows: Windows
 
     @classmethod
     def load(cls, terrain: Terrain, rectangles: Sequence[Rectangle], jobs: int | None = None) -> Relief:
         """Read the means over ``rectangles`` (outermost first) and the levels between them that filtering needs."""
-        tables = Tables.over(terrain, rectangles)
-        pool = np.empty(sum(r.samples for r in tables.windows), np.float32)
+        wanted, windows = Windows.over(terrain, rectangles)
         strips = [
             (r, int(base), row, min(row + max(STRIP // (r.col1 - r.col0), 1), r.row1))
-            for r, (base, *_) in zip(tables.windows, tables.ints, strict=True)
+            for r, base in zip(wanted, windows.base, strict=True)
             for row in range(r.row0, r.row1, max(STRIP // (r.col1 - r.col0), 1))
         ]
 
@@ -206,11 +233,11 @@ class Relief:
             r, base, row0, row1 = strip
             begin = base + (row0 - r.row0) * (r.col1 - r.col0)
             values = terrain.read_mean(r.level, row0, row1, r.col0, r.col1)
-            pool[begin : begin + values.size] = values.ravel()
+            windows.pool[begin : begin + values.size] = values.ravel()
 
         for _ in map_ordered(read, strips, jobs):
             pass
-        return cls(pool, tables.ints, tables.floats)
+        return cls(windows)
 
     def gradient(self, points: Array, footprint: Array) -> Array:
         """Slope at points (n, 3) in sample coordinates, averaged over a footprint (n,) in samples.
@@ -219,5 +246,5 @@ class Relief:
             (n, 2) float64: metres of height per sample along columns and along rows; NaN where the point is NaN.
         """
         out = np.empty((len(points), 2))
-        _gradients(self.pool, self.ints, self.floats, points, footprint, out, 0, len(points))
+        _gradients(self.windows, points, footprint, out, 0, len(points))
         return out

@@ -143,7 +143,7 @@ def shadow_rays(
         z, gx, gy = (np.ascontiguousarray(near.block(a)) for a in (near.heights, near.gx, near.gy))
         out = np.empty((1, *z.shape), np.float32)
         ray_disc(
-            *near.scene(), z, gx, gy, near.inverse, lift(context), axis, rim, cosine, rays, seed,
+            near.scene(), z, gx, gy, near.inverse, lift(context), axis, rim, cosine, rays, seed,
             near.row0 + near.inner[0], near.col0 + near.inner[2], 0, len(z), out[0],
         )  # fmt: skip
         return out

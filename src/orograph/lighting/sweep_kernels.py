@@ -23,12 +23,14 @@ Positions are counted in steps from the light's end of the line; heights are met
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.lighting.own_cell import OwnCell, cell_slope
-from orograph.lighting.sweep_profiles import F32, F64, I64, fill
+from orograph.lighting.own_cell import cell_slope
+from orograph.lighting.sweep_profiles import F32, F64, I64, Swath, fill
 
 I32 = NDArray[np.int32]
 
@@ -41,6 +43,46 @@ _LOW = PAGE - 1
 _SHIFT = PAGE.bit_length() - 1
 
 
+class Course(NamedTuple):
+    """How lines are looked along.
+
+    Attributes:
+        backward: whether steps run against positions. origin: the position of step 0.
+        scale: steps per metre. lowest: the least slope that is told. bend: the body's curvature, per metre.
+    """
+
+    backward: bool
+    origin: int
+    scale: float
+    lowest: float
+    bend: float
+
+
+class Stacks(NamedTuple):
+    """The hulls of lines, in pages of one pool.
+
+    Attributes:
+        top: (1 + lines,) the place of the nearest point of each line's hull, −1: none; first of the line before the
+            first.
+        position, height: (pages · PAGE,) of the points. link: (pages,) the place of the point behind a page's first.
+        free: (1 + pages,) how many pages are free, and which.
+    """
+
+    top: I64
+    position: I32
+    height: F64
+    link: I64
+    free: I64
+
+
+class Target(NamedTuple):
+    """Where horizons go: ``values`` (samples,), from lane to lane and from step to step so many apart."""
+
+    values: F32
+    lane: int
+    step: int
+
+
 def working(steps: int) -> tuple[F64, F32]:
     """Profiles and slopes of a group of lines, for ``sweep_lines``.
 
@@ -51,14 +93,12 @@ def working(steps: int) -> tuple[F64, F32]:
 
 @kernel
 def _unlimited(
-    profile: F64, first: int, last: int, backward: bool, origin: int, scale: float, lowest: float, bend: float,
-    own: float, line: int, top: I64, position: I32, height: F64, link: I64, free: I64, slope: F32,
-) -> None:  # fmt: skip
-    """Far horizon slopes of one line's steps [first, last), its stack taken up from ``top[line]`` and left there.
-
-    ``origin``: position of step 0; steps run against positions if ``backward``. ``scale`` is steps per metre, ``bend``
-    the body's curvature per metre. ``free[0]`` counts the free pages listed after it; there are enough.
-    """
+    profile: F64, first: int, last: int, course: Course, own: float, line: int, stacks: Stacks, slope: F32
+) -> None:
+    """Far horizon slopes of one line's steps [first, last), beyond ``own`` steps, its stack taken up from ``top[line]``
+    and left there. There are enough free pages."""
+    backward, origin, scale, lowest, bend = course
+    top, position, height, link, free = stacks
     drop, turn = 0.5 * bend / (scale * scale), bend / scale
     t = top[line]  # slot of the nearest point of the hull, u of the one behind it; -1: there is none
     u = np.int64(-1)
@@ -104,14 +144,15 @@ def _unlimited(
 
 @kernel
 def _limited(
-    profile: F64, first: int, last: int, backward: bool, origin: int, scale: float, lowest: float, bend: float,
-    own: float, reach: int, near: F64, end: F64, undo: F64, slope: F32,
+    profile: F64, first: int, last: int, course: Course, own: float, reach: int, near: F64, end: F64, undo: F64,
+    slope: F32,
 ) -> None:  # fmt: skip
     """Far horizon slopes of one line's steps [first, last) among the points within ``reach`` steps.
 
     Positions begin at a multiple of ``reach``. ``near`` and ``end`` (reach, 2) are stacks of (position, height);
     ``undo`` (reach, 4) is what each insertion into ``end`` changed: its place (-1: none), what lay there, and the size.
     """
+    backward, origin, scale, lowest, bend = course
     drop, turn = 0.5 * bend / (scale * scale), bend / scale
     step = -1 if backward else 1
     x_first = origin - (last - 1) if backward else origin + first
@@ -203,14 +244,17 @@ def _horizon(heights, k, ahead, aside, odd, cell, one, other, f):  # type: ignor
 
 @kernel
 def _scatter(
-    values: F32, heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32,
-    cell: OwnCell, begin: int, lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
-) -> None:  # fmt: skip
+    values: F32, swath: Swath, begin: int, lines: int, first: int, last: int, skip: int, target: Target
+) -> None:
     """Horizons of samples from values (1 + lines, steps · ``cell.points``), of lines begin − 1 …, and own cells; NaN
     where heights are.
 
-    ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart, and steps ``out_step``.
+    ``skip`` steps of the heights have no place in the target.
     """
+    heights, start, lanes, shift, part, cell = (
+        swath.heights, swath.start, swath.lanes, swath.shift, swath.part, swath.cell,
+    )  # fmt: skip
+    lane_stride, step_stride, out_lane, out = swath.lane, swath.step, target.lane, target.values
     for i in range(first, last):
         lane0, f = begin + shift[i], part[i]
         b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
@@ -218,19 +262,19 @@ def _scatter(
         # Lanes that have one to the side.
         s0 = min(max(b0, 1 - lane0), b1) if cell.side < 0 else b0
         s1 = max(min(b1, lanes - 1 - lane0), s0) if cell.side > 0 else b1
-        base, target = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * out_step
+        base, place = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * target.step
         k = i if cell.points == 1 else 2 * i + (1 if cell.toward < 0 else 0)
         aside, odd = cell.side * lane_stride, cell.odd + lane0 + i
         for b in range(b0, s0):
-            out[target + b * out_lane] = _horizon(
+            out[place + b * out_lane] = _horizon(
                 heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, k], values[b, k], f
             )
         for b in range(s0, s1):
-            out[target + b * out_lane] = _horizon(
+            out[place + b * out_lane] = _horizon(
                 heights, base + b * lane_stride, ahead, aside, odd + b, cell, values[b + 1, k], values[b, k], f
             )
         for b in range(s1, b1):
-            out[target + b * out_lane] = _horizon(
+            out[place + b * out_lane] = _horizon(
                 heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, k], values[b, k], f
             )
 
@@ -248,43 +292,35 @@ def _range(shift: I64, lanes: int, line0: int, lines: int) -> tuple[int, int]:
 
 @kernel
 def sweep_lines(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, cell: OwnCell,
-    backward: bool, origin: int, scale: float, lowest: float, bend: float, line0: int, lines: int, begin: int, top: I64,
-    position: I32, height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out_step: int, out: F32,
+    swath: Swath, course: Course, line0: int, lines: int, begin: int, stacks: Stacks, profile: F64, slope: F32,
+    target: Target,
 ) -> int:  # fmt: skip
     """Sweep a band of ``len(shift)`` steps for the samples on or just before ``lines`` lines from ``line0``, unlimited.
 
-    ``heights[start]`` is the sample in lane 0 at step 0; the step nearer to the light is there, too. Every sample
-    belongs to one line. ``top`` (1 + lines,) are the stacks of the line before the first and of all lines. ``profile``
-    and ``slope`` are ``working(steps)``; the latter keeps a line's slopes from one group to the next.
+    Every sample belongs to one line. ``profile`` and ``slope`` are ``working(steps)``; the latter keeps a line's slopes
+    from one group to the next.
 
     Returns:
         the number of lines done; fewer than ``lines`` if the pool has too few free pages to go on: call again with
         ``begin`` set to it.
     """
-    steps, points = len(shift), cell.points
-    # Of two points in a step the sample is the one that is farther from the light.
-    origin, scale = points * origin + (points - 1 if backward else 0), points * scale
+    shift, lanes, own = swath.shift, swath.lanes, swath.cell.reach
+    steps, points = len(shift), swath.cell.points
+    finer = _finer(course, points)
     enough = (GROUP + 1) * (points * steps // PAGE + 2)
     while begin < lines:
-        if free[0] < enough:
+        if stacks.free[0] < enough:
             return begin
         count = min(GROUP, lines - begin)
         if begin == 0:
             first, last = _range(shift, lanes, line0 - 1, 1)
-            fill(heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 - 1, 1, first, last, profile)
-            _unlimited(profile[0], points * first, points * last, backward, origin, scale, lowest, bend, cell.reach, 0,
-                       top, position, height, link, free, slope[0])  # fmt: skip
+            fill(swath, line0 - 1, 1, first, last, profile)
+            _unlimited(profile[0], points * first, points * last, finer, own, 0, stacks, slope[0])
         first, last = _range(shift, lanes, line0 + begin, count)
-        fill(
-            heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count, first, last,
-            profile,
-        )  # fmt: skip
+        fill(swath, line0 + begin, count, first, last, profile)
         for b in range(count):
-            _unlimited(profile[b], points * first, points * last, backward, origin, scale, lowest, bend, cell.reach,
-                       begin + b + 1, top, position, height, link, free, slope[b + 1])  # fmt: skip
-        _scatter(slope, heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count,
-                 first, last, 0, out_lane, out_step, out)  # fmt: skip
+            _unlimited(profile[b], points * first, points * last, finer, own, begin + b + 1, stacks, slope[b + 1])
+        _scatter(slope, swath, line0 + begin, count, first, last, 0, target)
         for i in range(points * first, points * last):
             slope[0, i] = slope[count, i]
         begin += count
@@ -293,13 +329,11 @@ def sweep_lines(
 
 @kernel
 def sweep_windows(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, cell: OwnCell,
-    backward: bool, origin: int, scale: float, lowest: float, bend: float, line0: int, lines: int, reach: int,
-    skip: int, own: int, out_lane: int, out_step: int, out: F32,
-) -> None:  # fmt: skip
+    swath: Swath, course: Course, line0: int, lines: int, reach: int, skip: int, own: int, target: Target
+) -> None:
     """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
-    steps, points = len(shift), cell.points
-    origin, scale = points * origin + (points - 1 if backward else 0), points * scale
+    steps, points = len(swath.shift), swath.cell.points
+    finer = _finer(course, points)
     reach *= points
     # Rows a power of two apart would share their places in the cache.
     profile = np.empty((GROUP, points * steps + 8), np.float64)
@@ -307,19 +341,24 @@ def sweep_windows(
     near, end, undo = np.empty((reach, 2)), np.empty((reach, 2)), np.empty((reach, 4))
     for begin in range(-1, lines, GROUP):
         count = min(GROUP, lines - begin)
-        first, last = _range(shift, lanes, line0 + begin, count)
+        first, last = _range(swath.shift, swath.lanes, line0 + begin, count)
         if first == last:
             continue
         first, last = 0, steps  # blocks of ``reach`` points begin where the band does, or at the raster's border
-        fill(
-            heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count, first, last,
-            profile,
-        )  # fmt: skip
+        fill(swath, line0 + begin, count, first, last, profile)
         for b in range(count):
-            _limited(profile[b], points * first, points * last, backward, origin, scale, lowest, bend, cell.reach,
-                     reach, near, end, undo, slope[b + 1])  # fmt: skip
+            _limited(
+                profile[b], points * first, points * last, finer, swath.cell.reach, reach, near, end, undo,
+                slope[b + 1],
+            )  # fmt: skip
         # The first line of all only takes part in interpolation.
         a = 1 if begin < 0 else 0
-        _scatter(slope[a:], heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin + a,
-                 count - a, skip, skip + own, skip, out_lane, out_step, out)  # fmt: skip
+        _scatter(slope[a:], swath, line0 + begin + a, count - a, skip, skip + own, skip, target)
         slope[0] = slope[count]
+
+
+@inlined
+def _finer(course, points):  # type: ignore[no-untyped-def]
+    """The course where each step has so many points: of two the sample is the one that is farther from the light."""
+    origin = points * course.origin + (points - 1 if course.backward else 0)
+    return Course(course.backward, origin, points * course.scale, course.lowest, course.bend)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from orograph.folders import scratch
 from orograph.lighting.own_cell import OwnCell
-from orograph.lighting.sweep_kernels import PAGE
+from orograph.lighting.sweep_kernels import PAGE, Stacks
 
 T = TypeVar("T")
 
@@ -113,6 +113,11 @@ class Pool:
         self.top = np.full(lines + 1, -1, np.int64)
         self.free[0] = len(self.link)
         self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
+
+    @property
+    def stacks(self) -> Stacks:
+        """They as kernels take them."""
+        return Stacks(self.top, self.position, self.height, self.link, self.free)
 
     @property
     def size(self) -> int:

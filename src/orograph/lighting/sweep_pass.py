@@ -16,8 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.lighting.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows, working
+from orograph.lighting.sweep_kernels import (
+    GROUP,
+    PAGE,
+    Course,
+    Target,
+    sweep_lines,
+    sweep_windows,
+    working,
+)
 from orograph.lighting.sweep_lines import Lines, Pool, taken
+from orograph.lighting.sweep_profiles import Swath
 
 Values = NDArray[np.float32]
 Read = Callable[[int, int, int, int], Values]
@@ -208,9 +217,7 @@ class Pass:
         return work
 
     def _unlimited(self, strip: Strip, s0: int, s1: int, slopes: Values) -> list[tuple[Lines, int, Work]]:
-        flat, wide, width = strip.flat, strip.wide, s1 - s0
-        lane, step = (wide, 1) if self.by_columns else (1, wide)
-        out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
+        width = s1 - s0
         work = self._shares(s0, s1, self.lines)
         last = (s0, s1) == self.bands[-1] and not self.hands_on
         keep = {(a.index, s) for a, s in work}
@@ -225,15 +232,11 @@ class Pass:
             pool = self.pools.get((a.index, s)) or self.pool()
             rows = taken(self._rows, lambda: working(longest))
             profile, slope = rows
-            out = slopes[place[a.index]].reshape(-1)
+            swath, course = self._swath(strip, a, s0, s1), self._course(a, s0)
+            target = self._target(slopes[place[a.index]])
             done = 0
             while True:
-                done = sweep_lines(
-                    flat, (s0 - strip.first) * step, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1],
-                    a.own_cell(s0, self.curvature), a.backward, a.position(s0), a.scale, self.lowest, self.curvature,
-                    s * self.share, self.share, done, pool.top, pool.position,
-                    pool.height, pool.link, pool.free, profile, slope, out_lane, out_step, out,
-                )  # fmt: skip
+                done = sweep_lines(swath, course, s * self.share, self.share, done, pool.stacks, profile, slope, target)
                 if done >= self.share:
                     break
                 pool.grow((GROUP + 1) * (a.points * width // PAGE + 2) + (0 if last else self.share), on_disk)
@@ -255,19 +258,29 @@ class Pass:
         pool.clear(self.share)
         return pool
 
-    def _limited(self, strip: Strip, s0: int, s1: int, slopes: Values) -> list[tuple[Lines, int, Work]]:
+    def _swath(self, strip: Strip, a: Lines, s0: int, s1: int) -> Swath:
         lane, step = (strip.wide, 1) if self.by_columns else (1, strip.wide)
-        out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
+        return Swath(
+            strip.flat, (s0 - strip.first) * step, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1],
+            a.own_cell(s0, self.curvature),
+        )  # fmt: skip
+
+    def _course(self, a: Lines, s0: int) -> Course:
+        return Course(a.backward, a.position(s0), a.scale, self.lowest, self.curvature)
+
+    def _target(self, slopes: Values) -> Target:
+        """Room for the slopes (rows, cols) of an azimuth."""
+        lane, step = (slopes.shape[1], 1) if self.by_columns else (1, slopes.shape[1])
+        return Target(slopes.reshape(-1), lane, step)
+
+    def _limited(self, strip: Strip, s0: int, s1: int, slopes: Values) -> list[tuple[Lines, int, Work]]:
         work: list[tuple[Lines, int, Work]] = []
         for k, a in enumerate(self.lines):
             assert self.radius is not None
             reach, h0, h1 = reach_of(a, self.radius, s0, s1)
             sweep = partial(
-                sweep_windows, strip.flat, (h0 - strip.first) * step, lane, step, self.lanes, a.shift[h0:h1],
-                a.part[h0:h1], a.own_cell(h0, self.curvature), a.backward, a.position(h0), a.scale, self.lowest,
-                self.curvature, lines=self.share,
-                reach=reach, skip=s0 - h0, own=s1 - s0, out_lane=out_lane, out_step=out_step,
-                out=slopes[k].reshape(-1),
+                sweep_windows, self._swath(strip, a, h0, h1), self._course(a, h0), lines=self.share, reach=reach,
+                skip=s0 - h0, own=s1 - s0, target=self._target(slopes[k]),
             )  # fmt: skip
             work += [(a, s, partial(_at_line, sweep, s * self.share)) for _, s in self._shares(s0, s1, [a])]
         return work

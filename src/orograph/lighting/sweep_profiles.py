@@ -5,6 +5,8 @@ Heights are metres, NaN where missing. A line crosses a step between two samples
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,26 @@ from orograph.lighting.own_cell import OwnCell
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+
+
+class Swath(NamedTuple):
+    """A band of steps of the parallel lines of an azimuth, over a raster.
+
+    Attributes:
+        heights: (samples,) metres. start: the sample in lane 0 at step 0; the step nearer to the light is there, too.
+        lane, step: samples from one lane, and from one step, to the next. lanes: how many there are.
+        shift: (steps,) the lane of line 0 at each step; monotonic. part: (steps,) from there to the next lane, 0 to 1.
+        cell: how samples find the corners of their own cells.
+    """
+
+    heights: F32
+    start: int
+    lane: int
+    step: int
+    lanes: int
+    shift: I64
+    part: F32
+    cell: OwnCell
 
 
 @inlined
@@ -27,12 +49,11 @@ def _profile(a: np.float32, b: np.float32, f: np.float32) -> np.float64:
 
 
 @kernel
-def _gather(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, line0: int,
-    lines: int, first: int, last: int, profile: F64,
-) -> None:  # fmt: skip
+def _gather(swath: Swath, line0: int, lines: int, first: int, last: int, profile: F64) -> None:
     """Heights at steps [first, last) of ``lines`` lines from ``line0``: profile (lines, steps), NaN off the raster."""
     nan = np.float32(np.nan)
+    heights, start, lanes, shift, part = swath.heights, swath.start, swath.lanes, swath.shift, swath.part
+    lane_stride, step_stride = swath.lane, swath.step
     if lane_stride == 1:  # neighbouring lines lie beside each other in memory
         for i in range(first, last):
             lane0, f = line0 + shift[i], part[i]
@@ -61,16 +82,15 @@ def _gather(
 
 
 @kernel
-def _gather_diagonal(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, cell: OwnCell, line0: int,
-    lines: int, first: int, last: int, profile: F64,
-) -> None:  # fmt: skip
+def _gather_diagonal(swath: Swath, line0: int, lines: int, first: int, last: int, profile: F64) -> None:
     """As ``_gather``, of lines along cells' diagonals: profile (lines, 2 · steps), samples and what is between them.
 
     On the side of the light of a sample of odd row + column that is the middle of its cell; of others it is NaN: the
     surface is straight there.
     """
     nan = np.float32(np.nan)
+    heights, start, lanes, shift, cell = swath.heights, swath.start, swath.lanes, swath.shift, swath.cell
+    lane_stride, step_stride = swath.lane, swath.step
     at, between = (0, 1) if cell.toward > 0 else (1, 0)
     for b in range(lines):
         for i in range(first, last):
@@ -87,11 +107,9 @@ def _gather_diagonal(
 
 
 @inlined
-def fill(heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0, lines, first, last, profile):  # type: ignore[no-untyped-def]
+def fill(swath, line0, lines, first, last, profile):  # type: ignore[no-untyped-def]
     """The profiles of lines, with ``cell.points`` places for each step."""
-    if cell.points == 1:
-        _gather(heights, start, lane_stride, step_stride, lanes, shift, part, line0, lines, first, last, profile)
+    if swath.cell.points == 1:
+        _gather(swath, line0, lines, first, last, profile)
     else:
-        _gather_diagonal(
-            heights, start, lane_stride, step_stride, lanes, shift, cell, line0, lines, first, last, profile
-        )
+        _gather_diagonal(swath, line0, lines, first, last, profile)

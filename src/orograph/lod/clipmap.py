@@ -174,7 +174,8 @@ class Clipmap(Method):
             stats["within_budget"] = found.within
         return ClipRings(
             method=self.info.name, bound=tolerance if promised else None, lacking=lacking, stats=stats,
-            stack=found.stack, blends=found.blends, seen=found.seen, block=BLOCK,
+            stack=found.stack, blends=found.blends if self.options.blend else [NO_BLEND] * len(found.stack),
+            seen=found.seen, block=BLOCK, read=None if self._rims else read,
             expand=partial(self._expand, found=found, read=read, limit=self._limit(camera, tolerance)),
         )  # fmt: skip
 

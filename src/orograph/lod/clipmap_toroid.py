@@ -31,15 +31,8 @@ class Toroid:
         self.data = np.full((self.n, self.n), np.nan, np.float32)
 
     def lacks(self, window: Rectangle) -> list[Rectangle]:
-        """What of a window it does not hold: rectangles that do not overlap, two of an L, one after a leap."""
-        old = self.holds
-        if old is None or not _meet(old, window):
-            return [window]
-        level, a, b, c, d = window
-        top, bottom = max(a, old.row0), min(b, old.row1)
-        left, right = max(c, old.col0), min(d, old.col1)
-        parts = [(a, top, c, d), (bottom, b, c, d), (top, bottom, c, left), (top, bottom, right, d)]
-        return [Rectangle(level, *part) for part in parts if part[0] < part[1] and part[2] < part[3]]
+        """What of a window it does not hold."""
+        return lacking(self.holds, window)
 
     def affordable(self, window: Rectangle, budget: int) -> Rectangle | None:
         """The part of a window that so many samples to read allow to hold: what it holds already, as wide as the
@@ -110,6 +103,17 @@ class Toroids:
     def heights(self, level: int) -> Heights:
         """A copy of what a level holds."""
         return self._levels[level].heights()
+
+
+def lacking(held: Rectangle | None, window: Rectangle) -> list[Rectangle]:
+    """What of a window is not held: rectangles that do not overlap, two of an L, one after a leap."""
+    if held is None or not _meet(held, window):
+        return [window]
+    level, a, b, c, d = window
+    top, bottom = max(a, held.row0), min(b, held.row1)
+    left, right = max(c, held.col0), min(d, held.col1)
+    parts = [(a, top, c, d), (bottom, b, c, d), (top, bottom, c, left), (top, bottom, right, d)]
+    return [Rectangle(level, *part) for part in parts if part[0] < part[1] and part[2] < part[3]]
 
 
 def _meet(one: Rectangle, two: Rectangle) -> bool:

@@ -14,27 +14,23 @@ error, and so does all that is drawn. Metres, samples, pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lod.method import MethodInfo, Need
+from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
 from orograph.lod.quadtree_patches import Pieces, QuadtreePatches
 from orograph.lod.seamless_errors import BlockErrors
 from orograph.lod.seamless_layout import Layout, Patches
 from orograph.lod.seamless_pieces import SeamlessPieces, turned
-from orograph.lod.selection import PatchSet
+from orograph.lod.selection import PIECE, PatchSet, PieceSet
 from orograph.lod.squares import Index
 from orograph.store.terrain import TILE
-from orograph.tessellation import Tessellation
+from orograph.tessellation import Tessellation, turn
 from orograph.viewpoint import Camera
-
-PIECE = np.dtype([("row", "<i4"), ("col", "<i4"), ("p", "<i4"), ("turns", "<i4"), ("level", "<i4")])
-"""A piece of a patch: its upper left sample, the exponent of the patch's side, quarters by which it is turned
-clockwise, and the level that its finest vertices are on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +78,15 @@ class SeamlessPatches(QuadtreePatches):
         """The exact errors of diamonds."""
         return (Need("diamonds", {"error": "exact"}),)
 
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PieceSet:
+        """The pieces of a view."""
+        found = super().select(camera, goal, ready)
+        return PieceSet(
+            **{one.name: getattr(found, one.name) for one in fields(found)},
+            side=1 << self.big, clockwise=turn(self.terrain.grid) < 0,
+            heights=lambda pieces, shape: self._points(pieces, shape)[1],
+        )  # fmt: skip
+
     def _pieces(self, camera: Camera, tolerance: float) -> Pieces:
         times = 2.0 if self.conservative else 1.0
         patches = Layout(camera, tolerance, self._errors, times=times).patches()
@@ -107,28 +112,29 @@ class SeamlessPatches(QuadtreePatches):
         return np.concatenate(shapes), np.concatenate(found)
 
     def _expand(self, selection: PatchSet, camera: Camera, tolerance: float) -> Tessellation:
-        keys, levels = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3), np.int64)]
-        side = 1 << self._made.big
-        for shape in np.unique(selection.shapes):
-            topology = selection.topologies[shape]
-            here = selection.instances[selection.shapes == shape]
-            for turns in np.unique(here["turns"]):
-                some = here[here["turns"] == turns]
-                points = turned(topology.points.astype(np.int64), int(turns), side)
-                at = (points[None] << some["p"][:, None, None]) >> self._made.big
-                key = (some["row"][:, None] + at[..., 0]) << 32 | (some["col"][:, None] + at[..., 1])
-                keys.append(key[:, topology.triangles].reshape(-1, 3))
-                level = np.broadcast_to(some["level"][:, None, None], (len(some), *topology.triangles.shape))
-                levels.append(level.reshape(-1, 3).astype(np.int64))
-        corners = np.concatenate(keys)
-        heights = self._heights(corners.ravel(), np.concatenate(levels).ravel()).reshape(-1, 3)
-        there = ~np.isnan(heights).any(1)
+        keys, heights = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3), np.float32)]
+        for shape in np.unique(selection.shapes).tolist():
+            key, height = self._points(selection.instances[selection.shapes == shape], shape)
+            triangles = self.topologies[shape].triangles
+            keys.append(key[:, triangles].reshape(-1, 3))
+            heights.append(height[:, triangles].reshape(-1, 3))
+        corners, up = np.concatenate(keys), np.concatenate(heights)
+        there = ~np.isnan(up).any(1)
         stats = dict(selection.stats)
-        made = Tessellation.from_triangles(
-            self.terrain.grid, corners[there], heights[there], clockwise=True, stats=stats
-        )  # fmt: skip
+        made = Tessellation.from_triangles(self.terrain.grid, corners[there], up[there], clockwise=True, stats=stats)
         stats["triangles"] = len(made.triangles)
         return made
+
+    def _points(self, pieces: NDArray[Any], shape: int) -> tuple[Index, NDArray[np.float32]]:
+        """The keys and the heights (m, v) of the vertices of pieces of one topology."""
+        points = self.topologies[shape].points.astype(np.int64)
+        side = 1 << self.big
+        turns = np.stack([turned(points, times, side) for times in range(4)])
+        at = (turns[pieces["turns"]] << pieces["p"].astype(np.int64)[:, None, None]) >> self.big
+        rows, cols = pieces["row"].astype(np.int64)[:, None] + at[..., 0], pieces["col"][:, None] + at[..., 1]
+        keys = rows << 32 | cols
+        levels = np.broadcast_to(pieces["level"].astype(np.int64)[:, None], keys.shape)
+        return keys, self._heights(keys.ravel(), levels.ravel()).reshape(keys.shape)
 
     def _heights(self, keys: Index, levels: Index) -> NDArray[np.float32]:
         """The heights (n,) of vertices by their keys, read from levels that have them, tile by tile."""

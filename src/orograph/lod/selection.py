@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.hierarchy.clip_stack import ClipStack
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.store.chunked import Layout
+from orograph.store.terrain import Heights
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
@@ -102,6 +103,27 @@ class PatchSet(Selection):
         """The triangles of all instances."""
         made: Tessellation = self.expand(self)
         return made
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PieceSet(PatchSet):
+    """Instances (``PIECE``) of pieces of square patches, which lie on the terrain: only their heights are their own.
+
+    Attributes:
+        side: lattice points from one side of a patch to the other.
+        clockwise: whether the triangles of topologies have to be turned over to turn as a ``Tessellation``'s do.
+        heights: of some instances (m,) and the number of their topology the heights (m, v) float32 of its points, NaN
+            where there is no ground.
+    """
+
+    side: int
+    clockwise: bool
+    heights: Callable[[NDArray[Any], int], NDArray[np.float32]]
+
+
+PIECE = np.dtype([("row", "<i4"), ("col", "<i4"), ("p", "<i4"), ("turns", "<i4"), ("level", "<i4")])
+"""A piece of a patch: its patch's upper left sample, the exponent of the patch's side, quarters by which it is turned
+clockwise, and the level that its finest vertices are on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +232,8 @@ class ClipRings(Selection):
         blends: of each. seen: of each, (block rows, block cols) bool: which of its blocks of ``block`` × ``block``
             cells, counted from the one with its first sample, are in view.
         block: cells along a side.
+        read: heights of a part of a window, metres, of the moment when it was selected; None: the triangles are not
+            those of whole cells alone, for some are split along missing ground.
         expand: makes the triangles of the rings.
     """
 
@@ -217,6 +241,7 @@ class ClipRings(Selection):
     blends: Sequence[Blend]
     seen: Sequence[NDArray[np.bool_]]
     block: int
+    read: Callable[[Rectangle], Heights] | None
     expand: Any
 
     def tessellation(self) -> Tessellation:

@@ -281,7 +281,7 @@ def assemble(terrain: Terrain, made: dict[Key, Tile], side: int, stats: dict[str
         corners = number[tile.triangles]
         triangles[done : done + len(corners)] = corners if turn(terrain.grid) > 0 else corners[:, ::-1]
         first, done = following, done + len(corners)
-    return Tessellation(vertices, triangles, None, {**stats, **figures})
+    return Tessellation(vertices, triangles, None, {**stats, **figures}, terrain.grid)
 
 
 def numbers(key: Key, tile: Tile, some: NDArray[np.intp], side: int) -> NDArray[np.int64]:

@@ -7,13 +7,13 @@ makes the rays decides what t measures (with directions of unit forward componen
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.parallel import map_ordered, threads_for
 from orograph.raycast.stack import HeightWindow, Stack
+from orograph.raycast.tables import Picture, Pinhole
 
 Array = NDArray[np.float64]
 
@@ -36,10 +36,6 @@ class Caster:
         """The exact surface of heights (rows, cols) float32, NaN where missing."""
         return cls([HeightWindow(0, 0, 0, heights)], heights.shape, jobs)
 
-    def _scene(self) -> tuple[NDArray[Any], ...]:
-        s = self.stack
-        return s.pool, s.maxima, s.minima, s.mips, s.ints, s.floats
-
     def _blocks(self, work: Callable[[int, int], None], n: int, block: int) -> None:
         spans = [(a, min(a + block, n)) for a in range(0, n, block)]
         if len(spans) == 1:
@@ -61,7 +57,7 @@ class Caster:
         t, which = np.empty(n), np.empty(n, np.int8)
         origins = np.stack([x, y, np.full(n, s.high + 1.0)], -1)
         down = np.broadcast_to([0.0, 0.0, -1.0], (n, 3)).copy()
-        cast_rays(s.scene, s.ints, s.floats, s.low, s.high, origins, down, 0.0, np.inf, t, which, 0, n)
+        cast_rays(s.scene, origins, down, 0.0, np.inf, t, which, 0, n)
         return np.asarray(s.high + 1.0 - t)
 
     def cast(
@@ -81,9 +77,7 @@ class Caster:
         t, which = np.empty(len(origins)), np.empty(len(origins), np.int8)
         s = self.stack
         self._blocks(
-            lambda a, b: cast_rays(
-                s.scene, s.ints, s.floats, s.low, s.high, origins, directions, near, far, t, which, a, b
-            ),
+            lambda a, b: cast_rays(s.scene, origins, directions, near, far, t, which, a, b),
             len(origins),
             16384,
         )
@@ -110,18 +104,17 @@ class Caster:
         shape = bottom - top, right - left
         t, which = np.empty(shape), np.empty(shape, np.int8)
         s = self.stack
-        camera = tuple(np.ascontiguousarray(v, np.float64) for v in (eye, d0, du, dv))
         end = min(far, self._reach(eye, d0, du, dv, size))
+        o, *plane = (np.ascontiguousarray(v, np.float64) for v in (eye, d0, du, dv))
+        camera = Pinhole(o, plane[0], plane[1], plane[2], near, end)
+        picture = Picture((top, left), t, which)
         ground = self.surface(eye[0], eye[1])
         clear = not (eye[2] <= ground)  # also true outside, where ground is NaN
         self._blocks(
-            lambda a, b: cast_pinhole(
-                s.scene, s.ints, s.floats, s.low, s.high, *camera, near, end, clear, left, right, top + a, top + b,
-                (top, left), t, which,
-            ),
+            lambda a, b: cast_pinhole(s.scene, camera, clear, left, right, top + a, top + b, picture),
             shape[0],
             16,
-        )  # fmt: skip
+        )
         return t, which
 
     def skyline(self, points: Array, direction: tuple[float, float], skip: Array, lower: float, enough: float) -> Array:
@@ -143,7 +136,7 @@ class Caster:
         s = self.stack
         dx, dy = direction
         self._blocks(
-            lambda a, b: skylines(*self._scene(), s.high, points, dx, dy, skip, lower, enough, out, a, b),
+            lambda a, b: skylines(s.scene, points, dx, dy, skip, lower, enough, out, a, b),
             len(points),
             16384,
         )

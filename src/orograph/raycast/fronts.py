@@ -73,9 +73,9 @@ def clamped(x, last):
 
 
 @inlined
-def ground_below(scene, ints, floats, x0, x1, y0, y1, wanted):
+def ground_below(scene, x0, x1, y0, y1, wanted):
     """(Upper bounds of the surface over rectangles, −inf beside it; scales of the finest windows there)."""
-    _, maxima, _, mips = scene
+    maxima, mips, ints, floats = scene.maxima, scene.mips, scene.ints, scene.floats
     ground, scale = spread(-INF), spread(0.0)
     for w in range(ints.shape[0] - 1, -1, -1):
         west, north, east, south = floats[w, WEST], floats[w, NORTH], floats[w, EAST], floats[w, SOUTH]
@@ -99,7 +99,7 @@ def ground_below(scene, ints, floats, x0, x1, y0, y1, wanted):
 
 
 @inlined
-def advance(scene, ints, floats, high, o, beams, slope, s, end, step, ground, moving, cells):
+def advance(scene, o, beams, slope, s, end, step, ground, moving, cells):
     """Push the fronts of the beams that are ``moving`` outward from ``s``.
 
     Rays of a beam have z ≥ ``slope``, s ≤ ``end``; they are known to be above the ground up to ``s``. The shortest
@@ -117,16 +117,16 @@ def advance(scene, ints, floats, high, o, beams, slope, s, end, step, ground, mo
     passed = s < -INF
     moving = moving & (s < end)
     while some(moving):
-        above = moving & (oz + s * slope > high)  # every summit, until it comes down to them
+        above = moving & (oz + s * slope > scene.high)  # every summit, until it comes down to them
         if some(above):
             falls = slope < 0.0
-            s = where(above, where(falls, most(s, (high - oz) / slope), end), s)
+            s = where(above, where(falls, most(s, (scene.high - oz) / slope), end), s)
             moving = moving & (s < end)
         to = s + step
         z = oz + where(slope >= 0.0, s, to) * slope
         x0, x1 = ox + least(s * xa, to * xa), ox + most(s * xb, to * xb)
         y0, y1 = oy + least(s * ya, to * ya), oy + most(s * yb, to * yb)
-        here, cell = ground_below(scene, ints, floats, x0, x1, y0, y1, moving)
+        here, cell = ground_below(scene, x0, x1, y0, y1, moving)
         free = moving & (z > here)
         shortest = most(cell * cells, s * width * LEAST_WIDTH) / speed
         stops = moving & ~free & (step <= shortest)

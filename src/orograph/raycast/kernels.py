@@ -53,14 +53,14 @@ FRONT, START, X, Y, T = (LANES * k for k in range(5))
 
 
 @kernel
-def ray(scene, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, side, level, spans):
+def ray(scene, ox, oy, oz, dx, dy, dz, t0, t1, side, level, spans):
     """The first hit of one ray with the stack: (t, window), t = inf if there is none.
 
     ``side``: of the surface at t0 if the ray is over the terrain there (0 unknown). ``level``: where in the pyramids to
     begin. ``spans`` (W, 2): scratch.
     """
-    pool, maxima, minima, mips = scene
-    a, b = clip(oz, dz, low, high, t0, t1)
+    maxima, minima, mips, ints, floats = scene.maxima, scene.minima, scene.mips, scene.ints, scene.floats
+    a, b = clip(oz, dz, scene.low, scene.high, t0, t1)
     if a > t0:
         side = 1 if dz < 0.0 else -1
     began = a
@@ -89,7 +89,7 @@ def ray(scene, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, side, le
         k = f[INVERSE]
         m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
         t, side = cast(
-            pool,
+            scene.pool,
             n[BASE],
             n[STRIDE],
             n[CELLS_X],
@@ -116,19 +116,21 @@ def ray(scene, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, side, le
 
 
 @kernel
-def cast_rays(scene, ints, floats, low, high, origins, directions, t0, t1, out, which, first, last):
+def cast_rays(scene, origins, directions, t0, t1, out, which, first, last):
     """Rays [first, last) of arrays (n, 3); ``out`` float64 (n,): t (NaN: none), ``which`` int8 (n,): the window hit."""
-    spans = np.empty((ints.shape[0], 2))
+    spans = np.empty((scene.ints.shape[0], 2))
     for i in range(first, last):
         o, d = origins[i], directions[i]
-        t, w = ray(scene, ints, floats, low, high, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, 0, 6, spans)
+        t, w = ray(scene, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, 0, 6, spans)
         out[i] = t if t < INF else np.nan
         which[i] = w
 
 
 @kernel
-def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1, corner, out, which, spans):
+def finish(scene, pinhole, x0, x1, y0, y1, picture, spans):
     """Cast the rays that packets left."""
+    o, d0, du, dv, t0, t1 = pinhole
+    corner, out, which = picture
     for py in range(y0, y1):
         for px in range(x0, x1):
             w = which[py - corner[0], px - corner[1]]
@@ -137,10 +139,6 @@ def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1
             side = 1 if w in (ABOVE, TIRED) else 0
             t, w = ray(
                 scene,
-                ints,
-                floats,
-                low,
-                high,
                 o[0],
                 o[1],
                 o[2],
@@ -158,15 +156,18 @@ def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1
 
 
 @kernel
-def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, corner, out, which):
-    """Pixels [x0, x1) × [y0, y1) of a pinhole camera at ``o``: direction d0 + px·du + py·dv through pixel (px, py).
+def cast_pinhole(scene, pinhole, clear, x0, x1, y0, y1, picture):
+    """Pixels [x0, x1) × [y0, y1) of a pinhole camera.
 
-    ``corner``: (row, col) of the pixel that ``out`` and ``which`` begin with. ``clear``: the eye is known to be above
+    ``clear``: the eye is known to be above
     the surface (or beside it), so that fronts may be pushed from there.
 
     (One function, though long: block and row narrow the same dozen numbers, which calls would pass on.)
     """
-    windows = ints.shape[0]
+    floats = scene.floats
+    o, d0, du, dv, _, t1 = pinhole
+    corner, out, which = picture
+    windows = floats.shape[0]
     top, left = corner
     spans = np.empty((windows, 2))
     state, codes = np.empty(5 * LANES), np.empty(LANES, np.int64)
@@ -185,9 +186,9 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
         for bx in range(x0, x1, BLOCK_X):
             ey, ex = min(by + BLOCK_Y, y1), min(bx + BLOCK_X, x1)
             if not clear:
-                out[by - top : ey - top, bx - left : ex - left] = t0
+                out[by - top : ey - top, bx - left : ex - left] = pinhole.near
                 which[by - top : ey - top, bx - left : ex - left] = UNKNOWN
-                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, corner, out, which, spans)
+                finish(scene, pinhole, bx, ex, by, ey, picture, spans)
                 continue
             a = least(counted() * LANES + bx, spread(ex - 1.0))
             b = least(a + (LANES - 1.0), spread(ex - 1.0))
@@ -199,9 +200,7 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
             else:
                 beams, slope = cones(d0, du, dv, a, b, by, ey)
                 end, step = t1, 16.0 * finest / (most(size(beams.xa), size(beams.ya)) + 1e-300)
-            first, step, _ = advance(
-                scene, ints, floats, high, o, beams, slope, spread(0.0), end, step, spread(-INF), wanted, CELLS
-            )
+            first, step, _ = advance(scene, o, beams, slope, spread(0.0), end, step, spread(-INF), wanted, CELLS)
             if not some(wanted & (first < end)):
                 out[by - top : ey - top, bx - left : ex - left] = np.nan
                 which[by - top : ey - top, bx - left : ex - left] = -1
@@ -225,47 +224,35 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                     beams, slope = cones(d0, du, dv, a, b, py, min(py + LOW, ey))
                     front, tried = first, step
                 if (wedged or row % LOW == 0) and some(moving):
-                    front, tried, ground = advance(
-                        scene, ints, floats, high, o, beams, slope, front, end, tried, ground, moving, CELLS
-                    )
+                    front, tried, ground = advance(scene, o, beams, slope, front, end, tried, ground, moving, CELLS)
                 store(state, FRONT, front)
                 store(state, START, front / fastest)
                 store(state, X, o[0] + 0.5 * front * (beams.xa + beams.xb))
                 store(state, Y, o[1] + 0.5 * front * (beams.ya + beams.yb))
                 many = cast_row(
                     scene,
-                    ints,
-                    floats,
-                    low,
-                    high,
-                    o,
-                    d0,
-                    du,
-                    dv,
-                    t0,
-                    t1,
+                    pinhole,
                     bx,
                     ex,
                     py,
                     end,
-                    corner,
-                    out,
-                    which,
+                    picture,
                     scratch,
                     many,
                 )
             for _ in range(ROUNDS):
                 if many == 0:
                     break
-                many = cast_further(
-                    scene, ints, floats, low, high, o, d0, du, dv, t0, t1, corner, out, which, scratch, many
-                )
-            finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, corner, out, which, spans)
+                many = cast_further(scene, pinhole, picture, scratch, many)
+            finish(scene, pinhole, bx, ex, by, ey, picture, spans)
 
 
 @inlined
-def cast_row(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, py, end, corner, out, which, scratch, many):
+def cast_row(scene, pinhole, x0, x1, py, end, picture, scratch, many):
     """Walk the rays of a block's row from their fronts, and add those that have further to go to the ``many``."""
+    floats = scene.floats
+    o, d0, du, dv, t0, t1 = pinhole
+    corner, out, which = picture
     state, codes, further = scratch
     row, left = py - corner[0], corner[1]
     for j in range((x1 - x0 + LANES - 1) // LANES):
@@ -278,7 +265,7 @@ def cast_row(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, py, 
         dx, dy = px * du[0] + d0[0] + py * dv[0], px * du[1] + d0[1] + py * dv[1]
         dz = px * du[2] + d0[2] + py * dv[2]
         w, start = window_at(floats, state[X + j], state[Y + j]), spread(state[START + j])
-        t, met = walk_packet(scene[0], ints, floats, w, low, high, o, dx, dy, dz, start, t0, t1, px < last, STEPS)
+        t, met = walk_packet(scene, w, o, dx, dy, dz, start, t0, t1, px < last, STEPS)
         store(state, T, t)
         store(codes, 0, met)
         for k in range(last - first):
@@ -292,11 +279,14 @@ def cast_row(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, py, 
 
 
 @inlined
-def cast_further(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, corner, out, which, scratch, many):
+def cast_further(scene, pinhole, picture, scratch, many):
     """Push rays that have taken their steps, or left their window, to the next ground below them, and walk on.
 
     They are taken in eights wherever in the block they are; returns how many have still further to go.
     """
+    floats = scene.floats
+    o, d0, du, dv, t0, t1 = pinhole
+    corner, out, which = picture
     state, codes, further = scratch
     left = 0
     for first in range(0, many, LANES):
@@ -308,15 +298,13 @@ def cast_further(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, corner, 
         wanted = counted() < count
         dx, dy = px * du[0] + d0[0] + py * dv[0], px * du[1] + d0[1] + py * dv[1]
         dz = px * du[2] + d0[2] + py * dv[2]
-        step = FURTHER * floats[ints.shape[0] - 1, SCALE] / (most(size(dx), size(dy)) + 1e-300)
-        start, _, _ = advance(
-            scene, ints, floats, high, o, Beams(dx, dx, dy, dy), dz, t, t1, step, spread(-INF), wanted, FURTHER
-        )
+        step = FURTHER * floats[floats.shape[0] - 1, SCALE] / (most(size(dx), size(dy)) + 1e-300)
+        start, _, _ = advance(scene, o, Beams(dx, dx, dy, dy), dz, t, t1, step, spread(-INF), wanted, FURTHER)
         x, y = o[0] + start * dx, o[1] + start * dy
         store(state, X, x)
         store(state, Y, y)
         w = window_at(floats, state[X], state[Y])  # the first ray's: those in other windows wait for their turn
-        t, met = walk_packet(scene[0], ints, floats, w, low, high, o, dx, dy, dz, start, t0, t1, wanted, STEPS)
+        t, met = walk_packet(scene, w, o, dx, dy, dz, start, t0, t1, wanted, STEPS)
         beside = (met == BESIDE) & within((floats[0, WEST], floats[0, NORTH], floats[0, EAST], floats[0, SOUTH]), x, y)
         store(state, START, where((met == TIRED) | ((met == ABOVE) & (t > start)) | beside, 1.0, 0.0))
         store(state, T, t)

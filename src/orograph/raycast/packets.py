@@ -128,11 +128,11 @@ def rectangle(floats, w, v):
 
 
 @inlined
-def walk_packet(pool, ints, floats, w, low, high, o, dx, dy, dz, start, near, far, wanted, steps):
+def walk_packet(scene, w, o, dx, dy, dz, start, near, far, wanted, steps):
     """Walk eight rays through window ``w``, from close above the surface.
 
     Args:
-        pool, ints, floats: of the stack. low, high: the slab of all heights.
+        scene: the stack.
         o: where the rays begin; dx, dy, dz: their directions. start: the t up to which they are above the surface, if
             they are over the window there. near, far: the range of t that counts. wanted: which are asked for.
         steps: how many to take.
@@ -140,6 +140,7 @@ def walk_packet(pool, ints, floats, w, low, high, o, dx, dy, dz, start, near, fa
     Returns:
         t and what ``which`` holds: t and the window's number; NaN and −1; or where the ray got to and why it stopped.
     """
+    pool, ints, floats = scene.pool, scene.ints, scene.floats
     rect, inner = rectangle(floats, w, w), rectangle(floats, w + 1, w)
     base, stride, nc, nr = ints[w, BASE], ints[w, STRIDE], ints[w, CELLS_X], ints[w, CELLS_Y]
     k = floats[w, INVERSE]
@@ -160,7 +161,7 @@ def walk_packet(pool, ints, floats, w, low, high, o, dx, dy, dz, start, near, fa
         x, y = ox + t * dx, oy + t * dy
         x = where(lost, least(most(x, spread(rect[0])), spread(rect[2])), x)
         y = where(lost, least(most(y, spread(rect[1])), spread(rect[3])), y)
-    last = where(dz < 0.0, low - oz, high - oz) / dz
+    last = where(dz < 0.0, scene.low - oz, scene.high - oz) / dz
     last = where(((dz < 0.0) | (dz > 0.0)) & (last < far), last, far)
     begins = within(rect, x, y) & (t >= near)
     if inner[0] < inner[2]:

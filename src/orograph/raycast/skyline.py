@@ -126,12 +126,13 @@ def max_slope(slope, rise, distance):
 
 
 @kernel
-def skylines(pool, maxima, minima, mips, ints, floats, high, points, dx, dy, skip, lower, enough, out, first, last):
+def skylines(scene, points, dx, dy, skip, lower, enough, out, first, last):
     """Skyline slopes from ``points`` [first, last), (n, 3): at least ``lower``, at most the first found ≥ ``enough``.
 
     ``skip`` (n,): horizontal metres left out next to the point, where the ground is its own facet and the shading
     normal decides. Windows are walked as in ``kernels.ray``.
     """
+    pool, maxima, mips, ints, floats = scene.pool, scene.maxima, scene.mips, scene.ints, scene.floats
     windows = ints.shape[0]
     enter, leave = np.empty(windows), np.empty(windows)
     for i in range(first, last):
@@ -142,7 +143,7 @@ def skylines(pool, maxima, minima, mips, ints, floats, high, points, dx, dy, ski
             continue
         a, b = skip[i], INF
         if slope > 0.0:
-            b = (high - z) / slope  # beyond, nothing reaches up to the line
+            b = (scene.high - z) / slope  # beyond, nothing reaches up to the line
         inner = 0
         for w in range(windows):
             f = floats[w]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from orograph.hierarchy.clip_stack import Rectangle
 from orograph.raycast.mips import Mips, build_mips
+from orograph.raycast.tables import Scene
 
 MARGIN = 1e-3
 """Metres by which the slab of heights is opened, so that a level plain is not a slab of no thickness."""
@@ -70,9 +71,11 @@ class Stack:
     high: float
 
     @property
-    def scene(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """(pool, maxima, minima, mips), as the kernels take them."""
-        return self.pool, self.maxima, self.minima, self.mips
+    def scene(self) -> Scene:
+        """It as the kernels take it."""
+        return Scene(
+            self.pool, self.maxima, self.minima, self.mips, self.ints, self.floats, float(self.low), float(self.high)
+        )
 
     @classmethod
     def build(cls, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> Stack:

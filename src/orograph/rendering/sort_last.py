@@ -42,8 +42,8 @@ from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.parts import Surface as Surfacing
 from orograph.scene.scene import Scene
-from orograph.store.clusters import TRIES, Cluster, check_workers, workforce
-from orograph.store.workshop import opened
+from orograph.store.clusters import TRIES, Cluster, check_workers, workers_of, workforce
+from orograph.store.worker_state import opened
 from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
@@ -129,10 +129,10 @@ class Parts:
 
 def ask(ident: str, part: Part, area: Area | None, px: Array | None = None, py: Array | None = None) -> Answer:
     """What a part shows in an area, or at pixel positions; done by a worker."""
-    shop = opened(ident)
-    assert isinstance(shop, Parts)
+    state = opened(ident)
+    assert isinstance(state, Parts)
     began = time.perf_counter()
-    surface = shop.surface(part)
+    surface = state.surface(part)
     first = 0, 0
     if area is None:
         assert px is not None and py is not None
@@ -213,7 +213,7 @@ class Asked:
 
     def _begin(self, number: int, args: tuple[Any, ...], tries: int) -> Any:
         """Ask the worker that has a part, if it is there still."""
-        workers = sorted(self.cluster.client.nthreads())
+        workers = sorted(workers_of(self.cluster.client))
         own = [workers[(number + tries) % len(workers)]] if workers else None
         return self.cluster.client.submit(
             ask, self.cluster.ident, self.parts[number], *args, pure=False, workers=own, allow_other_workers=True
@@ -265,7 +265,7 @@ def by_parts(
     with workforce(workers, dask, 1, max_memory, WORKER + needed) as client:
         recipe = Recipe(scene.but(jobs=jobs), needed)
         with Cluster(client, recipe) as cluster:
-            casting = Casting(cluster, max(1, len(client.nthreads())))
+            casting = Casting(cluster, max(1, len(workers_of(client))))
             sessions: dict[int, Session] = {}
 
             def session(number: int = -1) -> Session:

@@ -38,7 +38,7 @@ from orograph.store.layout import dumps
 from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
 from orograph.store.storage import FolderStorage, Storage
-from orograph.store.workshop import guarded
+from orograph.store.worker_state import guarded
 
 EACH = 6
 """Tiles for each worker, at least."""
@@ -70,11 +70,11 @@ class SheetRecipe(NamedTuple):
     memory: int
     base: int = WORKER
 
-    def open(self) -> _SheetShop:
-        return _SheetShop(self)
+    def open(self) -> _SheetState:
+        return _SheetState(self)
 
 
-class _SheetShop:
+class _SheetState:
     """What one process has for a picture."""
 
     def __init__(self, recipe: SheetRecipe) -> None:

@@ -1,10 +1,10 @@
 """Work on the workers of a Dask cluster, of this machine or of many that share a file system (or a bucket).
 
-To Dask a task is opaque and a few bytes: the stage, and where (``workshop`` has what workers do with it). This process
-alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a bounded
-number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so nothing that
-is done is lost with a worker, and what is found there is not made again. A task that fails, or whose workers die, is
-tried again; what fails every time is given up, and told when all others are done.
+To Dask a task is opaque and a few bytes: the stage, and where (``worker_state`` is what workers do with it). This
+process alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a
+bounded number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so
+nothing that is done is lost with a worker, and what is found there is not made again. A task that fails, or whose
+workers die, is tried again; what fails every time is given up, and told when all others are done.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ import threading
 import time
 import uuid
 from collections import Counter, defaultdict
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any, TypeVar
 
 from orograph.errors import OrographError, StoreError, UsageError
 from orograph.progress import Progress, Task
@@ -28,7 +29,7 @@ from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.groups import group_levels
 from orograph.store.terrain import Shape
-from orograph.store.workshop import Done, Recipe, do
+from orograph.store.worker_state import Done, Recipe, do
 
 TRIES = 4
 """How often a task is begun before it is given up; Dask itself moves those of dead workers several times before."""
@@ -42,6 +43,8 @@ AHEAD = 2
 EACH = 8
 """Groups of heights or errors for each thread of the workers, at least, if there are so many."""
 
+T = TypeVar("T")
+
 PAUSE = 0.5
 """Seconds before workers are told again."""
 
@@ -49,7 +52,7 @@ COUNTING = 1.0
 """Seconds after which workers are counted again."""
 
 SILENCE = 60.0
-"""Seconds without a scheduler after which the build ends."""
+"""Seconds without a word from the scheduler after which the build ends."""
 
 
 @contextlib.contextmanager
@@ -143,19 +146,46 @@ LOST = (OSError, AttributeError)
 """What a client of Dask raises whose scheduler is gone (it has none any more while it tries to connect again)."""
 
 
+def answer(call: Callable[..., T], *args: Any, **options: Any) -> T:
+    """What a call to the scheduler gives. Dask's own calls wait for ever for one that was killed as it was asked.
+
+    Raises:
+        TimeoutError: it does not answer within ``SILENCE``.
+    """
+    given = Future[T]()
+
+    def ask() -> None:
+        try:
+            given.set_result(call(*args, **options))
+        except BaseException as error:
+            given.set_exception(error)
+
+    threading.Thread(target=ask, daemon=True).start()
+    return given.result(SILENCE)
+
+
+def workers_of(client: Any) -> dict[str, int]:
+    """The addresses of all workers there are now, and their threads.
+
+    Raises:
+        StoreError: the scheduler is gone.
+    """
+    try:
+        return dict(answer(client.nthreads))
+    except LOST as error:
+        raise StoreError(
+            "The scheduler of the cluster is gone.",
+            remedy="See that one runs, and do the same again (a build with `resume=True`): what was done is kept.",
+        ) from error
+
+
 def threads_of(client: Any) -> int:
     """Threads of all workers there are now, at least 1.
 
     Raises:
         StoreError: the scheduler is gone.
     """
-    try:
-        return max(1, int(sum(client.nthreads().values())))
-    except LOST as error:
-        raise StoreError(
-            "The scheduler of the cluster is gone.",
-            remedy="See that one runs, and do the same again (a build with `resume=True`): what was done is kept.",
-        ) from error
+    return max(1, sum(workers_of(client).values()))
 
 
 def levels_of(client: Any, shape: Shape, shard: int) -> int:
@@ -219,7 +249,7 @@ class Cluster:
 
         for left in reversed(range(TRIES)):
             try:
-                self.client.register_plugin(Telling(self.ident, self.recipe), name=self.ident)
+                answer(self.client.register_plugin, Telling(self.ident, self.recipe), name=self.ident)
                 break
             except LOST as error:  # a worker has died while it was told; others may not have been
                 if not left:
@@ -231,7 +261,7 @@ class Cluster:
 
     def __exit__(self, *_: object) -> None:
         with contextlib.suppress(Exception):  # the scheduler may be gone
-            self.client.unregister_worker_plugin(self.ident)
+            answer(self.client.unregister_worker_plugin, self.ident)
 
     def groups(self, stage: str, shape: Shape, shard: int) -> int:
         return self.levels
@@ -338,11 +368,11 @@ class _Round:
     def _listen(self) -> None:
         """Notice when the scheduler, or every worker, is gone."""
         if self.client.status == "running":
-            self.heard = time.monotonic()
-            with contextlib.suppress(*LOST):  # it is noticed the next time
-                if not self.client.nthreads():
+            with contextlib.suppress(*LOST):
+                if not answer(self.client.nthreads):
                     self.task.note("waiting for workers")
-            return
+                self.heard = time.monotonic()
+                return
         if self.client.status == "closed" or time.monotonic() - self.heard > SILENCE:
             raise StoreError(
                 "The scheduler of the cluster is gone.", path=self.stage.place,

@@ -11,7 +11,7 @@ from typing import Any
 
 from distributed import WorkerPlugin
 
-from orograph.store.workshop import Recipe, forget, learn
+from orograph.store.worker_state import Recipe, forget, learn
 
 TRIM, MAP = -1, -3
 """Of glibc's ``mallopt``: free memory at the end of the heap that is given back, and what is mapped from the system."""

@@ -63,7 +63,7 @@ def executor_of(
     if workers is None and dask is None:
         yield Threads(at_once.jobs, going_on)
         return
-    from orograph.store.build_shop import recipe_of
+    from orograph.store.build_state import recipe_of
     from orograph.store.clusters import Cluster, levels_of, workforce
 
     begun = storage.get(PLAN) or b""

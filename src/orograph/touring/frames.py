@@ -23,7 +23,7 @@ from orograph.scene.scene import Scene
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.in_parts import Part, missing_parts, share
-from orograph.store.workshop import Shop
+from orograph.store.worker_state import WorkerState
 from orograph.touring.encode import Pictures, Pixels, Video
 from orograph.touring.film import Film
 from orograph.touring.tour import Tour
@@ -50,7 +50,7 @@ class FilmRecipe(NamedTuple):
     memory: int
     base: int = WORKER
 
-    def open(self) -> Shop:
+    def open(self) -> WorkerState:
         first, last = (number / self.tour.fps for number in self.numbers)
         film = Film(self.tour, self.scene, draw=session(backend=self.backend), first=first, last=last)
         if film.fingerprint() != self.fingerprint:
@@ -58,7 +58,7 @@ class FilmRecipe(NamedTuple):
                 "A worker has another terrain, or another release of Orograph, than the process that films.",
                 path=self.scene.terrain.name, remedy="See that all of them have the same.",
             )  # fmt: skip
-        return _FilmShop(Frames(film, pictures_of(self.path, film, self.dpi)))
+        return _FilmState(Frames(film, pictures_of(self.path, film, self.dpi)))
 
 
 def recipe_of(film: Film, path: str, backend: str, dpi: float | None, max_memory: int) -> FilmRecipe:
@@ -79,7 +79,7 @@ def pictures_of(path: str, film: Film, dpi: float | None, overwrite: bool = Fals
     return Pictures(path, film.fingerprint(), overwrite, film.base.attribution, dpi)
 
 
-class _FilmShop:
+class _FilmState:
     """What one process has for a film."""
 
     def __init__(self, frames: Frames) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +129,7 @@ def triangulate(
     selects = made(choice, ground, Resources((max_memory or MEMORY) // 2, jobs, progress), drape)
     with progress.task(f"Selecting ({choice})"):
         selection = selects.select(Camera.over(ground.grid, seen, exaggeration), goal)
-        mesh = selection.tessellation()
+        mesh = replace(selection.tessellation(), grid=ground.grid)
     selects.close()
     if not len(mesh.triangles):
         raise NothingInViewError(

@@ -47,10 +47,11 @@ def portable(device: Device, monkeypatch: pytest.MonkeyPatch) -> Device:
     return found
 
 
-def ground() -> Terrain:
+def ground(void: bool = True) -> Terrain:
     y, x = np.mgrid[:129, :129] * 30.0
     z = 400 + 300 * np.sin(x / 500) * np.cos(y / 700) + 60 * np.sin(x / 170 + y / 230)
-    z[40:50, 60:75] = np.nan
+    if void:
+        z[40:50, 60:75] = np.nan
     return in_memory(Dem(z.astype(np.float32), Grid(z.shape, Affine(30, 0, 7e5, 0, -30, 5.3e6), CRS.from_epsg(32632))))
 
 
@@ -72,6 +73,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "tree": {"method": "cbt", "wireframe": True},
     "chunks": {"method": "chunked-lod,cells=16,compressed=yes", "wireframe": True},
     "batches": {"method": "bdam,legs=8,geomorph=yes", "wireframe": True},
+    "pieces": {"method": "seamless-patches,segments=8", "wireframe": True},
     "cast": {"method": "raycast", "normals": "faces"},
     "cast, light by the ground": {"method": "raycast"},
     "cast at breaks": {"method": "raycast,antialias=breaks", "samples": 2},
@@ -102,6 +104,7 @@ def test_every_shader_is_used_within_the_limits(portable: Device) -> None:
     scene = seen(ground())
     for how in SCENES.values():
         draw(seen(scene.terrain, **how), device=portable)
+    draw(seen(ground(void=False), method="clipmap,n=63"), device=portable)  # (rings around voids are triangles)
     screen_occlusion(np.ones((8, 8)), np.dstack([np.zeros((8, 8, 2)), -np.ones((8, 8))]), 0.1, radius=1.0)
     move(portable, scene)
     Screen(portable, "rgba8unorm")

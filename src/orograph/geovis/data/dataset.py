@@ -6,7 +6,6 @@ On the command line ``--data FILE[,KEY=VALUE…]`` and after it ``--uncertainty 
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from typing import Any, Literal, Self, TypeVar, get_args
 from orograph.errors import UsageError
 from orograph.geovis.data.statistics import check_statistic
 from orograph.geovis.layers import keyed
+from orograph.geovis.named import named, remedy
 
 Style = Literal[
     "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate",
@@ -97,6 +97,7 @@ class Uncertainty:
         return _parsed(cls, text, {"range": _range})
 
 
+@named("A dataset")
 @dataclass(frozen=True, slots=True)
 class Dataset:
     """Data to be shown on a terrain.
@@ -279,9 +280,7 @@ def _parsed(kind: type[T], text: str, readers: Mapping[str, Any], without: tuple
     made: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
-            close = difflib.get_close_matches(key, known, 1)
-            hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known)}."
-            raise UsageError(f"There is no {key!r} of data.", path=source, remedy=hint)
+            raise UsageError(f"There is no {key!r} of data.", path=source, remedy=remedy(key, known))
         made[key] = readers.get(key, str)(value)
     try:
         return kind(source, **made)  # type: ignore[call-arg]
@@ -338,11 +337,7 @@ def _breaks(text: str) -> Any:
 
 def _check_choice(what: str, value: Any, known: tuple[str, ...]) -> None:
     if value is not None and value not in known:
-        close = difflib.get_close_matches(str(value), known, 1)
-        raise UsageError(
-            f"There is no {what} {value!r}.",
-            remedy=f"Did you mean {close[0]}?" if close else f"There are {', '.join(known)}.",
-        )
+        raise UsageError(f"There is no {what} {value!r}.", remedy=remedy(str(value), known))
 
 
 def _check_range(given: tuple[float, float] | None, what: str) -> None:

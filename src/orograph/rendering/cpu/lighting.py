@@ -206,8 +206,8 @@ class Apertures:
         ground, field, relief, x = self.ground, self.field, self.ground.relief, self.scene.surface.exaggeration
         out = np.zeros((len(hits.t), 3), np.float32)
         light_caps(
-            field.pool, field.ints, field.floats, relief.pool, relief.ints, relief.floats, hits.points, hits.width,
-            ground.to_world, x * self.strength, x, *self.tables, self.shine.bounce, ground.linear, out,
+            field.windows, relief.windows, hits.points, hits.width, ground.to_world, x * self.strength, x,
+            *self.tables, self.shine.bounce, ground.linear, out,
         )  # fmt: skip
         if not self.scene.lighting.shadows:
             gradient = relief.gradient(hits.points, hits.width)
@@ -237,8 +237,7 @@ class Raytraced:
         normals(gradient, ground.to_world, x * self.strength, shaded)
         pixels = np.stack([np.floor(px * 64), np.floor(py * 64)], 1).astype(np.int64)
         skip = ground.skip(hits, np.arange(n))
-        s = ground.caster.stack
-        around = s.scene, s.ints, s.floats, s.low, s.high, hits.points
+        around = ground.caster.stack.scene, hits.points
         amount = np.empty(n)
         sky_on_hits(*around, true, skip, pixels, ground.to_samples, x, rays, amount)
         share = amount.astype(np.float32)[:, None]

@@ -17,7 +17,7 @@ from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.surface.ground import Ground
 from orograph.rendering.gpu.surface.rays import CastWindows
-from orograph.rendering.gpu.surface.resident import ResidentMeshes
+from orograph.rendering.gpu.surface.resident import Resident
 from orograph.rendering.gpu.surface.tree import TreeFrame
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
@@ -84,7 +84,7 @@ class Reading:
         return self._ground.mesh
 
     @property
-    def resident(self) -> TreeFrame | ResidentMeshes | None:
+    def resident(self) -> TreeFrame | Resident | None:
         """What the last frame drew of triangles that only the GPU has, and that can be had; None: something else."""
         return self._ground.resident
 

@@ -38,7 +38,7 @@ from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.ground import Drawn, Ground
 from orograph.rendering.gpu.surface.left import Left
-from orograph.rendering.gpu.surface.resident import ResidentMeshes
+from orograph.rendering.gpu.surface.resident import Resident
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.antialiasing import NONE, TemporalAntialiasing
@@ -309,7 +309,7 @@ class Renderer(Reading):
             triangles, bound = len(mesh.triangles), scene.surface.tolerance or 1.0
         elif rays is not None:
             bound = max(rays.bound, bound) if there else rays.bound
-        elif isinstance(chosen.ground.resident, ResidentMeshes):
+        elif isinstance(chosen.ground.resident, Resident):
             triangles, bound = chosen.ground.resident.triangles, scene.surface.tolerance or 1.0
         elif chosen.ground.resident is not None:
             counts, bound = self._ground.growing.counts, chosen.ground.resident.reached

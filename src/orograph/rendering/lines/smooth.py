@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel, leaf
 from orograph.lighting.normal import central
-from orograph.lighting.relief import Relief, finest
+from orograph.lighting.relief import Relief, Windows, finest
 
 Array = NDArray[np.float64]
 
@@ -86,17 +86,17 @@ def _cell(pool, base, rows, cols, x, y):
 
 
 @kernel
-def _smooth(pool, ints, floats, points, footprint, rays, heights):
+def _smooth(windows, points, footprint, rays, heights):
     """Move ``heights`` (n,) to the smooth surface, see ``smoothed``."""
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         if not footprint[k] < SMALL[1] or heights[k] != heights[k]:
             continue
-        w = finest(ints, floats, x, y, 0.75)
-        if floats[w, 0] != 1.0:
+        w = finest(windows, x, y, 0.75)
+        if windows.size[w] != 1.0:
             continue
-        base, rows, cols = ints[w, 0], ints[w, 1], ints[w, 2]
-        x, y = x - floats[w, 5], y - floats[w, 6]
+        pool, base, rows, cols = windows.pool, windows.base[w], windows.rows[w], windows.cols[w]
+        x, y = x - windows.col0[w], y - windows.row0[w]
         above, across, down = _cell(pool, base, rows, cols, x, y)
         if above != above:
             continue
@@ -132,7 +132,7 @@ def smoothed(relief: Relief, points: Array, footprint: Array, heights: Array, ra
             those at which they meet the smooth surface; else those above or below the points.
     """
     out = np.array(heights, np.float64)
-    _smooth(relief.pool, relief.ints, relief.floats, points, footprint, rays, out)
+    _smooth(relief.windows, points, footprint, rays, out)
     return out
 
 
@@ -140,9 +140,7 @@ def interpolated(samples: NDArray[np.float32], x: Array, y: Array) -> Array:
     """Heights (n,) of the smooth surface at columns and rows (n,) of samples (rows, cols); at the border slopes are
     one-sided; NaN beside missing samples."""
     rows, cols = samples.shape
-    ints = np.array([[0, rows, cols, 0]], np.int64)
-    floats = np.array([[1.0, -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0, 0.0]])
-    relief = Relief(np.ascontiguousarray(samples, np.float32).ravel(), ints, floats)
+    relief = Relief(Windows.one(np.ascontiguousarray(samples, np.float32).ravel(), (rows, cols)))
     inner = np.stack([x, y, np.zeros(len(x))], -1)
     none = np.full(len(x), -1e38)
     found = smoothed(relief, inner, np.zeros(len(x)), none)

@@ -111,23 +111,15 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
     told = ""
     if scene.lighting.light in FIELDS:
         field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.lighting.light], memo, SILENT)  # type: ignore[arg-type]
-        channels = field.pool.shape[1]
+        held = field.windows
+        channels = held.pool.shape[1]
         words = 2 if channels == 4 else channels
-        fields = np.zeros((len(field.ints), 8), np.int32)
-        for k, (ints, floats) in enumerate(zip(field.ints, field.floats)):
-            first_col, first_row = round(floats[5]), round(floats[6])
-            window_level = round(math.log2(floats[0]))
-            fields[k, :7] = (
-                offset + int(ints[0]) * words,
-                ints[1],
-                ints[2],
-                window_level,
-                first_row,
-                first_col,
-                words,
-            )
+        fields = np.zeros((len(held.base), 8), np.int32)
+        fields[:, 0] = offset + held.base * words
+        fields[:, 1], fields[:, 2], fields[:, 3] = held.rows, held.cols, np.round(np.log2(held.size))
+        fields[:, 4], fields[:, 5], fields[:, 6] = held.row0, held.col0, words
         neutral = np.array([0.0, 0.0, 1.0, 0.0] if channels == 4 else [1.0], np.float32)  # the open sky
-        values = np.where(np.isnan(field.pool), neutral, field.pool).astype(np.float32)
+        values = np.where(np.isnan(held.pool), neutral, held.pool).astype(np.float32)
         parts.append(packed(values) if channels == 4 else values.ravel())
     return LightMaps(
         np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,

@@ -4,8 +4,9 @@ A *surface* draws one kind of selection into depth and marks. The terrain's own 
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
 that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
 is selected, its tree is updated and drawn (``growing``, ``tree``); batches of small meshes stay there (``batches``),
-and chunks in few bytes are decoded there first (``chunks``). All that comes after (light, lines, voids) reads the
-targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
+chunks in few bytes are decoded there first (``chunks``), pieces of patches are instances (``pieces``), and heights of a
+clipmap's rings lie in toroidal textures (``clipmap``). All that comes after (light, lines, voids) reads the targets
+only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
 from __future__ import annotations
@@ -19,19 +20,30 @@ from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.lod.registry import Choice
-from orograph.lod.selection import CodedChunks, PatchesAndRays, RayWindows, Selection, TinBatches, TriangleMesh
+from orograph.lod.selection import (
+    ClipRings,
+    CodedChunks,
+    PatchesAndRays,
+    PieceSet,
+    RayWindows,
+    Selection,
+    TinBatches,
+    TriangleMesh,
+)
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.batches import Batches, BatchPass
 from orograph.rendering.gpu.surface.chunks import ChunkPass, Chunks, DecodedChunks
+from orograph.rendering.gpu.surface.clipmap import ClipPass, HeldRings, ready_of
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
 from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
+from orograph.rendering.gpu.surface.pieces import DrawnPieces, PiecePass, Pieces
 from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
-from orograph.rendering.gpu.surface.resident import ResidentMeshes
+from orograph.rendering.gpu.surface.resident import Resident, ResidentMeshes
 from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import mesh_choice
@@ -73,7 +85,7 @@ class Drawn:
     @property
     def other(self) -> Any:
         """What is drawn in place of patches, which is another object when it is another; None: patches are."""
-        if isinstance(self.selection, ResidentMeshes):
+        if isinstance(self.selection, Resident):
             return self.selection
         if isinstance(self.selection, TreeFrame):
             return self.selection.tree
@@ -88,9 +100,9 @@ class Drawn:
         return self.selection if isinstance(self.selection, TreeFrame) else self.other
 
     @property
-    def resident(self) -> TreeFrame | ResidentMeshes | None:
+    def resident(self) -> TreeFrame | Resident | None:
         """What is drawn of triangles that only the GPU has; None: something else is."""
-        return self.selection if isinstance(self.selection, (TreeFrame, ResidentMeshes)) else None
+        return self.selection if isinstance(self.selection, (TreeFrame, Resident)) else None
 
     @property
     def at_breaks(self) -> bool:
@@ -145,6 +157,8 @@ class Ground:
             TreeFrame: TreePass(device, camera, field, absent, terrain.n),
             DecodedChunks: ChunkPass(device, camera, field, absent),
             ResidentMeshes: BatchPass(device, camera, field, absent),
+            HeldRings: ClipPass(device, camera, field, absent),
+            DrawnPieces: PiecePass(device, camera, field, absent),
         }
         windows = Windows(device, terrain, most, jobs)
         self._mixer = Mixer(device, terrain, camera, legs, mixed)
@@ -152,6 +166,8 @@ class Ground:
         own: dict[type, Any] = {
             RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
             CodedChunks: Chunks(device, most).ready, TinBatches: self.batches.ready,
+            ClipRings: ready_of(terrain.grid.shape, most),
+            PieceSet: Pieces(device, absent, most).ready,
         }  # fmt: skip
         self._selected = Selected(terrain, own)
         self._growing = Growing(device, terrain, 2 * most, jobs)
@@ -217,7 +233,7 @@ class Ground:
         return None if self._drawn is None else self._drawn.mesh
 
     @property
-    def resident(self) -> TreeFrame | ResidentMeshes | None:
+    def resident(self) -> TreeFrame | Resident | None:
         """What the last frame drew of triangles that only the GPU has; None: it drew something else."""
         return None if self._drawn is None else self._drawn.resident
 

@@ -28,22 +28,32 @@ ROOM = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ResidentMeshes(Selection):
-    """Meshes on the GPU.
+class Resident(Selection):
+    """What is drawn of triangles that only the GPU has.
 
     Attributes:
-        vertices, corners: buffers. runs: (n,), of the shader's ``Run``. triangles: how many. given: as it was selected.
+        triangles: how many. given: as it was selected.
     """
 
-    vertices: Any
-    corners: Any
-    runs: NDArray[np.void]
     triangles: int
     given: Selection
 
     def tessellation(self) -> Tessellation:
         """What is drawn of it, by the CPU."""
         return self.given.tessellation()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ResidentMeshes(Resident):
+    """Meshes on the GPU.
+
+    Attributes:
+        vertices, corners: buffers. runs: (n,), of the shader's ``Run``.
+    """
+
+    vertices: Any
+    corners: Any
+    runs: NDArray[np.void]
 
 
 def runs_of(dtype: np.dtype[Any], firsts: Any, counts: Any, vertices: Any) -> tuple[NDArray[Any], NDArray[np.int64]]:

@@ -44,7 +44,7 @@ from orograph.store.layers import PARTIAL, LayerRecord
 from orograph.store.parts import pieces, unpack
 from orograph.store.storage import FolderStorage
 from orograph.store.stored import open as open_store
-from orograph.store.workshop import guarded
+from orograph.store.worker_state import guarded
 from orograph.store.writer import ShardWriter
 
 PLAN = "plan.json"
@@ -76,8 +76,8 @@ class BakeRecipe(NamedTuple):
     memory: int
     base: int
 
-    def open(self) -> BakeShop:
-        return BakeShop(self)
+    def open(self) -> BakeState:
+        return BakeState(self)
 
 
 def recipe_of(
@@ -103,7 +103,7 @@ def recipe_of(
     return BakeRecipe(named, str(folder.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
 
 
-class BakeShop:
+class BakeState:
     """What one process needs for a bake.
 
     Attributes:
@@ -260,21 +260,21 @@ class SweepStage(Stage[bool]):
 
     name = "sweep"
 
-    def __init__(self, shop: BakeShop, number: int) -> None:
-        self.shop, self.number = shop, number
-        self.group, self.way, self.row = shop.numbers[number]
-        self.products, of = shop.groups[self.group]
+    def __init__(self, state: BakeState, number: int) -> None:
+        self.state, self.number = state, number
+        self.group, self.way, self.row = state.numbers[number]
+        self.products, of = state.groups[self.group]
         self.ways = of[self.way]
-        self.shard = shop.record.shard
-        names = ", ".join(shop.products[k].name for k in self.products)
+        self.shard = state.record.shard
+        names = ", ".join(state.products[k].name for k in self.products)
         self.label = f"Sweeping horizons for {names}"
 
     @property
     def place(self) -> str:
-        return self.shop.terrain.url
+        return self.state.terrain.url
 
     def tasks(self) -> list[Spot]:
-        rows, cols = (-(-n // self.shard) for n in self.shop.context.shape)
+        rows, cols = (-(-n // self.shard) for n in self.state.context.shape)
         if self.row < 0:
             return [(i, j) for i in range(rows) for j in range(cols)]
         if self.ways[0][0].by_columns:
@@ -285,23 +285,23 @@ class SweepStage(Stage[bool]):
         """The samples of a task."""
         tall = wide = self.shard
         if self.row >= 0:
-            tall, wide = (tall, self.shop.strip) if self.ways[0][0].by_columns else (self.shop.strip, wide)
+            tall, wide = (tall, self.state.strip) if self.ways[0][0].by_columns else (self.state.strip, wide)
         row, col = spot[0] * tall, spot[1] * wide
-        rows, cols = self.shop.context.shape
+        rows, cols = self.state.context.shape
         return row, min(row + tall, rows), col, min(col + wide, cols)
 
     def key(self, spot: Spot) -> str:
         return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.swept"
 
     def kept(self, spot: Spot) -> bool:
-        return self.shop.storage.exists(self.key(spot))
+        return self.state.storage.exists(self.key(spot))
 
     def found(self, spot: Spot, proof: bool = True) -> bool | None:
         if not self.kept(spot):
             return None
         try:
-            for square in self.shop.squares(self.window(spot)) if proof else ():
-                unpack(self.shop.storage.get(self.shop.square(folder_of(self.group, self.way), square)) or b"")
+            for square in self.state.squares(self.window(spot)) if proof else ():
+                unpack(self.state.storage.get(self.state.square(folder_of(self.group, self.way), square)) or b"")
         except ValueError:
             return None
         return True
@@ -310,9 +310,9 @@ class SweepStage(Stage[bool]):
         """Nothing is to be added up: sums lie in files."""
 
     def make(self, spot: Spot) -> bool:
-        shop, storage = self.shop, self.shop.storage
+        state, storage = self.state, self.state.storage
         window = self.window(spot)
-        sweeps = {k: shop.own(window)[k] for k in self.products}
+        sweeps = {k: state.own(window)[k] for k in self.products}
         canvases = self._before(window, sweeps)
 
         def add(block: Block) -> None:
@@ -320,19 +320,19 @@ class SweepStage(Stage[bool]):
                 sweep.add(canvases[k], block, 0, block.row1 - block.row0)
 
         first = next(iter(sweeps.values()))
-        terms = shop.context.terms(first.lowest, first.below)
+        terms = state.context.terms(first.lowest, first.below)
         for way in self.ways:
-            part = Part(way, shop.context.shape, terms, window)
+            part = Part(way, state.context.shape, terms, window)
             left: dict[str, NDArray[Any]] = {}
-            for index, hulls in part.sweep(shop.context.heights, self._handed(part, spot), add, 1, SWEEP // 2):
+            for index, hulls in part.sweep(state.context.heights, self._handed(part, spot), add, 1, SWEEP // 2):
                 left |= hulls.packed(index)
             if left:
                 storage.put(self._hulls(spot), pieces(left))
         folder = folder_of(self.group, self.way)
-        for square in shop.squares(window):
+        for square in state.squares(window):
             r0, r1, c0, c1 = square
             own = slice(None), slice(r0 - window[0], r1 - window[0]), slice(c0 - window[2], c1 - window[2])
-            storage.put(shop.square(folder, square), pieces({str(k): sums[own] for k, sums in canvases.items()}))
+            storage.put(state.square(folder, square), pieces({str(k): sums[own] for k, sums in canvases.items()}))
         storage.put(self.key(spot), [b"all of its sums are there"])
         return True
 
@@ -341,53 +341,53 @@ class SweepStage(Stage[bool]):
         if self.way == 0:
             shape = window[1] - window[0], window[3] - window[2]
             return {k: np.zeros((sweep.bands, *shape), np.float32) for k, sweep in sweeps.items()}
-        return self.shop.sums(folder_of(self.group, self.way - 1), window, sweeps)
+        return self.state.sums(folder_of(self.group, self.way - 1), window, sweeps)
 
     def _hulls(self, spot: Spot) -> str:
         return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.hulls"
 
     def _handed(self, part: Part, spot: Spot) -> Callable[[int], list[Hulls]]:
         """Azimuth → the hulls that parts in front of one have left; none before the first row."""
-        if part.terms.radius is not None or self.number == 0 or self.shop.numbers[self.number - 1][:2] != (
+        if part.terms.radius is not None or self.number == 0 or self.state.numbers[self.number - 1][:2] != (
             self.group, self.way,
         ):  # fmt: skip
             return lambda index: []
-        row = self.shop.numbers[self.number - 1][2]
+        row = self.state.numbers[self.number - 1][2]
         spots = [(lane, row) if part.by_columns else (row, lane) for lane in part.before(self.shard)]
-        before = [unpack(self.shop.storage.get(self._hulls(at)) or b"") for at in spots]
+        before = [unpack(self.state.storage.get(self._hulls(at)) or b"") for at in spots]
         return lambda index: [Hulls.unpacked(each, index) for each in before]
 
 
-def on_cluster(cluster: Cluster, shop: BakeShop, writer: ShardWriter, progress: Progress) -> None:
+def on_cluster(cluster: Cluster, state: BakeState, writer: ShardWriter, progress: Progress) -> None:
     """Have all shards of a bake's layers made.
 
     Args:
-        shop: of this process. writer: of the coarse shards.
+        state: of this process. writer: of the coarse shards.
 
     Raises:
         StoreError: tasks were given up.
     """
     layers = [
-        LayerStage(writer, shop.record, layer, is_cap(layer), _nothing, True, k)
-        for k, layer in enumerate(shop.recipe.layers)
+        LayerStage(writer, state.record, layer, is_cap(layer), _nothing, True, k)
+        for k, layer in enumerate(state.recipe.layers)
     ]  # fmt: skip
-    for g, (group, of) in enumerate(shop.groups):
+    for g, (group, of) in enumerate(state.groups):
         if all(layers[k].kept(spot) for k in group for spot in layers[k].tasks()):
             continue
-        stages = [SweepStage(shop, n) for n, (h, _, _) in enumerate(shop.numbers) if h == g]
+        stages = [SweepStage(state, n) for n, (h, _, _) in enumerate(state.numbers) if h == g]
         with progress.task(stages[0].label, total=sum(len(stage.tasks()) for stage in stages)) as task:
             for way in range(len(of)):
                 mine = [stage for stage in stages if stage.way == way]
                 done = f"{folder_of(g, way)}.done"
-                if shop.storage.exists(done):
+                if state.storage.exists(done):
                     task.advance(sum(len(stage.tasks()) for stage in mine))
                     continue
                 for stage in mine:
                     cluster.run(stage, Within(progress, task))
-                shop.storage.put(done, [b"all of this way is swept"])
+                state.storage.put(done, [b"all of this way is swept"])
                 if way:
                     with contextlib.suppress(StoreError):  # a worker that was given up may still write there
-                        shop.storage.remove(folder_of(g, way - 1))
+                        state.storage.remove(folder_of(g, way - 1))
     for layer in layers:
         cluster.run(layer, progress)
 

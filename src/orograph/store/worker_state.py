@@ -1,6 +1,6 @@
 """What a worker of a cluster does: tasks of which it is told the stage and the place.
 
-All else a worker knows from a *recipe*, which each process gets once: it opens what the tasks need (``build_shop`` has
+All else a worker knows from a *recipe*, which each process gets once: it opens what the tasks need (``build_state`` has
 that of builds; light, films and pictures have theirs). Whatever a task finds done it leaves as it is.
 
 Kernels are compiled once on a host: the first task of a kind that a host does is done alone there, and what it compiled
@@ -26,7 +26,7 @@ from orograph.store.executing import Stage
 from orograph.store.storage import FolderStorage, Storage
 
 
-class Shop(Protocol):
+class WorkerState(Protocol):
     """What one process has for the tasks of a recipe."""
 
     def stage(self, name: str, number: int) -> Stage[Any]:
@@ -46,7 +46,7 @@ class Recipe(Protocol):
     @property
     def base(self) -> int: ...
 
-    def open(self) -> Shop:
+    def open(self) -> WorkerState:
         """Open what tasks need, in a worker."""
 
 
@@ -70,19 +70,19 @@ class _Open:
         free = (limit - recipe.base) // recipe.memory if limit else None
         self.room = contextlib.nullcontext() if free is None else threading.BoundedSemaphore(max(1, free))
         self._lock = threading.Lock()
-        self._shop: Shop | None = None
+        self._state: WorkerState | None = None
 
-    def shop(self) -> Shop:
+    def state(self) -> WorkerState:
         """What this process has for the tasks."""
         with self._lock:
-            if self._shop is None:
-                self._shop = self.recipe.open()
-            return self._shop
+            if self._state is None:
+                self._state = self.recipe.open()
+            return self._state
 
     def stage(self, name: str, number: int) -> Stage[Any]:
-        shop = self.shop()
+        state = self.state()
         with self._lock:
-            return shop.stage(name, number)
+            return state.stage(name, number)
 
 
 _open: dict[str, _Open] = {}
@@ -97,9 +97,9 @@ def learn(ident: str, recipe: Recipe, limit: int = 0) -> None:
     _open[ident] = _Open(recipe, limit)
 
 
-def opened(ident: str) -> Shop:
+def opened(ident: str) -> WorkerState:
     """What this process has for work that it was told of."""
-    return _open[ident].shop()
+    return _open[ident].state()
 
 
 def forget(ident: str) -> None:
@@ -116,10 +116,10 @@ def do(ident: str, name: str, number: int, spot: Spot) -> Done:
     Raises:
         StoreError: the work is not what it was, or it cannot be written. ReadError: a source cannot be read.
     """
-    shop = _open[ident]
+    state = _open[ident]
     who = f"{host()}.{os.getpid()}"
-    with shop.room, _first_alone(name):
-        stage = shop.stage(name, number)
+    with state.room, _first_alone(name):
+        stage = state.stage(name, number)
         if stage.found(spot) is not None:
             return Done(who, 0.0)
         began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""What a worker of a cluster needs for color errors (``store.workshop``): the store, the image, and which colours.
+"""What a worker of a cluster needs for color errors (``store.worker_state``): the store, the image, and which colours.
 
 It opens both itself, and does nothing if its image is another, or if the run was given up or begun anew meanwhile.
 """
@@ -18,7 +18,7 @@ from orograph.lighting.context import BASE
 from orograph.store.addresses import storage_at
 from orograph.store.storage import Storage
 from orograph.store.stored import open as open_store
-from orograph.store.workshop import guarded
+from orograph.store.worker_state import guarded
 from orograph.store.writer import ShardWriter
 
 PLAN = f"{PARTIAL}/plan.json"
@@ -41,8 +41,8 @@ class ColorRecipe(NamedTuple):
     memory: int
     base: int
 
-    def open(self) -> ColorShop:
-        return ColorShop(self)
+    def open(self) -> ColorState:
+        return ColorState(self)
 
 
 def recipe_of(
@@ -55,7 +55,7 @@ def recipe_of(
     return ColorRecipe(storage.named(), path, options, plan, max_memory, 2 * SAMPLE * BLOCK**2, BASE)
 
 
-class ColorShop:
+class ColorState:
     """What one process needs for color errors."""
 
     def __init__(self, recipe: ColorRecipe) -> None:

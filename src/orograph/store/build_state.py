@@ -1,4 +1,4 @@
-"""What a worker of a cluster needs for a build (``workshop``): where the store is made, by which plan, of which files.
+"""What a worker of a cluster needs for a build (``worker_state``): where the store is made, by which plan, of what.
 
 It opens those files itself, and does nothing if they are others than those the plan was made of, or if the build was
 given up or begun anew meanwhile: its plan is looked at before every write. What stages need of earlier ones (the
@@ -24,7 +24,7 @@ from orograph.store.places import PLAN
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage
 from orograph.store.terrain import TileTable
-from orograph.store.workshop import guarded
+from orograph.store.worker_state import guarded
 from orograph.store.writer import ShardWriter
 
 
@@ -50,8 +50,8 @@ class BuildRecipe(NamedTuple):
     memory: int
     base: int
 
-    def open(self) -> BuildShop:
-        return BuildShop(self)
+    def open(self) -> BuildState:
+        return BuildState(self)
 
 
 def recipe_of(
@@ -79,7 +79,7 @@ def recipe_of(
     return BuildRecipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)
 
 
-class BuildShop:
+class BuildState:
     """What one process of a cluster needs for a build.
 
     Attributes:
@@ -125,74 +125,74 @@ class BuildShop:
         return self._raster
 
 
-def _heights(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _heights(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.groups import Groups
     from orograph.store.pyramid import Finest, Pyramid
 
-    finest = Finest(shop.raster(), writer, *shop.sizes, shop.recipe.coding)
-    if shop.recipe.levels:
-        return Groups(finest, shop.recipe.levels)
+    finest = Finest(state.raster(), writer, *state.sizes, state.recipe.coding)
+    if state.recipe.levels:
+        return Groups(finest, state.recipe.levels)
     return Pyramid(finest)
 
 
-def _source(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _source(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.resampling import Look
 
-    raster: Any = shop.raster()
-    keep, coding = shop.plan["keep_source"], shop.recipe.coding
-    return Look(number, raster.resampled_from, raster.grid, writer, shop.sizes, keep, coding)
+    raster: Any = state.raster()
+    keep, coding = state.plan["keep_source"], state.recipe.coding
+    return Look(number, raster.resampled_from, raster.grid, writer, state.sizes, keep, coding)
 
 
-def _errors(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _errors(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.survey import Errors
     from orograph.store.survey_groups import ErrorGroups
 
-    grid = shop.raster().grid
-    specs = {name: table_spec(grid.shape, 0, name, *shop.sizes) for name in TABLES_AND_VALID}
+    grid = state.raster().grid
+    specs = {name: table_spec(grid.shape, 0, name, *state.sizes) for name in TABLES_AND_VALID}
     tables = {
-        name: ShardedArray(spec, shop.storage, writer.digests, ChunkCache(0), 1).read(
+        name: ShardedArray(spec, state.storage, writer.digests, ChunkCache(0), 1).read(
             0, spec.shape[0], 0, spec.shape[1]
         )
         for name, spec in specs.items()
     }
-    first, kinds, levels = TileTable(**tables), tuple(shop.plan["errors"]), shop.recipe.levels
-    errors = Errors(grid, writer, *shop.sizes, first, kinds, shop.recipe.coding)
+    first, kinds, levels = TileTable(**tables), tuple(state.plan["errors"]), state.recipe.levels
+    errors = Errors(grid, writer, *state.sizes, first, kinds, state.recipe.coding)
     return ErrorGroups(errors, levels) if levels else errors
 
 
-def _patches(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _patches(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.error import KINDS
     from orograph.store.derived_stages import PatchStage, known
 
-    return PatchStage(known(shop.storage), writer, KINDS[number])
+    return PatchStage(known(state.storage), writer, KINDS[number])
 
 
-def _chunks(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _chunks(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.chunked import Kind
     from orograph.store.derived_stages import ChunkStage, known
 
-    return ChunkStage(known(shop.storage), writer, Kind(*shop.plan["chunked"]))
+    return ChunkStage(known(state.storage), writer, Kind(*state.plan["chunked"]))
 
 
-def _tins(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _tins(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.derived_stages import known
     from orograph.store.tin_stage import TinStage
 
-    return TinStage(known(shop.storage), writer, shop.plan["tins"], number)
+    return TinStage(known(state.storage), writer, state.plan["tins"], number)
 
 
-def _quadtin(shop: BuildShop, writer: ShardWriter, number: int) -> Stage[Any]:
+def _quadtin(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.derived_stages import known
     from orograph.store.quadtin_grow import Making
     from orograph.store.quadtin_stage import QuadTinStage
 
-    terrain, (finest, split) = known(shop.storage), shop.plan["quadtin"]
-    if shop.making is None:
-        shop.making = Making(terrain, finest, split == "deviation")
-    return QuadTinStage(terrain, writer, shop.making, number)
+    terrain, (finest, split) = known(state.storage), state.plan["quadtin"]
+    if state.making is None:
+        state.making = Making(terrain, finest, split == "deviation")
+    return QuadTinStage(terrain, writer, state.making, number)
 
 
-_STAGES: dict[str, Callable[[BuildShop, ShardWriter, int], Stage[Any]]] = {
+_STAGES: dict[str, Callable[[BuildState, ShardWriter, int], Stage[Any]]] = {
     "heights": _heights, "source": _source, "errors": _errors, "patches": _patches, "chunks": _chunks, "tins": _tins,
     "quadtin": _quadtin,
 }  # fmt: skip
