@@ -142,7 +142,7 @@ def compare(name: str, heights: NDArray[np.float32], spacing: float, repeat: int
     scale = np.array([1 / spacing, 1 / spacing, 1.0])
     build = best(lambda: Caster.of(heights, 1), repeat + 1, time.thread_time) * 1e3
     casters = {jobs: Caster.of(heights, jobs) for jobs in (1, 2)}
-    stack = casters[1].stack
+    stack = casters[1].stack.scene
     memory = (heights.nbytes + stack.maxima.nbytes + stack.minima.nbytes + stack.mips.nbytes) / heights.nbytes
     start = time.perf_counter()
     embree, _mesh = scene(heights, spacing)

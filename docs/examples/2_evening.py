@@ -2,7 +2,7 @@
 Evening light
 =============
 
-The sun of a day and an hour, long shadows, a sky, and air that fades what is far.
+The sun at a given date and hour, long shadows, a sky, and haze in the distance.
 """
 
 import orograph

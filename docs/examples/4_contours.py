@@ -2,7 +2,7 @@
 A map with contour lines
 ========================
 
-A plan is a map in the terrain's CRS: matplotlib draws over it where it lies.
+A plan is a map in the terrain's CRS, so matplotlib can draw over it in the same coordinates.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,7 @@
 Values over the ground
 ======================
 
-Any array, raster or tile service is a layer; the legend has its values and unit.
+Any array, raster or tile service can be a layer; the legend shows its values and unit.
 """
 
 import matplotlib.pyplot as plt

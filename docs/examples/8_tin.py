@@ -2,7 +2,7 @@
 A TIN
 =====
 
-As few triangles as a bound in metres allows: small where the ground is rough, large where it is even.
+As few triangles as a bound in metres allows: small where the ground is rough, large where it is smooth.
 """
 
 import matplotlib.pyplot as plt

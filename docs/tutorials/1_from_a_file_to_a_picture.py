@@ -2,7 +2,7 @@
 From a file to a picture
 ========================
 
-What is in an elevation file, what is odd about it, and the first pictures of it.
+Find out what is in an elevation file and what looks suspicious, and make the first pictures of it.
 """
 
 # %%
@@ -18,19 +18,19 @@ path = write_jacksboro(Path(mkdtemp()))
 orograph.info(path)
 
 # %%
-# ``info`` says where it lies, how far apart its samples are, and warns of what is suspicious. One call makes a picture;
-# degrees became metres on the way.
+# ``info`` gives the file's location and sample spacing, and warns of anything suspicious. One call makes a picture;
+# degrees become metres on the way.
 
 first = orograph.render(path, size=(960, 540))
 
 # %%
-# Who calls several functions reads the terrain once.
+# If you call several functions, read the terrain once.
 
 terrain = orograph.terrain(path)
 terrain
 
 # %%
-# A camera is a ``View``. Seen from 225°, looking down by 25°, with the sun low in the west:
+# A camera is a ``View``. This one looks from 225°, 25° downwards, with the sun low in the west:
 
 view = orograph.camera.around(terrain, (960, 540), azimuth=225, pitch=25, distance=None, exaggeration=1.5)
 second = orograph.render(terrain, view, sun=(270, 20), sky=True, exaggeration=1.5)

@@ -2,12 +2,12 @@
 A mosaic larger than memory
 ===========================
 
-Tiles become a store: one terrain at all its resolutions, of which only what a picture needs is read.
+Tiles become a store: one terrain at all resolutions. A picture reads only the parts it needs.
 """
 
 # %%
-# Four tiles that share no sample, as an agency delivers them. (They are small, so that this page runs in a moment; the
-# code is the same for ten thousand.)
+# These four tiles share no samples, as an agency might deliver them. (They are small, so that this page runs in a
+# moment; the code is the same for ten thousand.)
 
 from pathlib import Path
 from tempfile import mkdtemp
@@ -34,21 +34,21 @@ whole = orograph.synth(folder / "whole.tif", size=1025, seed=4, progress=False)
 tiles = [cut(whole, row, col) for row in (0, 513) for col in (0, 513)]
 
 # %%
-# ``build`` reads each tile once, within the memory that it is allowed. A build that is stopped goes on with
-# ``resume=True``; ``check`` reads every byte of a store and says what is damaged.
+# ``build`` reads each tile once, within the memory that it is allowed. An interrupted build continues with
+# ``resume=True``; ``check`` reads every byte of a store and reports any damage.
 
 store = orograph.build(tiles, folder / "area.oro", max_memory=256 << 20, progress=False)
 assert orograph.check(store.url, progress=False) == []
 orograph.info(store.url)
 
 # %%
-# Pictures, measures and light read the store tile by tile.
+# Pictures, measurements and light read the store tile by tile.
 
 terrain = orograph.open(folder / "area.oro")
 picture = orograph.render(terrain, size=(960, 540), sky=True)
 
 # %%
-# What is between two places, on the ground:
+# The way between two places, along the ground:
 
 x, y = terrain.grid.xy([100, 900], [150, 800])
 profile = orograph.measure.profile(terrain, list(zip(x, y)))

@@ -2,11 +2,11 @@
 Light for archaeologists
 ========================
 
-Ditches and banks of half a metre do not show in a hillshade from one side. Maps of light find them.
+Ditches and banks of half a metre may not show in a hillshade lit from one side. Maps of light reveal them.
 """
 
 # %%
-# A field at 1 m with a ring ditch, a bank and the ridges of old ploughing, 20 to 50 cm high, on a slope.
+# A sloping field at 1 m has a ring ditch, a bank and the ridges of old ploughing, 20 to 50 cm high or deep.
 
 import numpy as np
 
@@ -22,7 +22,7 @@ ground += 0.15 * np.sin((x + 0.3 * y) / 2.2) * (x > 250)
 terrain = orograph.terrain((ground + rng.normal(0, 0.02, ground.shape)).astype(np.float32), False, spacing=1.0)
 
 # %%
-# A hillshade hides what lies along the light.
+# A hillshade hides features that lie parallel to the light.
 
 import matplotlib.pyplot as plt
 
@@ -37,7 +37,7 @@ for ax, product in zip(axes.flat, products):
 fig.tight_layout()
 
 # %%
-# The map as a layer over relief: openness, multiplied onto a low view.
+# The map can also be a layer over relief: here openness, multiplied onto an oblique view.
 
 openness = orograph.light(terrain, "openness", radius=30, progress=False)
 layer = orograph.Layer(openness.to_xarray(), colormap="grey", blend="multiply")

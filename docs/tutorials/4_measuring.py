@@ -16,7 +16,7 @@ terrain = orograph.terrain(jacksboro(), progress=False)
 (a, b), (c, d) = (terrain.grid.xy(col, row) for col, row in ((80, 250), (300, 90)))
 
 # %%
-# The height of a place, with slope and aspect: ``height`` is the file's own, ``surface_height`` that of the grid.
+# ``place`` gives height, slope and aspect: ``height`` is the file's own, ``surface_height`` that of the grid.
 
 place = orograph.measure.place(terrain, (a, b))
 print(place)
@@ -34,13 +34,13 @@ ax.set_ylabel("m")
 fig.tight_layout()
 
 # %%
-# Is one seen from the other, with eyes at 1.7 m?
+# Is the second place visible from the first, with eyes 1.7 m above the ground?
 
 sight = orograph.measure.line_of_sight(terrain, (a, b), (c, d), 1.7, 0.0)
 print("seen" if sight.visible else "hidden")
 
 # %%
-# All that is seen from the second place, by an eye 10 m above it (dark).
+# The viewshed of the second place, for an eye 10 m above it (dark: visible).
 
 shed = orograph.measure.viewshed(terrain, (c, d), 10.0, radius=20_000)
 values = shed.values()

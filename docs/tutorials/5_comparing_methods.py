@@ -2,7 +2,7 @@
 Comparing methods
 =================
 
-Published ways of drawing terrain stand behind one interface, and one referee measures them on the same data.
+Published methods of drawing terrain share one interface, and one referee measures them on the same data.
 """
 
 # %%
@@ -14,14 +14,14 @@ terrain = orograph.terrain(jacksboro(), progress=False)
 orograph.methods()
 
 # %%
-# At a tolerance of one pixel, on three views. The referee looks at every sample in view, and at the surface between
-# them; where a method promises the tolerance, "largest px" is no larger.
+# First, compare at a tolerance of one pixel, in three views. The referee checks every sample in view and the surface
+# between samples; where a method guarantees the tolerance, "largest px" does not exceed it.
 
 methods = ["top-down", "soar", "roam", "triangle-patches"]
 orograph.compare(terrain, methods=methods, tolerance=1, size=(640, 360), progress=False)
 
 # %%
-# The same number of triangles instead: which error is left?
+# Then compare with equal numbers of triangles: which error remains?
 
 orograph.compare(terrain, methods=["soar", "roam"], triangles=6000, size=(640, 360), progress=False)
 

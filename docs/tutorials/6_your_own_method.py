@@ -2,12 +2,12 @@
 Your own method
 ===============
 
-A method is a class that selects triangles for a camera. Registered, every verb knows it. (`How to add a method
-<../methods/adding.html>`_ says all of it.)
+A method is a class that selects triangles for a camera. Once it is registered, every verb knows it. (For details see
+`How to add a method <../methods/adding.html>`_.)
 """
 
 # %%
-# A grid of every k-th sample, the same for every view: simple, and no promise.
+# This one takes a grid of every k-th sample, the same for every view: simple, but with no guaranteed error.
 
 from dataclasses import dataclass
 
@@ -66,6 +66,6 @@ terrain = orograph.terrain(jacksboro(), progress=False)
 picture = orograph.render(terrain, size=(960, 540), method="every,step=12", wireframe=True, exaggeration=1.5)
 
 # %%
-# And the referee says what it is worth:
+# The referee shows how good it is:
 
 orograph.compare(terrain, methods=["every,step=12", "soar"], tolerance=2, size=(640, 360), progress=False)

@@ -6,7 +6,7 @@ The command line prints them without a traceback (unless ``--debug``) and exits 
 code  meaning
 ====  ==================================================================
 0     the job is done and its result is where the command said
-1     a fault of Orograph itself (please report it, with ``--debug``)
+1     a fault of Orograph itself (please report it, with ``--debug``), or a bound that compare finds broken
 2     the command line is wrong
 3     an input cannot be read, or does not say what is needed of it
 4     an output or a store cannot be written, is damaged or incomplete

@@ -255,7 +255,7 @@ def test_windows_of_a_plane_are_the_plane(eye: tuple, target: tuple, roll: float
     p = e + t.reshape(-1, 1) * d
     hit = np.isfinite(t.ravel())
     expected = np.zeros(len(p), int)
-    f = stack.stack.floats
+    f = stack.stack.scene.floats
     for w in (1, 2):
         expected[(p[:, 0] >= f[w, 3]) & (p[:, 0] <= f[w, 5]) & (p[:, 1] >= f[w, 4]) & (p[:, 1] <= f[w, 6])] = w
     clear = np.ones(len(p), bool)
@@ -279,7 +279,7 @@ def test_no_crack_between_levels(levels: tuple[int, ...]) -> None:
     n = 20000
     o = np.stack([rng.random(n) * 158 + 1, rng.random(n) * 126 + 1, np.full(n, 3000.0)], 1)
     to = np.stack([rng.random(n) * 158 + 1, rng.random(n) * 126 + 1, np.full(n, -3000.0)], 1)
-    f = caster.stack.floats
+    f = caster.stack.scene.floats
     border = f[rng.integers(1, len(f), n // 2)]
     onto = rng.integers(0, 2, n // 2)
     to[: n // 2, 0] = np.where(onto == 0, border[:, 3], to[: n // 2, 0])  # half aim at borders of windows

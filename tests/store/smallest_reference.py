@@ -54,11 +54,11 @@ def value_of(stream, one):
 
 def decoded(data, shape):
     """The samples, int32."""
-    rows, cols = shape
-    version, mode, parts, shift, first, groups, count = struct.unpack_from("<4Bi2B", data)
-    assert version == 1 and parts in (1, 4)
-    at, classes = 10, []
-    for _ in range(1 if parts == 1 else 3):
+    rows = shape[0]
+    version, mode, kinds, shift, first, groups, count, parts = struct.unpack_from("<4Bi3B", data)
+    assert version == 2 and kinds in (1, 4) and parts in (1, 2)
+    at, classes = 11, []
+    for _ in range(1 if kinds == 1 else 3):
         classes.append((struct.unpack_from("<11h", data, at), list(data[at + 22 : at + 39])))
         at += 39
     least = struct.unpack_from(f"<{groups - 1}H", data, at)
@@ -68,28 +68,48 @@ def decoded(data, shape):
         one, at = table(data, at)
         tables.append(one)
     marks, at = mask(data, at, mode, shape) if mode else (np.zeros(shape, bool), at)
-    stream = Stream(data[at:], 1)
+    if parts == 1:
+        streams = [(first, data[at:], 0, rows)]
+    else:
+        second, words, one, other = struct.unpack_from("<i3I", data, at)
+        high, begin = -(-rows // 4) * 2, at + 16
+        assert high < rows
+        streams = [
+            (first, struct.pack("<I", one) + data[begin : begin + 2 * words], 0, high),
+            (second, struct.pack("<I", other) + data[begin + 2 * words :], high, rows),
+        ]
+    out = [
+        part_of(above, Stream(words, 1), marks[begin:end], kinds, shift, classes, least, cells, tables)
+        for above, words, begin, end in streams
+    ]
+    found = np.concatenate(out)
+    found[marks] = -(2**31)
+    return found
+
+
+def part_of(first, stream, marks, kinds, shift, classes, least, cells, tables):
+    """The samples of a part, the missing ones filled."""
+    rows, cols = marks.shape
     samples, sizes = [[first] * (cols + 4)] * 2, [[0] * (cols + 4)] * 2
     for row in range(rows):
         (far, near), (further, above) = samples[-2:], sizes[-2:]
+        far = near if row == 1 else far
         west, farther = (wrapped(near[k] + near[2] - far[2]) for k in (1, 0))
         line, left = [], [0, 0]
         for j in range(cols):
-            part = 2 * (row % 2) + j % 2 - 1 if parts == 4 else 0
+            part = 2 * (row % 2) + j % 2 - 1 if kinds == 4 else 0
             here, last = 0 if part < 0 else near[j + 2], 0
             if part >= 0 and not marks[row, j]:
                 weights, shares = classes[part]
                 north, (nw, n, ne, nee) = near[j + 2], near[j + 1 : j + 5]
                 around = [west, farther, *near[j : j + 2], *near[j + 3 : j + 5], *far[j : j + 5]]
                 if row == 0:
-                    weights = (8192, -4096, *[0] * 9)
+                    weights, shares = (6144, -2048, *[0] * 9), [*[0] * 12, 128, 0, 128, 0, 0]
                 t = wrapped(sum(w * (s - north) for w, s in zip(weights, around, strict=True)) + 2048)
                 said, guess = t >> 12, wrapped(north + (t >> 12))
                 signs = [above[j + k] for k in (2, 1, 3, 0, 4)] + [further[j + 2], size(n - nw), size(n - ne)]
                 signs += [size(n - far[j + 2]), size(ne - far[j + 3]), size(nw - far[j + 1]), size(ne - nee), left[-1]]
                 signs += [size(west - nw), size(west - farther), size(said), size(west - guess)]
-                if row == 0:
-                    signs[13] = signs[15] = signs[16] = 0
                 activity = sum(s * share for s, share in zip(signs, shares, strict=True))
                 bin_, other = bin_of(activity, t)
                 group = sum(min(activity >> shift, 1023) >= limit for limit in least)
@@ -103,6 +123,4 @@ def decoded(data, shape):
         samples.append(continued(line))
         sizes.append([*left, 0, 0])
     assert not stream.words and stream.states == [1 << 16]
-    out = np.array([line[2:-2] for line in samples[2:]], np.int32)
-    out[marks] = -(2**31)
-    return out
+    return np.array([line[2:-2] for line in samples[2:]], np.int32)

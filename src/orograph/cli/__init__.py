@@ -49,8 +49,9 @@ VERBS = {
 }
 
 EPILOG = """\b
-Exit codes: 0 done · 1 a fault of Orograph itself · 2 wrong command line · 3 input cannot be read ·
-4 output or store cannot be written or is damaged · 5 nothing to draw in view · 6 no usable GPU · 130 interrupted."""
+Exit codes: 0 done · 1 a fault of Orograph itself, or a bound that compare finds broken · 2 wrong command line ·
+3 input cannot be read · 4 output or store cannot be written or is damaged ·
+5 nothing to draw in view · 6 no usable GPU · 130 interrupted."""
 
 
 class Verbs(click.Group):

@@ -46,19 +46,19 @@ class Caster:
 
     def surface(self, x: float, y: float) -> float:
         """Height of the surface at one point, metres; NaN outside it or in a hole."""
-        ray = np.array([[x, y, self.stack.high + 1.0]]), np.array([[0.0, 0.0, -1.0]])
-        return self.stack.high + 1.0 - float(self.cast(*ray)[0][0])
+        ray = np.array([[x, y, self.stack.scene.high + 1.0]]), np.array([[0.0, 0.0, -1.0]])
+        return self.stack.scene.high + 1.0 - float(self.cast(*ray)[0][0])
 
     def surfaces(self, x: Array, y: Array) -> Array:
         """Heights (n,) of the surface at points, metres, in the calling thread; NaN outside it, in a hole or at NaN."""
         from orograph.raycast.kernels import cast_rays
 
-        s, n = self.stack, len(x)
+        scene, n = self.stack.scene, len(x)
         t, which = np.empty(n), np.empty(n, np.int8)
-        origins = np.stack([x, y, np.full(n, s.high + 1.0)], -1)
+        origins = np.stack([x, y, np.full(n, scene.high + 1.0)], -1)
         down = np.broadcast_to([0.0, 0.0, -1.0], (n, 3)).copy()
-        cast_rays(s.scene, origins, down, 0.0, np.inf, t, which, 0, n)
-        return np.asarray(s.high + 1.0 - t)
+        cast_rays(scene, origins, down, 0.0, np.inf, t, which, 0, n)
+        return np.asarray(scene.high + 1.0 - t)
 
     def cast(
         self, origins: Array, directions: Array, near: float = 0.0, far: float = np.inf
@@ -75,9 +75,9 @@ class Caster:
         from orograph.raycast.kernels import cast_rays
 
         t, which = np.empty(len(origins)), np.empty(len(origins), np.int8)
-        s = self.stack
+        scene = self.stack.scene
         self._blocks(
-            lambda a, b: cast_rays(s.scene, origins, directions, near, far, t, which, a, b),
+            lambda a, b: cast_rays(scene, origins, directions, near, far, t, which, a, b),
             len(origins),
             16384,
         )
@@ -103,7 +103,7 @@ class Caster:
         top, bottom, left, right = part or (0, size[0], 0, size[1])
         shape = bottom - top, right - left
         t, which = np.empty(shape), np.empty(shape, np.int8)
-        s = self.stack
+        scene = self.stack.scene
         end = min(far, self._reach(eye, d0, du, dv, size))
         o, *plane = (np.ascontiguousarray(v, np.float64) for v in (eye, d0, du, dv))
         camera = Pinhole(o, plane[0], plane[1], plane[2], near, end)
@@ -111,7 +111,7 @@ class Caster:
         ground = self.surface(eye[0], eye[1])
         clear = not (eye[2] <= ground)  # also true outside, where ground is NaN
         self._blocks(
-            lambda a, b: cast_pinhole(s.scene, camera, clear, left, right, top + a, top + b, picture),
+            lambda a, b: cast_pinhole(scene, camera, clear, left, right, top + a, top + b, picture),
             shape[0],
             16,
         )
@@ -133,10 +133,10 @@ class Caster:
         from orograph.raycast.skyline import skylines
 
         out = np.empty(len(points))
-        s = self.stack
+        scene = self.stack.scene
         dx, dy = direction
         self._blocks(
-            lambda a, b: skylines(s.scene, points, dx, dy, skip, lower, enough, out, a, b),
+            lambda a, b: skylines(scene, points, dx, dy, skip, lower, enough, out, a, b),
             len(points),
             16384,
         )
@@ -144,7 +144,7 @@ class Caster:
 
     def _reach(self, eye: Array, d0: Array, du: Array, dv: Array, size: tuple[int, int]) -> float:
         """A t beyond which no ray of the camera is over the terrain or within its slab of heights."""
-        s, f = self.stack, self.stack.floats[0]
+        s, f = self.stack.scene, self.stack.scene.floats[0]
         corners = np.array([d0 + x * du + y * dv for x in (0, size[1] - 1) for y in (0, size[0] - 1)])
         far = np.linalg.norm([max(abs(eye[0] - f[3]), abs(eye[0] - f[5])), max(abs(eye[1] - f[4]), abs(eye[1] - f[6]))])
         tall = max(abs(eye[2] - s.low), abs(eye[2] - s.high))

@@ -53,29 +53,11 @@ class Stack:
     """Windows, outermost (coarsest) first, each inside the one before.
 
     Attributes:
-        pool: all heights, float32, flat; no copy if there is one window.
-        maxima, minima: all their pyramids, flat.
-        mips: (3, levels of all windows) int64: offset of the maxima, of the minima, nodes per row.
-        ints (W, 6) int64, floats (W, 8) float64: see ``tables.BASE`` and following.
-        low, high: the slab that holds every height, metres.
+        scene: it as the kernels take it; its pool is no copy if there is one window.
     """
 
     windows: tuple[HeightWindow, ...]
-    pool: NDArray[np.float32]
-    maxima: NDArray[np.float32]
-    minima: NDArray[np.float32]
-    mips: NDArray[np.int64]
-    ints: NDArray[np.int64]
-    floats: NDArray[np.float64]
-    low: float
-    high: float
-
-    @property
-    def scene(self) -> Scene:
-        """It as the kernels take it."""
-        return Scene(
-            self.pool, self.maxima, self.minima, self.mips, self.ints, self.floats, float(self.low), float(self.high)
-        )
+    scene: Scene
 
     @classmethod
     def build(cls, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> Stack:
@@ -106,17 +88,17 @@ class Stack:
             HeightWindow(w.level, w.col0, w.row0, pool[n[0] : n[0] + w.heights.size].reshape(w.heights.shape))
             for w, n in zip(windows, ints)
         ]
-        return cls(
-            tuple(views),
+        scene = Scene(
             pool,
             _joined([m.maxima for m in pyramids]),
             _joined([m.minima for m in pyramids]),
             np.ascontiguousarray(np.concatenate(tables, axis=1)),
             ints,
             floats,
-            min(r[0] for r in ranges) - MARGIN,
-            max(r[1] for r in ranges) + MARGIN,
+            float(min(r[0] for r in ranges) - MARGIN),
+            float(max(r[1] for r in ranges) + MARGIN),
         )
+        return cls(tuple(views), scene)
 
 
 def _joined(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from orograph.errors import ReadError, UsageError
+from orograph.geovis.data.shared import sharing
 from orograph.geovis.keys import Legend
 from orograph.geovis.layers import attributed, drawn
 from orograph.scene.parts import (
@@ -94,6 +95,7 @@ class Scene:
             )
 
     @classmethod
+    @sharing()
     def of(cls, terrain: Terrain, view: View, **options: Any) -> Self:
         """A scene by its options' names, whichever parts they belong to, as users give them (``scene.given``).
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,6 +59,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     from orograph.geovis.data.bivariate import pairs
     from orograph.geovis.data.painted import painted
     from orograph.geovis.data.priority import Priority
+    from orograph.geovis.data.shared import once
     from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import layers_of
 
@@ -73,12 +75,20 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
         raise UsageError("Walls show one volume.", remedy="Give one of the data another style: curtains.")
     inside = tuple(one for one in data if one.style != "walls")
     stretch = float(options.get("exaggeration") or 1.0)
-    found = [_read(one, terrain, max(size), priority, stretch) for one in pairs(inside)]
+    aspects = priority.data, priority.uncertainty, max(size), stretch, id(terrain)
+
+    def read(one: Dataset | tuple[Dataset, Dataset]) -> Shown | Things:
+        return once("data", (one, aspects), lambda: _read(one, terrain, max(size), priority, stretch))
+
+    found = [read(one) for one in pairs(inside)]
     standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
-    made["layers"] = (*layers_of(options.get("layers")), *(painted(one) for one in flat))
+    made["layers"] = (
+        *layers_of(options.get("layers")),
+        *(once("painted", id(one), partial(painted, one)) for one in flat),
+    )
     things = Things.joined(standing) if standing else None
     if things is not None and aids is not None and aids.standing:
         things = _aided(things, aids, terrain)

@@ -9,7 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import kernel, shared
-from orograph.store.compact_decode import CONTEXTS, LEVELS, activities
+from orograph.store.compact_decode import (
+    CONTEXTS,
+    LEVELS,
+    activities,
+)
 
 GROUPS = 24  # of activities, before those that are alike are joined
 TOKENS = 64 + 4 * 26  # what values are counted as there

@@ -11,137 +11,32 @@ from typing import Any
 import numpy as np
 
 from orograph._numba import inlined, kernel
+from orograph.store.codec_head import (
+    BITS,
+    CUT_OFF,
+    DIRECT,
+    LEAST,
+    MASK,
+    NEIGHBOURS,
+    STREAM,
+    TABLES,
+    TOTAL,
+    UNKNOWN,
+    WORDS,
+    mark_missing,
+    read_mask,
+    read_tables,
+    read_weights,
+    read_words,
+    u32,
+)  # fmt: skip
 
-MISSING = -(1 << 31)
 VERSION = 1
 LANES = 4
-NEIGHBOURS = 11  # besides N
 CONTEXTS = 8
-BITS = 12  # of probabilities
-TOTAL = 1 << BITS
-DIRECT = 224  # at most so many symbols of a table are values themselves; the others are ranges of larger ones
-SYMBOLS = DIRECT + 32
-START = 36  # what the first code of a table differs from
-DEEPEST = 16  # bits below symbols
-LEAST = 1 << 16  # state
 CAP = 65535  # of magnitudes that make a context
 LEVELS = 256  # of activity
 HEADER = 8 + 2 * NEIGHBOURS
-WORDS = 5  # that one sample takes at most
-
-CUT_OFF, UNKNOWN, TABLES, MASK, STREAM = 1, 2, 3, 4, 5
-"""What is wrong: the chunk is too short; another version; its tables, mask or stream of words are not possible."""
-
-
-@inlined
-def u16(data, at):
-    return np.int64(data[at]) | np.int64(data[at + 1]) << 8
-
-
-@inlined
-def u32(data, at):
-    return (
-        np.int64(data[at]) | np.int64(data[at + 1]) << 8 | np.int64(data[at + 2]) << 16 | np.int64(data[at + 3]) << 24
-    )
-
-
-@kernel
-def frequencies(codes, count, out):
-    """The frequencies that codes stand for, which sum to ``TOTAL``; whether they can.
-
-    Args:
-        codes: of ``count`` symbols. out: becomes the frequencies.
-    """
-    total, most = np.int64(0), np.int64(0)
-    for s in range(count):
-        code = np.int64(codes[s])
-        out[s] = code if code < 8 else (4 + (code & 3)) << ((code >> 2) - 1)
-        total += out[s]
-        if out[s] > out[most]:
-            most = np.int64(s)
-    if total == 0:
-        return False
-    rest = np.int64(TOTAL)
-    for s in range(count):
-        if out[s]:
-            out[s] = max(out[s] * TOTAL // total, 1)
-            rest -= out[s]
-    out[most] += rest
-    return out[most] > 0
-
-
-@kernel
-def read_tables(data, at, contexts, table, depths, direct):
-    """Read the tables of all contexts from ``at``; where they end, or -1.
-
-    Args:
-        table: (contexts × TOTAL,) uint32, becomes frequency - 1, offset and symbol (12, 12 and 8 bits) by slot.
-            Symbols from ``DIRECT`` are ranges.
-        depths: becomes the bits below symbols, by context. direct: becomes how many symbols are values.
-    """
-    codes, found = np.zeros(SYMBOLS, np.int64), np.zeros(SYMBOLS, np.int64)
-    for context in range(contexts):
-        if at + 3 > data.size:
-            return -1
-        depths[context], direct[context], ranges = np.int64(data[at]), np.int64(data[at + 1]), np.int64(data[at + 2])
-        at += 3
-        count = direct[context] + ranges
-        if depths[context] > DEEPEST or direct[context] > DIRECT or ranges > 32 or count == 0:
-            return -1
-        bit, last, code = at * 8, data.size * 8, np.int64(START)
-        for s in range(count):
-            # A difference: its half in unary (ones, then a zero), its lowest bit, after zigzag.
-            ones = np.int64(0)
-            while bit < last and data[bit >> 3] >> (bit & 7) & 1:
-                ones += 1
-                bit += 1
-            if bit + 2 > last:
-                return -1
-            value = ones << 1 | np.int64(data[(bit + 1) >> 3]) >> ((bit + 1) & 7) & 1
-            bit += 2
-            code += (value >> 1) ^ -(value & 1)
-            if code < 0 or code > 47:
-                return -1
-            codes[s] = code
-        at = (bit + 7) >> 3
-        if not frequencies(codes, count, found):
-            return -1
-        slot = np.int64(context * TOTAL)
-        for s in range(count):
-            entry = (found[s] - 1) << 20 | (s if s < direct[context] else s - direct[context] + DIRECT)
-            for k in range(found[s]):
-                table[slot + k] = np.uint32(entry | k << 8)
-            slot += found[s]
-    return at
-
-
-@kernel
-def read_mask(data, at, mode, out):
-    """Put ``MISSING`` where the runs from ``at`` say so, and zeros elsewhere; where they end, or -1."""
-    rows, cols = out.shape
-    filled, missing, size = np.int64(0), False, rows * cols
-    flat = out.reshape(size)
-    while filled < size:
-        run, shift = np.int64(0), np.int64(0)
-        while True:
-            if at >= data.size or shift > 35:
-                return -1
-            byte = np.int64(data[at])
-            at += 1
-            run |= (byte & 127) << shift
-            shift += 7
-            if byte < 128:
-                break
-        if run > size - filled:
-            return -1
-        flat[filled : filled + run] = MISSING if missing else 0
-        filled += run
-        missing = not missing
-    if mode == 2:
-        for row in range(1, rows):
-            for col in range(cols):
-                out[row, col] ^= out[row - 1, col]
-    return at
 
 
 @inlined
@@ -270,16 +165,6 @@ def predicted(weights, far, near, out):
 
 
 @kernel
-def full_weights(weights, out):
-    """All twelve: N's is such that the sum is nothing, for N itself is added to it."""
-    total = np.int64(0)
-    for k in range(NEIGHBOURS):
-        out[k] = weights[k]
-        total += weights[k]
-    out[NEIGHBOURS] = -total
-
-
-@kernel
 def decode(data, out):
     """Decode a chunk.
 
@@ -298,11 +183,8 @@ def decode(data, out):
     if contexts < 1 or contexts > CONTEXTS or shift > 15:
         return TABLES
     first = np.int32(u32(data, 4))
-    given, weights = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS + 1, np.int32)
-    for k in range(NEIGHBOURS):
-        given[k] = np.int16(u16(data, 8 + 2 * k))
-    full_weights(given, weights)
-    at: Any = HEADER
+    weights = np.empty(NEIGHBOURS + 1, np.int32)
+    at: Any = read_weights(data, 8, weights)
     if at + contexts - 1 > data.size:
         return CUT_OFF
     table_of = np.zeros(LEVELS, np.int32)
@@ -329,8 +211,7 @@ def decode(data, out):
     count = (data.size - at) // 2
     width = LANES * (-(-cols // LANES))
     words = np.zeros(count + WORDS * width + 1, np.uint16)
-    for k in range(count):
-        words[k] = np.uint16(np.uint16(data[at + 2 * k]) | np.uint16(data[at + 2 * k + 1]) << np.uint16(8))
+    at = read_words(data, at, words[:count])
     p = np.int64(0)
     values, before, padded = np.zeros(width, np.uint32), np.zeros(width, np.uint32), np.zeros(width + 4, np.int32)
     levels, base, lines = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros((3, width + 4), np.int32)
@@ -359,16 +240,12 @@ def decode(data, out):
         predicted(weights, near if rows == 2 else far, near, base)
         _rebuilt(weights, before, base, near, line)
     out[rows - 1] = line[2 : cols + 2]
-    if p != count or at + 2 * count != data.size:
+    if p != count or at != data.size:
         return STREAM
     for k in range(LANES):
         if states[k] != LEAST:
             return STREAM
-    if mode:
-        for row in range(rows):
-            for col in range(cols):
-                if marks[row, col]:
-                    out[row, col] = MISSING
+    mark_missing(marks, out)
     return 0
 
 

@@ -10,27 +10,29 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel, shared
-from orograph.store.compact_contexts import activity_of, divided, length, shift_of
-from orograph.store.compact_decode import (
+from orograph.store.codec_head import (
     BITS,
-    CONTEXTS,
     DEEPEST,
     DIRECT,
-    HEADER,
-    LANES,
     LEAST,
     MISSING,
     NEIGHBOURS,
     START,
     SYMBOLS,
     TOTAL,
-    VERSION,
     WORDS,
-    extend,
     frequencies,
     full_weights,
+)
+from orograph.store.compact_contexts import activity_of, divided, length, shift_of
+from orograph.store.compact_decode import (
+    CONTEXTS,
+    HEADER,
+    LANES,
+    VERSION,
+    extend,
     predicted,
-)  # fmt: skip
+)
 
 SAMPLED = 64  # rows that weights are fitted to
 RARE = 8  # values that one in 2^8 exceeds are ranges

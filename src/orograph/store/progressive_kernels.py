@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel
-from orograph.store.compact_decode import MISSING
+from orograph.store.codec_head import MISSING
 
 
 @kernel

@@ -1,8 +1,9 @@
 """The kernels that decode chunks of the codec *smallest* (``smallest``; docs/codec.md has the format).
 
 A sample's table hangs on the sample before it, so samples are decoded one by one. All that the two rows above say is
-worked out beforehand, row by row, with vector instructions. Tables, runs of missing samples and plain bits are those of
-*compact*; as there, nothing that is read out of a chunk becomes an index before it is checked.
+worked out beforehand, row by row, with vector instructions. The two parts of a chunk, its upper and its lower rows,
+share nothing but weights and tables, and are decoded in turn. Tables, runs of missing samples and plain bits are those
+of *compact*; as there, nothing that is read out of a chunk becomes an index before it is checked.
 """
 
 from __future__ import annotations
@@ -12,30 +13,34 @@ from typing import Any
 import numpy as np
 
 from orograph._numba import inlined, kernel
-from orograph.store.compact_decode import (
+from orograph.store.codec_head import (
     BITS,
     CUT_OFF,
     DIRECT,
     LEAST,
     MASK,
-    MISSING,
     NEIGHBOURS,
     STREAM,
     TABLES,
     TOTAL,
     UNKNOWN,
-    full_weights,
+    mark_missing,
+    read_mask,
+    read_tables,
+    read_weights,
+    read_words,
+    u16,
+    u32,
+)
+from orograph.store.compact_decode import (
     next_symbol,
     plain_bits,
     predicted,
     ranged,
-    read_mask,
-    read_tables,
-    u16,
-    u32,
-)  # fmt: skip
+)
 
-VERSION = 1
+VERSION = 2
+PARTS = 2  # at most: of a chunk, each decoded by itself
 CLASSES = 4  # at most: of samples, by the parity of row and column
 SIGNS = 17  # what makes an activity
 ABOVE = 12  # of these are known before the row is decoded
@@ -44,8 +49,9 @@ BINS = 5  # of what a prediction says besides itself
 GROUPS = 32  # of activity, at most
 SETS = 48  # tables, at most
 CAP = 4095  # of each sign
+FIRST_ROW = 128  # share of the two signs that a first row has, in 1/256
 SMALL = 307  # of activity, in 1/256: where a prediction lies between two numbers tells something
-HEADER = 10
+HEADER = 11
 CLASS = 2 * NEIGHBOURS + SIGNS  # bytes of a class
 WORDS = 5  # that one sample takes at most
 
@@ -79,17 +85,18 @@ def signs_above(shares, far, near, further, above, out):
 
 
 @inlined
-def judged(t, signs, share, north, west, farther, northwest, last):
+def judged(t, signs, side, c, north, west, farther, northwest, last):
     """(The prediction of a sample, its activity, whether what is left is told with the other sign, its bin).
 
     Args:
         t: the weighted sum, in 1/4096, with the half that rounds it. signs: from ``signs_above``.
-        share: ``side`` of ``_row``, by which the other signs count. last: the value before, at most ``CAP``.
+        side: a part's of ``_row``, by which the other signs count. c: the column's parity.
+        last: the size of what was left of the sample before, at most ``CAP``.
     """
     said = np.int32(t >> np.int32(12))
     guess = np.int32(north + said)
-    activity = np.int64(signs) + share[2] * last + share[3] * size_of(west - northwest)
-    activity += share[4] * size_of(west - farther) + share[5] * size_of(said) + share[6] * size_of(west - guess)
+    activity = np.int64(signs) + side[c, 2] * last + side[c, 3] * size_of(west - northwest)
+    activity += side[c, 4] * size_of(west - farther) + side[c, 5] * size_of(said) + side[c, 6] * size_of(west - guess)
     beyond = np.int64(t & 4095) - 2048
     lean = np.int64(np.int32(t)) - 2048
     far = abs(lean) >> 4
@@ -105,47 +112,89 @@ def weighed(base, w0, west, w1, farther):
     return np.int32(np.int32(base + np.int32(w1 * farther)) + np.int32(w0 * west))
 
 
+@inlined
+def _sample(state, p, words, table, depths, direct, places, c, groups, shift, side, skip, base, sign, north, northwest,
+            west, farther, last):  # fmt: skip
+    """Decode a sample; (the state, the next word, the sample, the size of what was left of it)."""
+    if skip:
+        return state, p, north if skip == 1 else np.int32(0), np.int64(0)
+    t = weighed(base, side[c, 0], west, side[c, 1], farther)
+    said, activity, other, bin_ = judged(t, sign, side, c, north, west, farther, northwest, last)
+    group = np.uint64(groups[np.uint64(min(activity >> shift, STEPS - 1))])
+    begin = np.int64(places[c, group * np.uint64(BINS) + np.uint64(bin_)])
+    state, p, value = next_symbol(state, p, words, table, begin)
+    if value >= DIRECT:
+        state, p, value = ranged(state, p, words, value, direct[begin >> BITS])
+    depth = depths[begin >> BITS]
+    if depth:
+        state, p, low = plain_bits(state, p, words, depth)
+        value = value << depth | low
+    residual = np.int32(np.int32(np.uint32(value) >> np.uint32(1)) ^ -np.int32(value & 1))
+    turned = -np.int32(other)  # (no branch: which sign it is cannot be foreseen)
+    here = np.int32(said + ((residual ^ turned) - turned))
+    return state, p, here, min(((value & 0xFFFFFFFF) + 1) >> 1, np.int64(CAP))
+
+
 @kernel
-def _row(state, p, words, table, depths, direct, places, groups, shift, side, skips, bases, signs, near, line, values):
-    """Decode a row of samples; (the state, the next word).
+def _row(
+    states, at, words, table, depths, direct, places, groups, shift, side, skips, bases, signs, near, line, values
+):
+    """Decode a row of the first part.
 
     Args:
+        states, at: (PARTS,) int64, of each part the state and the next word, which go on. words: (PARTS, …) uint16.
         places: (2, GROUPS * BINS) int32, where the table begins, by column parity. groups: (STEPS,) uint8.
-        side: (2, 9) int32, by column parity: weights of W and WW, shares of the last signs; and what stands for W and
-            WW left of the row.
-        skips: (n,) uint8, 1 missing, 2 not coded. bases, signs: (n,) int32, what the rows above give.
-        near: (n + 4,) int32, the row above. line, values: (n + 4,) int32, become samples and sizes of what is left.
+        side: (PARTS, 2, 9) int32, by column parity: weights of W and WW, shares of the last signs; and what stands for
+            W and WW left of the row.
+        skips: (PARTS, n) uint8, 1 missing, 2 not coded. bases, signs: (PARTS, n) int32, what the rows above give.
+        near: (PARTS, n + 4) int32, the row above. line, values: (PARTS, n + 4) int32, become samples and sizes of what
+            is left.
     """
-    west, farther, last = side[0, 7], side[0, 8], np.int64(0)
-    for j in range(skips.size):
+    state, p, some, left = states[0], at[0], words[0], side[0]
+    west, farther, last = left[0, 7], left[0, 8], np.int64(0)
+    for j in range(skips.shape[1]):
+        state, p, here, last = _sample(
+            state, p, some, table, depths, direct, places, np.uint64(j & 1), groups, shift, left, skips[0, j],
+            bases[0, j], signs[0, j], near[0, j + 2], near[0, j + 1], west, farther, last,
+        )  # fmt: skip
+        values[0, j + 2], line[0, j + 2] = np.int32(last), here
+        farther, west = west, here
+    states[0], at[0] = state, p
+
+
+@kernel
+def _rows(
+    states, at, words, table, depths, direct, places, groups, shift, side, skips, bases, signs, near, line, values
+):
+    """Decode a row of either part, sample by sample in turn: while one waits for itself, the other goes on.
+
+    Args: as of ``_row``.
+    """
+    state0, p0, words0, side0 = states[0], at[0], words[0], side[0]
+    state1, p1, words1, side1 = states[1], at[1], words[1], side[1]
+    west0, farther0, last0 = side0[0, 7], side0[0, 8], np.int64(0)
+    west1, farther1, last1 = side1[0, 7], side1[0, 8], np.int64(0)
+    for j in range(skips.shape[1]):
         c = np.uint64(j & 1)
-        north = near[j + 2]
-        here = north
-        left = np.int64(0)
-        if skips[j] == 0:
-            share = side[c]
-            t = weighed(bases[j], share[0], west, share[1], farther)
-            said, activity, other, bin_ = judged(t, signs[j], share, north, west, farther, near[j + 1], last)
-            group = np.uint64(groups[np.uint64(min(activity >> shift, STEPS - 1))])
-            begin = np.int64(places[c, group * np.uint64(BINS) + np.uint64(bin_)])
-            state, p, value = next_symbol(state, p, words, table, begin)
-            if value >= DIRECT:
-                state, p, value = ranged(state, p, words, value, direct[begin >> BITS])
-            depth = depths[begin >> BITS]
-            if depth:
-                state, p, low = plain_bits(state, p, words, depth)
-                value = value << depth | low
-            residual = np.int32(np.int32(np.uint32(value) >> np.uint32(1)) ^ -np.int32(value & 1))
-            here = np.int32(said - residual) if other else np.int32(said + residual)
-            left = ((value & 0xFFFFFFFF) + 1) >> 1
-        elif skips[j] == 2:
-            here = np.int32(0)
-        last = min(left, np.int64(CAP))
-        values[j + 2] = np.int32(last)
-        line[j + 2] = here
-        farther = west
-        west = here
-    return state, p
+        state0, p0, here0, last0 = _sample(
+            state0, p0, words0, table, depths, direct, places, c, groups, shift, side0, skips[0, j],
+            bases[0, j], signs[0, j], near[0, j + 2], near[0, j + 1], west0, farther0, last0,
+        )  # fmt: skip
+        state1, p1, here1, last1 = _sample(
+            state1, p1, words1, table, depths, direct, places, c, groups, shift, side1, skips[1, j],
+            bases[1, j], signs[1, j], near[1, j + 2], near[1, j + 1], west1, farther1, last1,
+        )  # fmt: skip
+        values[0, j + 2], line[0, j + 2] = np.int32(last0), here0
+        values[1, j + 2], line[1, j + 2] = np.int32(last1), here1
+        farther0, west0 = west0, here0
+        farther1, west1 = west1, here1
+    states[0], at[0], states[1], at[1] = state0, p0, state1, p1
+
+
+@kernel
+def first_rows(rows):
+    """How many rows the first of two parts has."""
+    return 2 * ((rows + 3) // 4)
 
 
 @kernel
@@ -171,9 +220,11 @@ def prepared(row, classes, weights, shares, lines, sizes, halves, side, bases, s
     Args:
         weights: (CLASSES, NEIGHBOURS + 1) int32. shares: (CLASSES, SIGNS) int32.
         lines, sizes: (3, n + 4) int32, the samples, and the values of rows, modulo 3.
-        halves: (2, n) int32, scratch. side, bases, signs: as in ``_row``; become the row's.
+        halves: (2, n) int32, scratch. side, bases, signs: a part's of ``_row``; become the row's.
     """
     near, far = lines[(row + 2) % 3], lines[(row + 1) % 3]
+    if row == 1:  # (above the first row there is nothing that tells anything)
+        far = near
     first = class_of(row, classes)
     slope = np.int32(near[2] - far[2])
     side[0, 7], side[0, 8] = np.int32(near[1] + slope), np.int32(near[0] + slope)
@@ -182,7 +233,8 @@ def prepared(row, classes, weights, shares, lines, sizes, halves, side, bases, s
         side[c, 0], side[c, 1] = weights[k, 0], weights[k, 1]
         side[c, 2:7] = shares[k, ABOVE:]
         if row == 0:
-            side[c, 0], side[c, 1], side[c, 3], side[c, 5], side[c, 6] = 2 * TOTAL, -TOTAL, 0, 0, 0
+            side[c, 0], side[c, 1], side[c, 2:7] = 3 * TOTAL // 2, -TOTAL // 2, 0
+            side[c, 2], side[c, 4] = FIRST_ROW, FIRST_ROW
         if c and classes == 1:
             break
         if row:
@@ -232,7 +284,7 @@ def decode(data, out):
         data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
 
     Returns:
-        0, or what is wrong (``compact_decode``).
+        0, or what is wrong (``codec_head``).
     """
     rows, cols = out.shape
     if data.size < HEADER:
@@ -241,21 +293,22 @@ def decode(data, out):
     if data[0] != VERSION or mode > 2 or (classes != 1 and classes != CLASSES):
         return UNKNOWN
     first, groups, tables = np.int32(u32(data, 4)), np.int64(data[8]), np.int64(data[9])
-    if shift > 15 or groups < 1 or groups > GROUPS or tables < 1 or tables > SETS:
+    parts, high = np.int64(data[10]), rows
+    if shift > 15 or groups < 1 or groups > GROUPS or tables < 1 or tables > SETS or parts < 1 or parts > PARTS:
         return TABLES
+    if parts == PARTS:
+        high = first_rows(rows)
+        if high >= rows:
+            return TABLES
     at: Any = HEADER
     coded = classes - (classes == CLASSES)
     if at + coded * CLASS + 2 * (groups - 1) > data.size:
         return CUT_OFF
     weights, shares = np.zeros((CLASSES, NEIGHBOURS + 1), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
-    given = np.empty(NEIGHBOURS, np.int64)
     for k in range(classes - coded, classes):
-        for i in range(NEIGHBOURS):
-            given[i] = np.int16(u16(data, at + 2 * i))
-        full_weights(given, weights[k])
-        for i in range(SIGNS):
-            shares[k, i] = data[at + 2 * NEIGHBOURS + i]
-        at += CLASS
+        at = read_weights(data, at, weights[k])
+        shares[k] = data[at : at + SIGNS]
+        at += SIGNS
     group_of = np.zeros(STEPS, np.uint8)
     for _ in range(groups - 1):
         for step in range(u16(data, at), STEPS):
@@ -277,41 +330,55 @@ def decode(data, out):
         at = read_mask(data, at, mode, marks)
         if at < 0:
             return MASK
-    if at + 4 > data.size:
+    if at + 12 * parts - 8 > data.size:
         return CUT_OFF
-    state: Any = np.int64(u32(data, at))
-    at += 4
-    count = (data.size - at) // 2
-    words = np.zeros(count + WORDS * cols + 1, np.uint16)
-    for k in range(count):
-        words[k] = np.uint16(u16(data, at + 2 * k))
-    p: Any = np.int64(0)
-    lines, sizes = np.full((3, cols + 4), first, np.int32), np.zeros((3, cols + 4), np.int32)
-    side, halves = np.zeros((2, 9), np.int32), np.empty((2, cols), np.int32)
-    bases, signs, skips = np.empty(cols, np.int32), np.empty(cols, np.int32), np.zeros(cols, np.uint8)
-    for row in range(rows):
-        prepared(row, classes, weights, shares, lines, sizes, halves, side, bases, signs)
-        if mode:
-            for col in range(cols):
-                skips[col] = marks[row, col] != 0
-        elif classes == CLASSES:
-            skips[:] = 0
-        if classes == CLASSES and row % 2 == 0:
-            skips[::2] = 2
-        k, line = class_of(row, classes), lines[row % 3]
-        state, p = _row(
-            state, p, words, table, depths, direct, places[k : k + 2], group_of, shift, side, skips, bases, signs,
-            lines[(row + 2) % 3], line, sizes[row % 3],
-        )  # fmt: skip
-        if p > count:
-            return STREAM
-        out[row] = line[2 : cols + 2]
-        continued(line, cols)
-    if p != count or at + 2 * count != data.size or state != LEAST:
+    above, count = np.full(PARTS, first, np.int32), np.zeros(PARTS, np.int64)
+    if parts == PARTS:
+        above[1], count[0] = np.int32(u32(data, at)), u32(data, at + 4)
+        at += 8
+    states, nexts = np.full(PARTS, LEAST, np.int64), np.zeros(PARTS, np.int64)
+    for k in range(parts):
+        states[k] = u32(data, at)
+        at += 4
+    count[parts - 1] = (data.size - at) // 2 - (count[0] if parts == PARTS else 0)
+    if count[parts - 1] < 0:
         return STREAM
-    if mode:
-        for row in range(rows):
-            for col in range(cols):
-                if marks[row, col]:
-                    out[row, col] = MISSING
+    words = np.zeros((parts, count.max() + WORDS * cols + 1), np.uint16)
+    for k in range(parts):
+        at = read_words(data, at, words[k, : count[k]])
+    lines, sizes = np.empty((PARTS, 3, cols + 4), np.int32), np.zeros((PARTS, 3, cols + 4), np.int32)
+    side, halves = np.zeros((PARTS, 2, 9), np.int32), np.empty((2, cols), np.int32)
+    bases, signs = np.empty((PARTS, cols), np.int32), np.empty((PARTS, cols), np.int32)
+    skips = np.zeros((PARTS, cols), np.uint8)
+    for k in range(PARTS):
+        lines[k] = above[k]
+    for row in range(high):
+        both = parts == PARTS and high + row < rows
+        for k in range(1 + both):
+            prepared(row, classes, weights, shares, lines[k], sizes[k], halves, side[k], bases[k], signs[k])
+            if mode:
+                for col in range(cols):
+                    skips[k, col] = marks[k * high + row, col] != 0
+            elif classes == CLASSES:
+                skips[k] = 0
+            if classes == CLASSES and row % 2 == 0:
+                skips[k, ::2] = 2
+        c, line, near = class_of(row, classes), lines[:, row % 3], lines[:, (row + 2) % 3]
+        if both:
+            _rows(states, nexts, words, table, depths, direct, places[c : c + 2], group_of, shift, side, skips, bases,
+                  signs, near, line, sizes[:, row % 3])  # fmt: skip
+        else:
+            _row(states, nexts, words, table, depths, direct, places[c : c + 2], group_of, shift, side, skips, bases,
+                 signs, near, line, sizes[:, row % 3])  # fmt: skip
+        for k in range(1 + both):
+            if nexts[k] > count[k]:
+                return STREAM
+            out[k * high + row] = line[k, 2 : cols + 2]
+            continued(line[k], cols)
+    if at != data.size:
+        return STREAM
+    for k in range(parts):
+        if nexts[k] != count[k] or states[k] != LEAST:
+            return STREAM
+    mark_missing(marks, out)
     return 0

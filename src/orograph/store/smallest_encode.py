@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import kernel
+from orograph.store.codec_head import (
+    LEAST,
+    MISSING,
+    NEIGHBOURS,
+    SYMBOLS,
+    full_weights,
+)
 from orograph.store.compact_contexts import TOKENS, cost_of, grouped, joined, length, token
-from orograph.store.compact_decode import LEAST, MISSING, NEIGHBOURS, SYMBOLS, full_weights
 from orograph.store.compact_encode import decided_tables, push, push_plain, symbol_of, write_mask, write_tables
 from orograph.store.smallest_decode import (
     BINS,
@@ -15,6 +21,7 @@ from orograph.store.smallest_decode import (
     CLASSES,
     GROUPS,
     HEADER,
+    PARTS,
     SETS,
     SIGNS,
     STEPS,
@@ -22,6 +29,7 @@ from orograph.store.smallest_decode import (
     WORDS,
     class_of,
     continued,
+    first_rows,
     judged,
     prepared,
     size_of,
@@ -30,6 +38,7 @@ from orograph.store.smallest_decode import (
 from orograph.store.smallest_fit import SAMPLED, fitted_shares, fitted_weights
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
+SPLIT = 32  # rows from which on a chunk has two parts
 RARE = 6  # values that one in 2^5 exceeds are ranges: shorter tables are worth more than what is lost
 
 
@@ -56,11 +65,12 @@ def surrounded(numbers, classes, first, whole, skips):
 
 
 @kernel
-def _judge(whole, skips, classes, weights, shares, seen, counts, values, activity, kind):
-    """Predict every sample as a decoder does.
+def _judge(whole, skips, classes, weights, shares, step, seen, counts, values, activity, kind):
+    """Predict every sample of a part as a decoder does.
 
     Args:
         whole, skips: from ``surrounded``. weights, shares: (CLASSES, …) int32.
+        step: of every so many rows the signs of two are kept.
         seen: (CLASSES, n, SIGNS + 1) int32, become signs of some samples and the sizes of what is left.
         counts: (CLASSES,) int64, how many. values, activity, kind: (n,), become those of the samples that are coded:
             the value, the activity, and ``BINS`` times the class plus the bin.
@@ -73,13 +83,12 @@ def _judge(whole, skips, classes, weights, shares, seen, counts, values, activit
     side, halves = np.zeros((2, 9), np.int32), np.empty((2, cols), np.int32)
     bases, signs = np.empty(cols, np.int32), np.empty(cols, np.int32)
     lines, at, fitting = np.empty((3, cols + 4), np.int32), 0, seen.shape[1] > 0
-    step = 2 * max(rows * cols // (SAMPLED * (1 if classes == 1 else 2)), 2)
     for row in range(rows):
         if fitting and (row + 2) % step >= 4:  # (those that are looked at need the sizes of the two before them)
             continue
         for k in range(3):
             lines[(row + k) % 3] = whole[row + (k + 2) % 3] if k else whole[row + 2]
-        near, far, line, left = whole[row + 1], whole[row], whole[row + 2], sizes[row % 3]
+        near, far, line, left = whole[row + 1], whole[row + (row == 1)], whole[row + 2], sizes[row % 3]
         above, further = sizes[(row + 2) % 3], sizes[(row + 1) % 3]
         prepared(row, classes, weights, shares, lines, sizes, halves, side, bases, signs)
         west, farther, last = side[0, 7], side[0, 8], np.int64(0)
@@ -89,10 +98,9 @@ def _judge(whole, skips, classes, weights, shares, seen, counts, values, activit
             here, size = line[j + 2], np.int64(0)
             if skips[row, j] == 0:
                 c = j & 1
-                share = side[c]
                 k = k0 + c if classes == CLASSES else 0
-                t = weighed(bases[j], share[0], west, share[1], farther)
-                guess, active, other, bin_ = judged(t, signs[j], share, near[j + 2], west, farther, near[j + 1], last)
+                t = weighed(bases[j], side[c, 0], west, side[c, 1], farther)
+                guess, active, other, bin_ = judged(t, signs[j], side, c, near[j + 2], west, farther, near[j + 1], last)
                 residual = np.int32(here - guess)
                 size = abs(np.int64(residual))
                 if other:
@@ -269,6 +277,13 @@ def _stream(values, tables, used, depths, direct, found, words):
 
 
 @kernel
+def _write_u32(out, at, value):
+    """Write the lowest 32 bits of a number, the lowest byte first."""
+    for k in range(4):
+        out[at + k] = np.uint8(value >> (8 * k) & 255)
+
+
+@kernel
 def encode(numbers, classes):
     """The bytes of a chunk, (n,) uint8.
 
@@ -277,16 +292,22 @@ def encode(numbers, classes):
             column hold nothing.
     """
     rows, cols = numbers.shape
-    missing, first = 0, np.int32(0)
+    parts = PARTS if rows >= SPLIT else 1
+    high, missing = first_rows(rows) if parts == PARTS else rows, 0
+    above, begun = np.zeros(PARTS, np.int32), np.zeros(PARTS, np.bool_)
     for row in range(rows):
+        part = np.int64(row >= high)
         for col in range(cols):
             here = numbers[row, col]
             if here == MISSING:
                 missing += 1
-            elif missing == row * cols + col and classes == 1:
-                first = here
+            elif not begun[part]:
+                begun[part] = True
+                above[part] = here if classes == 1 else np.int32(0)
     whole, skips = np.empty((rows + 2, cols + 4), np.int32), np.empty((rows, cols), np.uint8)
-    surrounded(numbers, classes, first, whole, skips)
+    surrounded(numbers, classes, above[0], whole, skips)
+    lower = np.empty((rows - high + 2, cols + 4), np.int32)
+    surrounded(numbers[high:], classes, above[1], lower, skips[high:])
     given, held = np.zeros((CLASSES, NEIGHBOURS), np.int64), np.zeros((CLASSES, SIGNS), np.int64)
     weights, shares = np.zeros((CLASSES, NEIGHBOURS + 1), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
     coded = classes - (classes == CLASSES)
@@ -296,27 +317,39 @@ def encode(numbers, classes):
     values, activity = np.empty(numbers.size, np.uint32), np.empty(numbers.size, np.int64)
     kind, counts = np.empty(numbers.size, np.int64), np.zeros(CLASSES, np.int64)
     seen = np.empty((CLASSES, SAMPLED, SIGNS + 1), np.int32)
-    _judge(whole, skips, classes, weights, shares, seen, counts, values, activity, kind)
+    step = 2 * max(numbers.size // (SAMPLED * (1 if classes == 1 else 2)), 2)
+    used = np.zeros(PARTS + 1, np.int64)
+    for k in range(parts):
+        one, there = (lower, skips[high:]) if k else (whole[: high + 2], skips[:high])
+        _judge(one, there, classes, weights, shares, step, seen, counts, values, activity, kind)
     for k in range(classes - coded, classes):
         fitted_shares(seen[k], seen[k, :, SIGNS], counts[k], held[k])
         for i in range(SIGNS):
             shares[k, i] = held[k, i]
-    used = _judge(whole, skips, classes, weights, shares, seen[:, :0], counts, values, activity, kind)
-    shift = _shift(activity, used)
+    for k in range(parts):
+        one, there, at = (lower, skips[high:], used[1]) if k else (whole[: high + 2], skips[:high], np.int64(0))
+        used[k + 1] = at + _judge(
+            one, there, classes, weights, shares, step, seen[:, :0], counts, values[at:], activity[at:], kind[at:]
+        )
+    coded_samples = used[parts]
+    shift = _shift(activity, coded_samples)
     thresholds, places = np.zeros(GROUPS, np.int64), np.empty((CLASSES, GROUPS, BINS), np.int64)
     groups = WHOLE_GROUPS if classes == 1 else NESTED_GROUPS
-    groups, tables = _divided(values, activity, kind, used, shift, groups, thresholds, places)
+    groups, tables = _divided(values, activity, kind, coded_samples, shift, groups, thresholds, places)
     depths, direct = np.zeros(tables, np.int64), np.zeros(tables, np.int64)
     codes = np.zeros((tables, SYMBOLS), np.int64)
     found = np.zeros((tables, SYMBOLS), np.int64)
-    sizes = decided_tables(values[:used], kind[:used], tables, RARE, depths, direct, found, codes)
-    words = np.empty(WORDS * used, np.uint16)
-    state, p = _stream(values, kind, used, depths, direct, found, words)
+    sizes = decided_tables(values[:coded_samples], kind[:coded_samples], tables, RARE, depths, direct, found, codes)
+    words, states = np.empty(WORDS * coded_samples, np.uint16), np.zeros(PARTS, np.int64)
+    begins, end = np.zeros(PARTS, np.int64), words.size
+    for k in range(parts - 1, -1, -1):  # (the words of the first part come first, both written from their ends)
+        first, last = used[k], used[k + 1]
+        states[k], begins[k] = _stream(values[first:], kind[first:], last - first, depths, direct, found, words[:end])
+        end = begins[k]
     most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + 2 * GROUPS + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)
-    head[0], head[2], head[3], head[8], head[9] = VERSION, classes, shift, groups, tables
-    for k in range(4):
-        head[4 + k] = np.uint8(np.int64(first) >> (8 * k) & 255)
+    head[0], head[2], head[3], head[8], head[9], head[10] = VERSION, classes, shift, groups, tables, parts
+    _write_u32(head, 4, np.int64(above[0]))
     at = HEADER
     for k in range(classes - coded, classes):
         for i in range(NEIGHBOURS):
@@ -333,12 +366,16 @@ def encode(numbers, classes):
         one, two = write_mask(numbers, 1, head, at), write_mask(numbers, 2, head, at)
         head[1] = 1 if one <= two else 2
         at = write_mask(numbers, head[1], head, at)
-    out = np.empty(at + 4 + 2 * (words.size - p), np.uint8)
+    out = np.empty(at + 12 * parts - 8 + 2 * (words.size - end), np.uint8)
     out[:at] = head[:at]
-    for k in range(4):
-        out[at + k] = np.uint8(state >> (8 * k) & 255)
-    at += 4
-    for k in range(words.size - p):
-        out[at + 2 * k] = np.uint8(words[p + k] & 255)
-        out[at + 2 * k + 1] = np.uint8(words[p + k] >> 8)
+    if parts == PARTS:
+        _write_u32(out, at, np.int64(above[1]))
+        _write_u32(out, at + 4, begins[1] - begins[0])
+        at += 8
+    for k in range(parts):
+        _write_u32(out, at, states[k])
+        at += 4
+    for k in range(words.size - end):
+        out[at + 2 * k] = np.uint8(words[end + k] & 255)
+        out[at + 2 * k + 1] = np.uint8(words[end + k] >> 8)
     return out

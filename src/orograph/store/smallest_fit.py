@@ -9,7 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import kernel
-from orograph.store.compact_decode import NEIGHBOURS, TOTAL
+from orograph.store.codec_head import (
+    NEIGHBOURS,
+    TOTAL,
+)
 from orograph.store.compact_encode import OFFSETS
 from orograph.store.smallest_decode import SIGNS
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.priority import Priority
+from orograph.geovis.data.shared import sharing
 from orograph.geovis.data.standing import Things
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
@@ -221,8 +222,9 @@ class Settings:
                     base[name] = old
             size = PLAYED if shown.playing else PAINTED
             given = {**base, "data": shown.current(terrain), "priority": shown.priority}
-            theme = themed(given, terrain, size)
-            self.variants.make(given, terrain, size)
+            with sharing():
+                theme = themed(given, terrain, size)
+                self.variants.make(given, terrain, size)
         except Exception:
             shown.priority, shown.time = before
             raise

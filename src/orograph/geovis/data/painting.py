@@ -23,9 +23,10 @@ from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.lic import STEP, STEPS, brightness
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import Field
+from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.shared import once
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors
 from orograph.geovis.keys import Square
@@ -135,18 +136,17 @@ def shown(
         return _shown_classes(dataset, grid, texels, priority)
     if dataset.derived and style in FLOWS:
         raise UsageError(f"{style} shows two components, of which there is no value= or exceeds=.")
-    field, *components = read_vectors(dataset, grid) if style in FLOWS else (read_data(dataset, grid),)
+    components: list[Values] = []
+    if style in FLOWS:
+        field, *components = once("vectors", (dataset, grid), lambda: read_vectors(dataset, grid))
+    else:
+        field = once("read", (dataset, grid), lambda: read_data(dataset, grid))
     if dataset.style is None and not dataset.derived and says_classes(field):
         return _shown_classes(dataset.but(style="classes"), grid, texels, priority)
     dataset = as_shown(dataset)
-    over = cropped(field, grid, texels)
-    positions = Positions.of(over, field)
-    values = positions.values(field.shown)
-    found = deviations(dataset, field, grid)
-    sigma = None
-    if found is not None:
-        other, sigmas = found
-        sigma = (positions if other is field else Positions.of(over, other)).values(sigmas)
+    over, positions, values, sigma = once(
+        "sampled", (dataset, grid, texels, id(field)), lambda: _sampled(dataset, field, grid, texels)
+    )
     toward = directions(field, positions, *components) if components else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign(style))
@@ -162,6 +162,20 @@ def shown(
         there = np.isfinite(values)
         streaks = _streaks((toward[0] * there, toward[1] * there), over, image_grid(grid, texels), flat, dataset.size)
     return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward, streaks=streaks)
+
+
+def _sampled(
+    dataset: Dataset, field: Field, grid: Grid, texels: int
+) -> tuple[Grid, Positions, NDArray[np.float32], NDArray[np.float32] | None]:
+    """An image's grid, where its texels lie in a field, and there values and standard deviations."""
+    over = cropped(field, grid, texels)
+    positions = Positions.of(over, field)
+    found = deviations(dataset, field, grid)
+    sigma = None
+    if found is not None:
+        other, sigmas = found
+        sigma = (positions if other is field else Positions.of(over, other)).values(sigmas)
+    return over, positions, positions.values(field.shown), sigma
 
 
 def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:

@@ -42,6 +42,7 @@ class ShadePass:
         self._compiler = BackgroundTask()
         self._last: int | None = None
         self.camera_group = program.bind({"camera": camera})
+        # (Footprints are filtered along their major axis by the shader, as on the CPU: an atlas has no derivatives.)
         self.sampler = device.handle.create_sampler(
             mag_filter="linear", min_filter="linear", mipmap_filter="linear", max_anisotropy=1
         )
