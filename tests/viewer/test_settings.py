@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from affine import Affine
 
 import orograph
 from orograph.errors import UsageError
+from orograph.geovis.data.priority import Priority
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed, position
 from orograph.scene.parts import HOMES, OPTIONS
@@ -143,8 +145,6 @@ def test_data_are_painted_once_and_stand():
 
 
 def test_priorities_are_switched_and_leave_nothing_behind():
-    from orograph.geovis.data.priority import Priority
-
     terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
     values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
     settings = Settings(terrain, data=orograph.Dataset(values), priority="T+D+U-")
@@ -205,3 +205,95 @@ def test_times_of_a_series_share_a_scale_and_say_their_values():
     assert "linear between" in shown.painted[0].note
     assert shown.part == pytest.approx(1.25 / 3) and shown.at_part(1.25 / 3) == "2020-01-02T06:00"
     assert shown.at_part(0.0) == "2020-01-01T00:00" and shown.at_part(1.0) == "2020-01-04T00:00"
+
+
+@pytest.fixture
+def stepwise(monkeypatch):
+    """Settings over data, and what its thread waits for before it paints finely."""
+    from orograph.viewer import settings as module
+
+    terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
+    values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
+    settings = Settings(terrain, data=orograph.Dataset(values, name="load"), priority="T+D+U-")
+    gate, carried_out = threading.Semaphore(0), module._carried_out
+
+    def held_up(options, terrain, size):
+        if threading.current_thread() is not threading.main_thread():
+            assert size == module.PAINTED and gate.acquire(timeout=30)
+        return carried_out(options, terrain, size)
+
+    monkeypatch.setattr(module, "_carried_out", held_up)
+    return terrain, settings, gate
+
+
+def texels(settings):
+    return max(settings.shown.painted[0].over.shape)
+
+
+def test_data_are_painted_coarsely_at_once_and_finely_after(stepwise):
+    terrain, settings, gate = stepwise
+    whole, ready = texels(settings), threading.Event()
+    settings.show(terrain, priority=Priority.parse("T-D-U-"))
+    truth = settings.shown.painted[0]
+    settings.show(terrain, priority=Priority.parse("T+D+U-"))
+    settings.layers = [replace(settings.layers[0], opacity=0.5)]
+    settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=ready.set)
+    assert texels(settings) < whole and settings.shown.painted[0].style == "segmented"
+    assert settings.finer.coming and not settings.finish()
+    # What is set before the thread is ready stays.
+    (coarse,) = settings.layers
+    other = Layer("x.tif", visible=False)
+    settings.layers = [replace(coarse, visible=False), other]
+    settings.light = "ao"
+    gate.release()
+    assert ready.wait(30) and settings.finish()
+    fine, last = settings.layers
+    assert (fine.opacity, fine.visible, fine.name) == (0.5, False, coarse.name) and fine.path != coarse.path
+    assert last is other and settings.light == "ao"
+    np.testing.assert_array_equal(settings.shown.painted[0].values, truth.values)
+    assert not settings.finer.coming and not settings.finish()
+    # The next change finds the fine layer as its own.
+    settings.show(terrain, priority=Priority.parse("T+D+U-"))
+    assert [layer.opacity for layer in settings.layers] == [0.5, 1.0] and len(settings.layers) == 2
+
+
+def test_what_is_superseded_is_not_shown_finely(stepwise):
+    terrain, settings, gate = stepwise
+    first, second = threading.Event(), threading.Event()
+    settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=first.set)
+    settings.show(terrain, priority=Priority.parse("T+D+U-"), finer=second.set)
+    gate.release()
+    assert first.wait(30) and not settings.finish() and settings.finer.coming
+    gate.release()
+    assert second.wait(30) and settings.finish()
+    assert settings.shown.painted[0].style == "continuous"
+    # Neither is what was under way as time began to pass, nor as all was painted at once.
+    for supersede in (lambda: setattr(settings.shown, "playing", True), lambda: settings.show(terrain)):
+        settings.shown.playing = False
+        ready = threading.Event()
+        settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=ready.set)
+        supersede()
+        before = settings.shown.painted
+        gate.release()
+        assert ready.wait(30) and not settings.finish()
+        assert settings.shown.painted is before and not settings.finer.coming
+
+
+def test_what_a_thread_cannot_paint_is_said(stepwise, monkeypatch):
+    from orograph.viewer import settings as module
+
+    terrain, settings, _ = stepwise
+    carried_out = module._carried_out
+
+    def failing(options, terrain, size):
+        if threading.current_thread() is not threading.main_thread():
+            raise UsageError("It is gone.")
+        return carried_out(options, terrain, size)
+
+    monkeypatch.setattr(module, "_carried_out", failing)
+    ready = threading.Event()
+    settings.show(terrain, finer=ready.set)
+    before = settings.shown.painted
+    with pytest.raises(UsageError, match="It is gone"):
+        assert ready.wait(30) and settings.finish()
+    assert settings.shown.painted is before and not settings.finer.coming and not settings.finish()

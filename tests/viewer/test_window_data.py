@@ -76,6 +76,9 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - before).mean() > 3
     assert window.session.settings.shown.painted[0].sign == "glyphs"
+    coarse = window.session.settings.shown.painted[0]  # a thread paints it finely, and a frame takes it
+    hand.until(lambda: not window.session.settings.finer.coming)
+    assert max(window.session.settings.shown.painted[0].over.shape) > max(coarse.over.shape)
     panel.change(window, time="1999")
     assert any("no time" in message.text for message in window.session.messages.shown)
 

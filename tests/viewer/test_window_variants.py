@@ -104,7 +104,7 @@ def test_walls_need_no_data(window, hand):
 def test_scenarios_follow_height_and_speed(window):
     terrain, view = window.session.terrain, window.session.view
     made = Variants()
-    made.make({"flight": Flight(100, 300, 10, 50)}, terrain, (320, 200))
+    made.take(Variants.made({"flight": Flight(100, 300, 10, 50)}, terrain, (320, 200)))
     x, y = (float(v) for v in terrain.grid.xy(200.0, 200.0))
 
     def at(height, east=0.0):

@@ -30,8 +30,12 @@ class BackgroundTask:
         """Whether something is to be made for ``key`` and nothing is under way."""
         return not self._closed and self._ended is None and self.done != key
 
-    def start(self, key: Any, make: Callable[[], Any]) -> None:
-        """Begin to make something; ends with the program, whatever it is at."""
+    def start(self, key: Any, make: Callable[[], Any], then: Callable[[], None] = lambda: None) -> None:
+        """Begin to make something; ends with the program, whatever it is at.
+
+        Args:
+            then: called by the thread when there is something to take.
+        """
         ended = threading.Event()
 
         def work() -> None:
@@ -41,6 +45,8 @@ class BackgroundTask:
                 self._result = error
             finally:
                 ended.set()
+                if not self._closed:
+                    then()
 
         self._key, self._ended = key, ended
         _thread.start_new_thread(work, ())  # (Thread.start waits until the thread has had the interpreter)

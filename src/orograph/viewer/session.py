@@ -287,3 +287,4 @@ class Session:
     def close(self) -> None:
         """Let threads end."""
         self.probe.close()
+        self.settings.finer.close()

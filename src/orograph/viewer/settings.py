@@ -25,10 +25,11 @@ from orograph.scene.flying import BASE
 from orograph.scene.methods import mesh_choice
 from orograph.scene.parts import OPTIONS, SHINING, check_options, made_of
 from orograph.scene.scene import Scene
-from orograph.scene.theming import themed
+from orograph.scene.theming import Themed, themed
 from orograph.store.terrain import Terrain
 from orograph.viewer.data import ShownData
-from orograph.viewer.variants import Variants
+from orograph.viewer.refining import Refining
+from orograph.viewer.variants import Made, Variants
 from orograph.viewpoint import View
 
 DEFAULT_TOLERANCE = 1.0
@@ -133,6 +134,17 @@ class SunSetting:
         return Sun(self.azimuth, self.altitude)
 
 
+def _carried_out(options: dict[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[Themed, Made]:
+    """A theme carried out, and the variants, for a window of ``size`` pixels."""
+    with sharing():
+        return themed(options, terrain, size), Variants.made(options, terrain, size)
+
+
+def _as_set(layer: Layer, old: Layer) -> Layer:
+    """A layer that shows as another one is set to."""
+    return replace(layer, opacity=old.opacity, visible=old.visible, blend=old.blend, held=layer.held)
+
+
 class Settings:
     """All that can be set about the picture: a scene's options by their names (``scene.parts``), and the window's own.
 
@@ -150,6 +162,7 @@ class Settings:
         method: as in ``Scene``; "auto": patches, the window's own.
         shown: data, what comes first of them, and their times; None: there are none.
         variants: focus, flight and ghosted surfaces, drawn over the scene.
+        finer: data that a thread paints finely; ``finish`` takes them.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
 
@@ -171,6 +184,7 @@ class Settings:
         self.variants = Variants()
         self._own: tuple[Layer, ...] = ()
         self._replaced: dict[str, tuple[Any, Any]] = {}
+        self.finer: Refining[tuple[Themed, Made]] = Refining()
         self.panels = self.furniture = True
         own = {"sun", *vars(self)}
         self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
@@ -189,23 +203,31 @@ class Settings:
             self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
             self.show(terrain)
         else:
-            self.variants.make(self.options, terrain, PAINTED)
+            self.variants.take(Variants.made(self.options, terrain, PAINTED))
         if options.get("normals") == "auto":
             self.normals = "computed"
 
-    def show(self, terrain: Terrain, priority: Priority | None = None, time: str | None = None) -> None:
+    def show(
+        self,
+        terrain: Terrain,
+        priority: Priority | None = None,
+        time: str | None = None,
+        finer: Callable[[], None] | None = None,
+    ) -> None:
         """Carry the theme out: data become layers and what stands. What a priority set before, and nobody since, is as
         it was without one; the data's layers keep their opacity, place and visibility.
 
         Args:
             priority, time: the new ones; None: as they are.
+            finer: data are painted coarsely at once, and finely by a thread; called there when ``finish`` is to be.
+                None: it is done when this returns.
 
         Raises:
             UsageError: there is no such time. Others: as ``scene.theming.themed``; all stays as it was.
         """
         shown = self.shown
         if shown is None:
-            self.variants.make(self.options, terrain, PAINTED)
+            self.variants.take(Variants.made(self.options, terrain, PAINTED))
             return
         if self.flight is not None and priority is not None:
             raise UsageError("A flight says which priority holds.", remedy="Open the window without it.")
@@ -220,11 +242,10 @@ class Settings:
             for name, (old, new) in self._replaced.items():
                 if base[name] is new:
                     base[name] = old
-            size = PLAYED if shown.playing else PAINTED
-            given = {**base, "data": shown.current(terrain), "priority": shown.priority}
-            with sharing():
-                theme = themed(given, terrain, size)
-                self.variants.make(given, terrain, size)
+            coarse = (shown.playing or finer is not None) and PLAYED != PAINTED
+            now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
+            given = base | now
+            theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
         except Exception:
             shown.priority, shown.time = before
             raise
@@ -233,12 +254,40 @@ class Settings:
         for k, layer in enumerate(self._own):
             at, old = held.get(k, (len(stack), None))
             if old is not None:
-                layer = replace(layer, opacity=old.opacity, visible=old.visible, blend=old.blend, held=layer.held)
+                layer = _as_set(layer, old)
             stack.insert(at, layer)
         changed = {name: value for name, value in theme.options.items() if name in base and name not in THEMED}
         self._replaced = {name: (base[name], new) for name, new in changed.items() if new is not base[name]}
         shown.painted, shown.things = theme.painted, theme.things
+        self.variants.take(variants)
         self.options = {**base, **changed, "layers": stack}
+        if finer is not None and coarse and not shown.playing:
+            self.finer.wish(lambda: _carried_out(given, terrain, PAINTED), finer)
+        else:
+            self.finer.drop()
+
+    def finish(self) -> bool:
+        """Take what a thread has painted finely, if it is ready and nothing else is shown by now; whether it was.
+        Layers stay where they are in the stack, and as they were set meanwhile.
+
+        Raises:
+            As ``show``; the coarse picture stays.
+        """
+        shown = self.shown
+        if shown is None or shown.playing:
+            self.finer.drop()
+        made = self.finer.take()
+        if made is None or shown is None:
+            return False
+        theme, variants = made
+        fine = theme.options["layers"][-len(self._own) :] if self._own else ()
+        new = {old.path: layer for old, layer in zip(self._own, fine, strict=True)}
+        self._own = fine
+        stack = (_as_set(new[one.path], one) if one.path in new else one for one in self.layers)
+        self.options["layers"] = list(stack)
+        shown.painted, shown.things = theme.painted, theme.things
+        self.variants.take(variants)
+        return True
 
     def __getattr__(self, name: str) -> Any:
         if name == "options" or name not in self.options:

@@ -32,6 +32,9 @@ VARIED = ("focus", "flight", "ghosts")
 LEAST = 1e-4
 """Of a scenario: less need not change."""
 
+Made = tuple[tuple[Variant, ...], Flown | None]
+"""Variants, and the scenario that the flight ends with, if there is one."""
+
 
 class Variants:
     """The variants of a window's scene.
@@ -48,8 +51,9 @@ class Variants:
         self._flown: Flown | None = None
         self._eye: Point | None = None
 
-    def make(self, options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> None:
-        """Make them of a scene's options, its data being as they are given.
+    @staticmethod
+    def made(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> Made:
+        """What ``take`` takes, of a scene's options, its data being as they are given.
 
         Args:
             size: pixels that painted data suit.
@@ -62,8 +66,7 @@ class Variants:
             made_of(name, given, terrain) if (given := options.get(name)) else None for name in VARIED
         )
         if not (focus or flight or ghosts):
-            self._made, self._flown, self.shares, self.moving = (), None, None, False
-            return
+            return (), None
         if focus is not None and flight is not None:
             raise UsageError("`flight` says which priority holds, and so does `focus`.", remedy="Give one.")
         low, high = terrain.height_range
@@ -82,8 +85,12 @@ class Variants:
         if ghosts:
             plain = Scene.of(terrain, anywhere, **{**bare, "data": (), "priority": None, "layers": (), "aids": None})
             made += [Scene.ghost(plain, one) for one in ghosts]
-        self._made, self._flown = tuple(made), flown
-        if flown is None:
+        return tuple(made), flown
+
+    def take(self, made: Made) -> None:
+        """Show these from now on; a flight goes on where it is."""
+        self._made, self._flown = made
+        if self._flown is None:
             self.shares, self.moving = None, False
 
     def over(self, scene: Scene, options: Mapping[str, Any], above: tuple[Layer, ...]) -> Scene:

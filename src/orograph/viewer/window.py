@@ -213,6 +213,7 @@ class Window:
         session.advance(gone)
         self.touring.advance(gone)
         playing = panels.data.advance(self, min(passed, 0.5))
+        panels.data.finish(self)
         self.finder.take()
         if self.brush.stale(session.terrain, session.settings.shown):
             panels.plot.select(self)
@@ -243,7 +244,7 @@ class Window:
         self.compose(self.context.get_current_texture().create_view(), size, panels_drawn)
         for hook in list(self.on_frame):
             hook(self)
-        if self.pictures.asked is not None and self._pending == 0:
+        if self.pictures.asked is not None and self._pending == 0 and not session.settings.finer.coming:
             self.pictures.save()
         self._go_on(moving or not settled or playing)
 

@@ -49,10 +49,20 @@ def draw(window: Window) -> None:
 def change(window: Window, **changes: Any) -> None:
     """Show data with another priority or time; what is wrong with it is said in the window."""
     try:
-        window.session.settings.show(window.session.terrain, **changes)
+        window.session.settings.show(window.session.terrain, **changes, finer=window.refresh)
     except (OrographError, OSError) as error:
         window.session.messages.say(str(error))
     window.touch()
+
+
+def finish(window: Window) -> None:
+    """Show data as finely as the thread has painted them, if it has; what is wrong with them is said in the window."""
+    try:
+        if window.session.settings.finish():
+            window.touch()
+    except (OrographError, OSError) as error:
+        window.session.messages.say(str(error))
+        window.touch()
 
 
 def _exceeding(window: Window) -> None:
@@ -83,7 +93,7 @@ def exceed(window: Window, value: float | None) -> None:
         return
     before, shown.exceeds = shown.exceeds, value
     try:
-        window.session.settings.show(window.session.terrain)
+        window.session.settings.show(window.session.terrain, finer=window.refresh)
     except (OrographError, OSError) as error:
         shown.exceeds = before
         window.session.messages.say(str(error))
