@@ -2,9 +2,10 @@
 
     python bench/every.py [--quick] [--data ../shared/data] [NAME...]
 
-``--quick`` runs each in a small form, all in less than ten minutes: it shows the tables and that they can be made, and
-its numbers are those of small terrains and few rounds. A benchmark that takes longer than it may there is stopped, and
-that is said. The exit code is 1 if one failed; one that lacks something has not.
+``--quick`` runs each in a small form, all in less than ten minutes where kernels are compiled (a first run compiles
+them, each benchmark its own). It shows the tables and that they can be made; its numbers are those of small terrains
+and few rounds. A benchmark that takes longer than it may there is stopped, and that is said. The exit code is 1 if one
+failed; one that lacks something has not.
 """
 
 from __future__ import annotations
