@@ -4,8 +4,8 @@ A signal raises KeyboardInterrupt in the main thread, which cleans up. Libraries
 own, so ``asked`` remembers it; and a compiler or a driver may not let the main thread run for seconds, so a thread that
 the signal wakes ends the process where ``GRACE`` has gone by. Until ``guard`` is called nothing needs to be cleaned up.
 
-Where machine code has called Python and does not look for errors, an exception would crash the interpreter: Numba makes
-its results so, and LLVM asks so for kernels that were compiled before. A signal that comes there is sent again.
+Numba calls Python to build a kernel's results, and LLVM calls it to look up compiled kernels. Neither checks for an
+exception, so one raised there would crash the interpreter: a signal that arrives there is sent again a moment later.
 
 This module is the first that the command line imports, and imports little itself.
 """
@@ -49,8 +49,8 @@ def guard(cleaning: bool = True) -> None:
     """From here on a signal raises KeyboardInterrupt (``Stopped`` for SIGTERM), and ends the process after ``GRACE``.
 
     Args:
-        cleaning: False: SIGTERM ends the process at once, and SIGINT waits as long as it takes (the window has a loop
-            of its own).
+        cleaning: False: SIGTERM ends the process at once, and no deadline follows SIGINT (the window has a loop of its
+            own).
     """
     _handle(_raise, *(() if cleaning else (signal.SIGINT,)))
     if not cleaning:

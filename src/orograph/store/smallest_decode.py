@@ -280,6 +280,8 @@ def _map(data, at, classes, groups, tables, places):
 def decode(data, out):
     """Decode a chunk.
 
+    (One function, though long: what the head says is checked where it is read, and the rows need all of it.)
+
     Args:
         data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
 

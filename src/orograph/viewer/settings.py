@@ -242,7 +242,7 @@ class Settings:
             for name, (old, new) in self._replaced.items():
                 if base[name] is new:
                     base[name] = old
-            coarse = (shown.playing or finer is not None) and PLAYED != PAINTED
+            coarse = shown.playing or finer is not None
             now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
             given = base | now
             theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
