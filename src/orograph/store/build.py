@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from orograph.compiling import while_compiling
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
@@ -240,7 +241,8 @@ def build(
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
             with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                _fill(raster, storage, plan, coding, jobs, label, executor, progress)
+                with while_compiling("orograph.error.ahead", *plan["errors"]):
+                    _fill(raster, storage, plan, coding, jobs, label, executor, progress)
         if isinstance(storage, FolderStorage) and going_on:
             storage.sweep()
         for each in [f"{PARTS}/{name}" for name in ALL_AGAIN] if update else [PARTS]:
