@@ -161,3 +161,15 @@ def test_a_helper_within_kernels_has_no_machine_code(tmp_path: Path) -> None:
     )
     (tmp_path / "helpers.py").write_text(textwrap.dedent(code))
     run(f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import helpers", tmp_path / "cache")
+
+
+def test_a_hastened_compiler_tells_numbas_options_apart(tmp_path: Path) -> None:
+    code = """
+    from numba.core.compiler import Flags
+    from orograph._compiler import hasten
+    hasten()
+    one, other = Flags(), Flags()
+    one.error_model, other.error_model = "numpy", "python"
+    assert one == one.copy() and one != other and hash(one) == hash(one.copy()) and one != "numpy"
+    """
+    assert run(code, tmp_path) == ""

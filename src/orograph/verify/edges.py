@@ -37,8 +37,9 @@ def survey(corners, turn):
 
 @leaf
 def sort(values, begin, end):
-    """Shellsort of ``values[begin:end]``."""
-    for gap in GAPS:
+    """Shellsort of ``values[begin:end]``; of a few an insertion sort."""
+    for k in range(0 if end - begin > 24 else len(GAPS) - 1, len(GAPS)):
+        gap = GAPS[k]
         for i in range(begin + gap, end):
             value, j = values[i], i
             while j >= begin + gap and values[j - gap] > value:
