@@ -72,7 +72,7 @@ BENCHES = {
     "movie": Bench("--frames 3 --size 320x180", data=True, least=HGT),
     "occlusion": Bench("--size 32 --radius 300 --only sweep"),
     "promise": Bench(
-        "--views 1 --terrain bigtujunga --method soar --method roam",
+        "--views 1 --terrain bigtujunga --method soar",
         told=True,
         data=True,
         least="bigtujunga-srtm30m-utm",

@@ -12,16 +12,18 @@ from __future__ import annotations
 import contextlib
 import pickle
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numba
 import numba.core.event
 import numba.extending
+from numpy.typing import NDArray
 
 from orograph._linked import Linked
 from orograph.compiling import COMPILING, compiled_elsewhere
 
 Function = Callable[..., Any]
+Array = TypeVar("Array", bound=NDArray[Any])
 
 
 class _Listener(numba.core.event.Listener):
@@ -147,6 +149,15 @@ def paired(function: Function) -> Function:
 
     dispatcher._compiler.compile = compile_paired
     return cast(Function, dispatcher)
+
+
+def read_only(array: Array) -> Array:
+    """A view that may not be written to. Numba compiles a kernel anew for such arrays, and heights are some of them:
+    what kernels only read is always given to them so.
+    """
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def shared(function: Function) -> Function:
