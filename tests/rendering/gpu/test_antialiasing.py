@@ -33,6 +33,7 @@ class Camera:
         grid = Grid(z.shape, Affine(30, 0, 500_000, 0, -30, 5_300_000), CRS.from_epsg(32632))
         self.device, self.terrain = device, in_memory(Dem(z.astype(np.float32), grid))
         self.renderer = Renderer(device, self.terrain, gpu_memory=1 << 27)
+        self.next = 0.0
         self.texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
         self.target = self.texture.create_view()
         view = View((501_500.0, 5_292_500.0, 700.0), (506_000.0, 5_292_500.0, 150.0), width=SIZE[0], height=SIZE[1])
@@ -45,6 +46,9 @@ class Camera:
         return self.scene.but(view=replace(view, eye=eye, target=target))
 
     def draw(self, scene: Scene, **options: object) -> NDArray[np.float64]:
+        """A frame, of 60 a second at most: on hardware tiles and maps of light would not keep up with more."""
+        time.sleep(max(0.0, self.next - time.perf_counter()))
+        self.next = time.perf_counter() + 1 / 60
         self.renderer.draw(self.target, "rgba8unorm", scene, **options)  # type: ignore[arg-type]
         return self.device.read_texture(self.texture, np.uint8, 4)[..., :3].astype(np.float64)
 
