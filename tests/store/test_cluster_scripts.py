@@ -32,6 +32,19 @@ def test_a_slurm_array(tmp_path):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+def test_light_by_a_slurm_array(tmp_path):
+    dem = written(tmp_path / "a.tif")
+    given = ["--products", "sky-view-factor", "--radius", "300", "--azimuths", "4"]
+    for name in ("whole", "s"):
+        store.build(dem, tmp_path / name, shard=64, chunk=32, errors=()).close()
+    run([sys.executable, "-m", "orograph", "bake", tmp_path / "whole", *given])
+    for index in (3, 1, 2):
+        task = {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_COUNT": "3"}
+        run(["bash", SCRIPTS / "bake_array.sh", tmp_path / "s", *given], **task)
+    run([sys.executable, "-m", "orograph", "bake", tmp_path / "s", *given, "--finish"])
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
 @pytest.mark.slow
 def test_a_dask_cluster(tmp_path):
     pytest.importorskip("distributed")

@@ -211,12 +211,14 @@ def on_workers(
         yield cluster
 
 
-def check_workers(workers: int | None, dask: Any, what: str) -> None:
-    """Raise UsageError where there are no workers, or of two kinds."""
+def check_workers(workers: int | None, dask: Any, what: str, part: Any = None, finish: bool = False) -> None:
+    """Raise UsageError where there are no workers, or work is shared in two ways (with workers, or in parts)."""
     if workers is not None and workers < 1:
         raise UsageError(f"{what} takes at least one worker, not {workers}.")
-    if workers is not None and dask is not None:
-        raise UsageError("`workers` and `dask` exclude each other.")
+    ways = {"workers": workers, "dask": dask, "part": part, "finish": finish or None}
+    said = [name for name, value in ways.items() if value is not None]
+    if len(said) > 1:
+        raise UsageError(f"`{said[0]}` and `{said[1]}` exclude each other.")
 
 
 class Cluster:
