@@ -136,7 +136,7 @@ def test_no_room_for_a_map(run, hilly, tmp_path, monkeypatch):
 
     monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10**9, 10**9 - 1000, 1000))
     code, _, err = run("light", hilly, "--product", "slope", "-o", tmp_path / "a.tif")
-    assert code == 4 and "There is no room for it" in err and "TIFF" not in err, err
+    assert code == 4 and "There is not enough room" in err and "TIFF" not in err, err
     assert not list(tmp_path.iterdir())
 
 

@@ -114,7 +114,7 @@ def test_what_is_said_beside_the_tour_holds(run, hilly, tour, tmp_path):
     [
         (("-o", "a.mp4"), "--tour or a kind"),
         (("-o", "a.mp4", "--orbit", "--turntable"), "two tours"),
-        (("-o", "a.mp4", "--orbit", "--height", "5"), "--height says nothing"),
+        (("-o", "a.mp4", "--orbit", "--height", "5"), "--height does not apply"),
         (("-o", "a.avi", "--orbit"), ".avi"),
         (("-o", "a.mp4", "--orbit", "--size", "161x90"), "162x90"),
         (("-o", "a.gif", "--orbit", "--crf", "20"), "--crf"),
@@ -125,7 +125,7 @@ def test_what_is_said_beside_the_tour_holds(run, hilly, tour, tmp_path):
         (("-o", "a.mp4", "--orbit", "--seconds", "-1"), "seconds"),
         (("-o", "no/a.mp4", "--orbit"), "no folder"),
         (("-o", "a.mp4", "--around", "-117,36,500", "--distance", "900"), "--around and --distance say the same"),
-        (("-o", "a.mp4", "--around", "-117,36", "--line", "a.gpx"), "--around says nothing about --line"),
+        (("-o", "a.mp4", "--around", "-117,36", "--line", "a.gpx"), "--around does not apply to --line"),
         (("-o", "a.mp4", "--around", "-117,89"), "km beyond the terrain's north"),
         (("-o", "a.mp4", "--around", "-117"), "LON,LAT,RADIUS"),
     ],

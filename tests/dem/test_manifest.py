@@ -205,9 +205,9 @@ def test_what_is_no_manifest_is_refused(text: str, words: str, tmp_path: Path) -
 
 
 def test_names_and_options_are_checked(tiles: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"ends in \.manifest\.geojsonl"):
+    with pytest.raises(UsageError, match=r"must end in \.manifest\.geojsonl"):
         manifest(tiles, tmp_path / "all.json", progress=False)
-    with pytest.raises(UsageError, match="`resolution` cannot be said of single files"):
+    with pytest.raises(UsageError, match="`resolution` cannot be given for single files"):
         manifest(tiles, tmp_path / "all.manifest.geojsonl", resolution=3, progress=False)
     with pytest.raises(OrographError, match="one raster is wanted"):
         Source.open(tmp_path / "all.manifest.geojsonl")

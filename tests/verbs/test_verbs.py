@@ -214,7 +214,7 @@ def test_tour_and_movie(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
         assert one.read_bytes() == (tmp_path / one.name.replace("f", "g")).read_bytes()
     for wrong, words in (
         ({"orbit": True, "line": "a.gpx"}, "two tours"), ({"tour": made, "orbit": True}, "not both"),
-        ({"height": 100}, "says nothing"), ({"ligt": "ao"}, "light"),
+        ({"height": 100}, "does not apply"), ({"ligt": "ao"}, "light"),
         ({"speed": 1.0, "seconds": 2.0, "line": "a.gpx"}, "twice"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):

@@ -146,7 +146,9 @@ class MethodInfo:
     def check_goal(self, goal: GoalName) -> None:
         """Raise UsageError if the method cannot reach such a goal."""
         if goal not in self.goals:
-            raise UsageError(f"{self.name} cannot aim at {goal}.", remedy=f"Give it {' or '.join(self.goals)}.")
+            raise UsageError(
+                f"{self.name} does not support the goal {goal}.", remedy=f"Give it {' or '.join(self.goals)}."
+            )
 
 
 class Method(ABC):

@@ -256,7 +256,7 @@ def by_parts(
 
     check_workers(workers, dask, what)
     if workers is None and dask is None:
-        raise UsageError("Sort-last is for workers.", remedy="Say how many (`workers`), or which (`dask`).")
+        raise UsageError("Sort-last needs workers.", remedy="Say how many (`workers`), or which (`dask`).")
     for name, there in (("wireframe", scene.surface.wireframe), ("detail", scene.surface.detail is not None)):
         if there:
             raise UsageError(f"`{name}` is drawn by one process, not sort-last.", remedy="Leave one of them out.")
