@@ -178,7 +178,7 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
         (("viewshed", A, "-o", "a.png"), 2, ".tif"),
         (("viewshed", A, "-o", "a.tif", "--radius", "-5"), 2, "radius"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--heights"), 2, "contradict"),
-        (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma says"),
+        (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma gives"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "-1"), 2, "standard deviation"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--draws", "0"), 2, "1 to 65,535 draws"),
         (("viewshed", A, "-o", "a.tif", "--draws", "50"), 2, "--draws applies to uncertain heights only"),
@@ -202,7 +202,7 @@ def test_the_order_is_told(run, hilly):
     code, _, err = run("measure", hilly, "profile", A, B)
     assert code == 2 and f"What to measure comes first: orograph measure profile {hilly}" in err
     code, _, err = run("measure", "--max-memory", "1GiB", "pick", hilly, A)
-    assert code == 2 and "options after it" in err
+    assert code == 2 and "then the options" in err
 
 
 def test_options_of_the_terrain_stand_anywhere_after_what_is_measured(run, hilly):

@@ -112,9 +112,9 @@ def test_heights_beyond_any_body_are_missing(run, tmp_path):
 @pytest.mark.parametrize(
     ("line", "said"),
     [(("best-view", "DEM", "--target", "a" * 5000, "-o", "v.json"), "File name too long"),
-     (("info", "DEM", "--assume-crs", "\udcff"), "no text in UTF-8"),
+     (("info", "DEM", "--assume-crs", "\udcff"), "not UTF-8 text"),
      (("build", "DEM", "-o", "a.oro", "--resolution", "1e-308"), "The terrain would have inf × inf samples"),
-     (("render", "DEM", "-o", "a.png", "--water", "1e308"), "A water level is a height"),
+     (("render", "DEM", "-o", "a.png", "--water", "1e308"), "A water level must be a height"),
      (("movie", "DEM", "--orbit", "--fps", "360", "-o", "a.gif"), "at most 100 frames a second"),
      (("info", "INTEGERS", "--nodata", "9" * 20), ""), (("info", "INTEGERS", "--nodata", "9" * 400), ""),
      (("info", "DEM", "--nodata", "9" * 400), "")],

@@ -167,7 +167,7 @@ def test_tours_are_made_and_told(run, hilly, tmp_path):
     code, said, _ = run("tour", "info", path, "--json")
     assert code == 0 and json.loads(said)["duration"] == pytest.approx(9)
     code, _, err = run("tour", "new", hilly, "-o", path)
-    assert code == 2 and "What kind" in err
+    assert code == 2 and "Which kind" in err
 
 
 def test_a_tour_in_degrees_is_told_in_the_terrains_crs(run, tmp_path):

@@ -414,7 +414,7 @@ def test_nothing_in_view_advises_what_applies(run, tmp_path, monkeypatch, azimut
     from orograph.errors import NothingInViewError
 
     def fail(scene, progress):
-        raise NothingInViewError("Nothing.", path="x", remedy="Leave the camera options away to see all of it.")
+        raise NothingInViewError("Nothing.", path="x", remedy="Leave out the camera options to see all of it.")
 
     monkeypatch.setattr("orograph.rendering.cpu.draw.draw", fail)
     options = () if azimuth is None else ("--from", azimuth)

@@ -199,7 +199,7 @@ def test_on_the_command_line(made, area):
     assert "nothing was damaged" in run("build", made / "dem.tif", "-o", area, "--repair").output
     for more in (["--overwrite"], ["--resume"], ["--bake", "visible-sky"], ["--crs", "EPSG:32612"]):
         told = run("build", "-o", area, "--repair", *more)
-        assert isinstance(told.exception, UsageError) and f"does not go with {more[0]}" in str(told.exception)
+        assert isinstance(told.exception, UsageError) and f"cannot be combined with {more[0]}" in str(told.exception)
     assert run("build", "-o", area).exit_code == 2
 
 

@@ -293,8 +293,9 @@ def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Pat
     (tmp_path / "v.json").write_text(json.dumps(wanted.view.to_dict()))
     np.testing.assert_array_equal(orograph.render(dem, tmp_path / "v.json", **plain), wanted)
     for call, words in (
-        (lambda: orograph.render(dem, 5), "A view is .*camera"), (lambda: orograph.render(dem, size=300), "A size is"),
-        (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size is"),
+        (lambda: orograph.render(dem, 5), "A view must be .*camera"),
+        (lambda: orograph.render(dem, size=300), "A size must be"),
+        (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size must be"),
         (lambda: orograph.open(dem), "A store is .*build"), (lambda: orograph.bake(dem, "aperture"), "A store is"),
         (lambda: orograph.check(dem), "A store is"), (lambda: orograph.read(dem), "orograph.terrain"),
         (lambda: orograph.bake(tmp_path / "a.oro", "aperture", raduis=3), "Did you mean radius"),

@@ -182,7 +182,7 @@ def test_geojson_lines_have_times_in_their_properties():
         tracks(Dataset(line, style="paths"))
     bare = {"type": "LineString", "coordinates": [[-2.9985, 50.549], [-2.998, 50.549]]}
     assert set(things(Dataset(bare, style="tubes")).kind) == {Kind.TUBE}
-    with pytest.raises(UsageError, match="say no times"):
+    with pytest.raises(UsageError, match="have no times"):
         things(Dataset(bare, style="paths"))
 
 
