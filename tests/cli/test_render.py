@@ -355,8 +355,8 @@ def test_rasters_of_different_bodies(run, dem, tmp_path):
         tmp_path / "moon.tif", None, Affine(30, 0, 500_000, 0, -30, 1_000_000), CRS.from_user_input(MOON).to_wkt()
     )
     options = ("-o", tmp_path / "a.png", *SMALL)
-    refused(run("render", dem, moon, *options), 3, "moon.tif", "another planet or moon")
-    refused(run("render", moon, "--crs", "EPSG:32633", *options), 2, "moon.tif", "another planet or moon", "--crs")
+    refused(run("render", dem, moon, *options), 3, "moon.tif", "a different planet or moon")
+    refused(run("render", moon, "--crs", "EPSG:32633", *options), 2, "moon.tif", "a different planet or moon", "--crs")
     refused(run("render", dem, "--drape", moon, *options), 2, "moon.tif", "not of the same celestial body", "same body")
     assert run("render", moon, *options)[0] == 0
 

@@ -31,8 +31,8 @@ def text(folder: Path, header: list[tuple[str, str]], parting: str) -> Path:
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"xllcorner": "abc"}, "'abc' for 'xllcorner', which is no number"),
-        ({"NODATA_value": "abc"}, "no number"),
+        ({"xllcorner": "abc"}, "'abc' for 'xllcorner', which is not a number"),
+        ({"NODATA_value": "abc"}, "not a number"),
         ({"yllcorner": None, "yllcenter": "0"}, "a centre lies along the other"),
         ({"xllcenter": "900", "yllcenter": "0"}, "a centre lies"),
         ({"CELLSIZE": "2"}, "'cellsize' twice: 1 and 2"),
@@ -57,7 +57,7 @@ def test_sound_headers_of_arc(tmp_path: Path, more: dict[str, str | None]) -> No
     [
         ({"north": "46:30:00N"}, "in degrees and minutes"),
         ({"multiplier": "2"}, "multiplies heights by 2"),
-        ({"null": "abc"}, "'abc' for 'null', which is no number"),
+        ({"null": "abc"}, "'abc' for 'null', which is not a number"),
         ({"NORTH": "5"}, "'north' twice"),
     ],
 )

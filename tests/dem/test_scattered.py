@@ -280,9 +280,9 @@ def test_a_store_keeps_its_points(tmp_path):
              for jobs in (1, 3)]  # fmt: skip
     assert files[0] == files[1]
     assert all((tmp_path / "1.oro" / p).read_bytes() == (tmp_path / "3.oro" / p).read_bytes() for p in files[0])
-    with pytest.raises(UsageError, match="cannot be put together"):
+    with pytest.raises(UsageError, match="cannot be combined"):
         orograph.terrain([str(path), str(path)], progress=False)
-    with pytest.raises(UsageError, match="`band` cannot be said of points"):
+    with pytest.raises(UsageError, match="`band` cannot be used with points"):
         orograph.terrain(str(path), progress=False, band=2)
 
 
@@ -308,7 +308,7 @@ def test_facts_of_points(tmp_path):
     assert "861" in told and "400 m × 200 m" in told and "9.64 × 9.64 m" in told
     with pytest.raises(UsageError, match="not clear which of its columns"):
         orograph.info(path, progress=False)
-    with pytest.raises(UsageError, match="`band` cannot be said of points"):
+    with pytest.raises(UsageError, match="`band` cannot be used with points"):
         orograph.info(path, progress=False, height_column="depth", band=2)
 
 
@@ -316,7 +316,7 @@ def test_facts_of_points_all_over_the_earth(tmp_path):
     path = table(tmp_path / "p.csv", {"lon": [-170, 170, 0, 20.0], "lat": [-60, 60, 0, 10.0], "z": [1, 2, 3, 4.0]})
     found = orograph.info(str(path), progress=False)
     assert found["spacing_m"] == [None, None] and found["bounds"] == [-170, -60, 170, 60]
-    assert any("too wide to be shown flat" in text for text in found["warnings"]) and "unknown" in str(found)
+    assert any("too large for a flat projection" in text for text in found["warnings"]) and "unknown" in str(found)
 
 
 def test_facts_of_points_in_degrees_and_of_an_area(tmp_path):

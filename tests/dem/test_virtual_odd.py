@@ -178,7 +178,7 @@ def test_parts_are_judged_as_they_would_be_alone(tmp_path: Path) -> None:
     alone = warnings_of(tmp_path / "b.tif")
     assert "cannot occur in uint16" in alone
     assert alone in warnings_of(virtual(tmp_path, source("b.tif"), "UInt16"))
-    assert "'none at all') is no number" in warnings_of(virtual(tmp_path, source("c.tif")))
+    assert "'none at all') is not a number" in warnings_of(virtual(tmp_path, source("c.tif")))
     said = warnings_of(virtual(tmp_path, source("a.tif", width=4) + source("d.tif", take=4, left=4, width=5)))
     assert f"Of its part {tmp_path / 'd.tif'}: d.tfw beside it says" in said
     assert warnings_of(virtual(tmp_path, source("a.tif"))) == ""

@@ -515,7 +515,7 @@ def test_what_is_refused():
     assert np.array_equal(method.patches(view, 1.0).instances, before) and method.exaggeration == 1.0
     with pytest.raises(UsageError, match="exaggeration"):
         method.patches(view, 1.0, exaggeration=0.0)
-    with pytest.raises(UsageError, match="pixels, 0 or more"):
+    with pytest.raises(UsageError, match="0 or more pixels"):
         method.patches(view, -1.0)
     with pytest.raises(UsageError, match="tiles are ready"):
         method.patches(view, 1.0, resident=[np.zeros((1, 2), np.uint8)])

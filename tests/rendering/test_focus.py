@@ -139,7 +139,7 @@ def test_the_gpu_blends_the_same(ground, data, plain):
 
 
 def test_a_focus_that_shows_nowhere_is_told(ground, data, plain):
-    with pytest.warns(UserWarning, match="The focus shows nowhere .* nearest ground is [0-9,]+ m"):
+    with pytest.warns(UserWarning, match="The focus is not visible .* nearest ground is [0-9,]+ m"):
         made = orograph.render(ground, size=SIZE, data=data, priority=OUT, focus="near,distance=1")
     np.testing.assert_array_equal(made.pixels, plain[OUT].pixels)
 

@@ -239,11 +239,11 @@ def test_what_cannot_be_meant(pair, options, said):
 def test_two_places(pair):
     place = pair[0].grid.transform
     far = raster(pair[0].heights, Affine(30, 0, 700_000, 0, -40, 4_000_000), name="far")
-    with pytest.raises(UsageError, match=r"first and far share no ground.*Name two rasters of one place"):
+    with pytest.raises(UsageError, match=r"first and far do not overlap.*Give two rasters of the same place"):
         orograph.difference(pair[0], far)
-    with pytest.raises(UsageError, match="nowhere has no CRS and the other has one"):
+    with pytest.raises(UsageError, match="nowhere has no CRS but the other has one"):
         orograph.difference(pair[0], raster(pair[0].heights, place, None, name="nowhere"))
-    with pytest.raises(UsageError, match="two planets or moons"):
+    with pytest.raises(UsageError, match="different planets or moons"):
         orograph.difference(pair[0], raster(pair[0].heights, place, "IAU_2015:49910", name="mars"))
 
 

@@ -1,8 +1,8 @@
-"""Scattered points with heights out of files: tables (CSV), what OGR reads (GeoPackage, GeoJSON…), LAS and LAZ.
+"""Scattered points with heights from files: tables (CSV), what OGR reads (GeoPackage, GeoJSON…), LAS and LAZ.
 
-Tables name their columns; longitude and latitude are taken to be WGS 84. Features are points, of their own CRS; their
-heights are their z, or an attribute. Of LAS and LAZ those of the ground (class 2) are taken where there are any, else
-all but noise; withheld ones never are. Heights become metres; what lacks a place or a height is left out, and told.
+Tables name their columns; longitude and latitude are assumed to be WGS 84. Features are points in their own CRS; their
+heights are their z, or an attribute. From LAS and LAZ, ground points (class 2) are read if there are any, else all but
+noise; withheld ones never. Heights become metres; points without a place or a height are left out, with a message.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ CLOUDS = (".las", ".laz")
 VECTORS = (".gpkg", ".geojson", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".geojsonl", ".geojsons", ".shz")
 
 HEIGHTS = ("z", "height", "elevation", "elev", "altitude", "alt", "h", "height_m", "elevation_m", "ele")
-"""Names of columns that are heights, whatever else there is."""
+"""Column names that mean heights, in order of preference."""
 
 FILLS = (-9999.0, -99999.0, -32768.0, -32767.0, -999.0)
-"""What files often have where there is no height."""
+"""Common placeholders for missing heights."""
 
-DEPTHS = "Its numbers are depths, which become heights below 0 (give `vertical_unit` if they are none)."
+DEPTHS = "Its numbers are depths and become heights below 0 (give `vertical_unit` if they are not depths)."
 
 GROUND, NOISE = 2, (7, 18)
 """Classes of LAS 1.4: ground; low and high noise."""
@@ -51,8 +51,8 @@ class Scattered:
 
     Attributes:
         x, y: (n,) float64, in ``crs``. z: (n,) float64, metres.
-        crs: of x and y; None: not known, metres. vertical: the datum of the heights; None: not known.
-        name: the file's stem. path: as it was given. warnings: what a user should know, full sentences.
+        crs: of x and y; None: unknown, metres. vertical: the datum of the heights; None: unknown.
+        name: the file's stem. path: as it was given. warnings: messages for the user, full sentences.
     """
 
     x: Array
@@ -69,7 +69,7 @@ class Scattered:
 
 
 def is_points(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds points rather than a raster, by its name; of a GeoPackage by what it lists."""
+    """Whether a file holds points rather than a raster, by its name; for a GeoPackage by its contents."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != ".gpkg":

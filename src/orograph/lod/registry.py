@@ -92,7 +92,7 @@ class Choice:
         """Raise UsageError unless a tolerance is a promise with these options."""
         if not self.conservative:
             raise UsageError(
-                f"With {self} a tolerance is no promise, which `conservative` asks for.",
+                f"With {self} the tolerance is not guaranteed, which `conservative` requires.",
                 remedy=f"See orograph methods {self.info.name}.",
             )
 

@@ -280,7 +280,7 @@ class TrianglePatches(RightTriangles):
             UsageError: an argument makes no sense, or more pages are needed than memory allows.
         """
         if not 0 <= tolerance < math.inf:
-            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
+            raise UsageError(f"The tolerance must be 0 or more pixels, not {tolerance!r}.")
         view, lens = camera.view, self._lens(camera, tolerance)
         eye = Frustum(lens.planes)
         if frustum is not None:

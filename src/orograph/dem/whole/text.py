@@ -89,7 +89,7 @@ def zmap(dataset: Any, path: str) -> str | None:
             said = line.rstrip()
             for field in (said[at : at + wide] for at in range(0, len(said), wide)):
                 if not _is_number(field):
-                    return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is no number."
+                    return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is not a number."
                 count += 1
     wanted = dataset.width * dataset.height
     return None if count == wanted else f"It holds {count:,} numbers where its header promises {wanted:,}."
@@ -187,7 +187,7 @@ def _contradiction(path: str, header: re.Pattern[bytes], missing: str) -> str | 
         if key in ("north", "south", "east", "west") and ":" in value:
             return f"Its header says {key!r} in degrees and minutes ({value}), which GDAL takes for whole degrees."
         if key != "type" and not _is_number(value.replace(",", ".").encode()) and (key, value) != (missing, "*"):
-            return f"Its header says {value!r} for {key!r}, which is no number."
+            return f"Its header says {value!r} for {key!r}, which is not a number."
     if {"xllcorner", "yllcenter"} <= set(said) or {"xllcenter", "yllcorner"} <= set(said):
         return "Its header says where a corner lies along one axis, and where a centre lies along the other."
     if {"xllcorner", "xllcenter"} <= set(said) or {"yllcorner", "yllcenter"} <= set(said):
@@ -284,7 +284,7 @@ def _first_fault(data: bytes, parting: bytes, comma: bool, state: NDArray[np.int
         token = data[first:end]
         if not _KNOWN.match(token):
             shown = token[:_LONGEST].decode("utf-8", "replace")
-            return f"Line {state[2] + 1}, column {first - state[3] + 1}: {shown!r} is no number."
+            return f"Line {state[2] + 1}, column {first - state[3] + 1}: {shown!r} is not a number."
         state[1] += 1
 
 
