@@ -21,7 +21,7 @@ from affine import Affine
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--resolution", "1e9"], "coarser than the terrain is large"),
+        (["--resolution", "1e9"], "coarser than the size of the terrain"),
         (["--resolution", "nan"], "nan is not a number"),
         (["--jobs", "100000"], "1<=x<=1024"),
         (["--spacing", "nan"], "nan is not a number"),

@@ -121,7 +121,7 @@ def test_what_is_said_beside_the_tour_holds(run, hilly, tour, tmp_path):
         (("-o", "%d-%d.png", "--orbit"), "one number"),
         (("-o", "a.mp4", "--orbit", "--from", "20"), "no frame"),
         (("-o", "a.mp4", "--orbit", "--wireframe"), "--method"),
-        (("-o", "a.mp4", "--point", "-117,36"), "two places"),
+        (("-o", "a.mp4", "--point", "-117,36"), "two points"),
         (("-o", "a.mp4", "--orbit", "--seconds", "-1"), "seconds"),
         (("-o", "no/a.mp4", "--orbit"), "no folder"),
         (("-o", "a.mp4", "--around", "-117,36,500", "--distance", "900"), "--around and --distance say the same"),

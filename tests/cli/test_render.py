@@ -357,7 +357,7 @@ def test_rasters_of_different_bodies(run, dem, tmp_path):
     options = ("-o", tmp_path / "a.png", *SMALL)
     refused(run("render", dem, moon, *options), 3, "moon.tif", "a different planet or moon")
     refused(run("render", moon, "--crs", "EPSG:32633", *options), 2, "moon.tif", "a different planet or moon", "--crs")
-    refused(run("render", dem, "--drape", moon, *options), 2, "moon.tif", "not of the same celestial body", "same body")
+    refused(run("render", dem, "--drape", moon, *options), 2, "moon.tif", "different celestial bodies", "same body")
     assert run("render", moon, *options)[0] == 0
 
 

@@ -101,7 +101,7 @@ def test_lerc_with_the_high_byte_first(tmp_path: Path, kind: str) -> None:
                        transform=UTM, compress="LERC", ENDIANNESS="BIG") as file:  # fmt: skip
         file.write(HEIGHTS.astype(kind), 1)
     if kind.startswith("float"):
-        with pytest.raises(ReadError, match=r"LERC with their high byte first.*ENDIANNESS=LITTLE"):
+        with pytest.raises(ReadError, match=r"LERC-compressed in big-endian order.*ENDIANNESS=LITTLE"):
             read(path)
     else:
         np.testing.assert_array_equal(read(path).heights, HEIGHTS)

@@ -189,8 +189,8 @@ def test_points_at_one_place_become_one(tmp_path):
         ({"x": [1.0], "y": [2.0], "z": [3.0]}, UsageError, "needs three points; it has 1"),
         ({"x": [1, 1, 1, 1], "y": [2, 2, 2, 2], "z": [3, 3, 3, 3]}, UsageError, "it has 1 at different places"),
         ({"x": [1, 2, 3, 4], "y": [2, 4, 6, 8], "z": [3, 1, 2, 3]}, UsageError, "lie on one line"),
-        ({"x": [1, 2, 3], "y": [2, 4, 7], "z": ["nan", "", "none"]}, ReadError, "no column of numbers for the heights"),
-        ({"x": ["", "", 3], "y": [2, 4, 7], "z": [1, 2, "nan"]}, ReadError, "None of its 3 points has a place"),
+        ({"x": [1, 2, 3], "y": [2, 4, 7], "z": ["nan", "", "none"]}, ReadError, "no column with numbers"),
+        ({"x": ["", "", 3], "y": [2, 4, 7], "z": [1, 2, "nan"]}, ReadError, "None of its 3 points has both a position"),
         ({"a": [1, 2, 3], "b": [2, 4, 7], "z": [1, 2, 3]}, ReadError, "do not say where the points lie; they"),
         ({"x": [1, 2, 3], "y": [2, 4, 7], "p": [1, 2, 3], "q": [3, 4, 5]}, UsageError, "holds the heights: p, q"),
     ],
@@ -205,8 +205,8 @@ def test_points_without_a_height_are_left_out_and_told(tmp_path):
     x, y, z = cloud(30)
     z = [*z[:20], *["nan"] * 10]
     points = read_scattered(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z}, ";"))
-    assert len(points) == 20 and "Of its 30 points 10 without a place or a height" in points.warnings[0]
-    with pytest.raises(UsageError, match="There is no column 'Z2' of numbers; there are z"):
+    assert len(points) == 20 and "Of its 30 points 10 lack a position or a height" in points.warnings[0]
+    with pytest.raises(UsageError, match="There is no column 'Z2' with numbers; there are z"):
         read_scattered(tmp_path / "p.csv", height_column="Z2")
 
 
@@ -344,8 +344,8 @@ def test_decimal_commas_between_semicolons(tmp_path):
     ("text", "says"),
     [
         ("500000,4000000,3\n500001,4000000,3\n", "first line holds numbers"),
-        ("x,y,z\n", "no points below its line of names"),
-        ("x,y,z\n1,2,a\n", "no column of numbers for the heights"),
+        ("x,y,z\n", "no points below its header line"),
+        ("x,y,z\n1,2,a\n", "no column with numbers for the heights"),
     ],
 )
 def test_tables_without_names_points_or_heights(tmp_path, text, says):

@@ -296,8 +296,8 @@ def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Pat
         (lambda: orograph.render(dem, 5), "A view must be .*camera"),
         (lambda: orograph.render(dem, size=300), "A size must be"),
         (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size must be"),
-        (lambda: orograph.open(dem), "A store is .*build"), (lambda: orograph.bake(dem, "aperture"), "A store is"),
-        (lambda: orograph.check(dem), "A store is"), (lambda: orograph.read(dem), "orograph.terrain"),
+        (lambda: orograph.open(dem), "A store must .*build"), (lambda: orograph.bake(dem, "aperture"), "A store must"),
+        (lambda: orograph.check(dem), "A store must"), (lambda: orograph.read(dem), "orograph.terrain"),
         (lambda: orograph.bake(tmp_path / "a.oro", "aperture", raduis=3), "Did you mean radius"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):

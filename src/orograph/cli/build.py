@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     type=click.Choice(["nearest", "bilinear", "cubic"]),
     default="bilinear",
     show_default=True,
-    help="How samples are interpolated if they must be brought to another grid.",
+    help="How samples are interpolated if they must be resampled to another grid.",
 )
 @click.option(
     "--errors",
@@ -77,7 +77,7 @@ if TYPE_CHECKING:
     "--keep-source/--no-keep-source",
     default=True,
     show_default=True,
-    help="If files are brought to another grid, also keep their original samples, for the heights of places.",
+    help="If files are resampled to another grid, also keep their original samples, for the heights of places.",
 )
 @click.option(
     "--codec",

@@ -58,7 +58,7 @@ def command(ctx: click.Context, /, output: Path) -> None:
     terrain = prepare([str(dem)], progress=progress)
     rows, cols = terrain.grid.shape
     crs = terrain.grid.crs
-    step(f"read and brought to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
+    step(f"read and projected to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
     view = whole(terrain, (1280, 720), azimuth=160, pitch=38)
     scene = Scene.of(terrain, view, sun=Sun(315, 35), furniture=True, title="Jacksboro fault, Tennessee")
     with progress.task("Drawing"):

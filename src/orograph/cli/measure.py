@@ -44,7 +44,7 @@ class Measures(click.Group):
         if args[0] not in self.commands:
             known, first = ", ".join(self.commands), args[0]
             if args[0].startswith("-"):
-                ctx.fail(f"Say what to measure first, then the options: one of {known}.")
+                ctx.fail(f"First name what to measure, then the options: one of {known}.")
             turned = next((name for name in args[1:] if name in self.commands), None)
             if turned is not None:
                 ctx.fail(f"What to measure comes first: orograph measure {turned} {first} …")

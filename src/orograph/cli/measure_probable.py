@@ -90,7 +90,7 @@ def _checks(text: str | None) -> Any:
 def check_files(output: str | None, picture: str | None, camera: dict[str, Any]) -> dict[str, Any]:
     """Raise UsageError unless there is something to write, with endings that fit, and the camera options agree."""
     if output is None and picture is None:
-        raise UsageError("Say where to write: --output out.tif, --picture out.png, or both.")
+        raise UsageError("Give an output: --output out.tif, --picture out.png, or both.")
     camera = {**camera, "lonlat": None, "look_at": None, "exaggeration": 1.0}
     check_camera({k: camera[k] for k in CAMERA})
     if output is not None:
@@ -253,7 +253,7 @@ def _needed(
     sigma: str | None, reach: float, horizontal: float, checks: str | None, check_sigma: float
 ) -> HeightError:  # fmt: skip
     if sigma is None and not horizontal:
-        raise UsageError("Say how uncertain heights are: --sigma 2 (metres), or a raster of standard deviations.")
+        raise UsageError("Give the uncertainty of heights: --sigma 2 (metres), or a raster of standard deviations.")
     return height_error(sigma, reach, horizontal, checks, check_sigma)
 
 

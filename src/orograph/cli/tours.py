@@ -13,7 +13,7 @@ def tour_options(function: F) -> F:
         function,
         click.option("--orbit", is_flag=True, help="Once around the terrain, all of it in view; a loop."),
         click.option(
-            "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain were turned."
+            "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain rotated."
         ),
         click.option(
             "--around",

@@ -361,7 +361,7 @@ def unread(damaged: Sequence[ReadError], count: int) -> ReadError:
         return damaged[0]
     return ReadError(
         f"{_count(damaged, count)} damaged or missing: {_listed(damaged)}",
-        remedy="Repair or replace them, or leave them out (`skip_damaged`), which leaves their ground missing.",
+        remedy="Repair or replace them, or skip them (`skip_damaged`), which leaves their ground missing.",
     )
 
 

@@ -42,7 +42,7 @@ def placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid
             raise ReadError(
                 f"It has no CRS and its extent ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
                 path=path,
-                remedy='Say so (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
+                remedy='Give it (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
             )
         warnings.append("It has no CRS; its coordinates are assumed to be metres (give `assume_crs=CODE`).")
         warnings[:] = list(dict.fromkeys(warnings))

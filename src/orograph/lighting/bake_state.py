@@ -95,7 +95,7 @@ def recipe_of(
     """
     if any(layer.options.get("method") in ELSEWHERE for layer in layers):
         raise UsageError(
-            "What the GPU makes of a whole terrain is not made by workers.", remedy="Bake it without a cluster."
+            "Products of the GPU over a whole terrain cannot be made by workers.", remedy="Bake it without a cluster."
         )
     bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
     needed = SWEEP + 3 * 4 * bands * shard * shard

@@ -46,7 +46,7 @@ def check_colors(drape: Any, choices: Sequence[Choice]) -> None:
     if drape is not None and all(getattr(choice.options, "color_tolerance", None) is None for choice in choices):
         raise UsageError(
             "`drape` is only used with a method's color-tolerance.",
-            remedy="Say how much colours may change (ΔE): soar,color-tolerance=2.3.",
+            remedy="Give the colour tolerance (ΔE): soar,color-tolerance=2.3.",
         )
 
 

@@ -113,7 +113,9 @@ def print_of(
     if output is None or Path(output).suffix.lower() not in MODELS:
         if given:
             raise UsageError(
-                f"`{next(iter(given))}` is about models to print.", path=output, remedy="Write an .stl or a .3mf."
+                f"`{next(iter(given))}` applies to printable models only.",
+                path=output,
+                remedy="Write an .stl or a .3mf.",
             )
         return None
     if "exaggeration" in given:

@@ -53,7 +53,7 @@ def check_tour(options: Mapping[str, Any]) -> None:
     if options["around"] is not None and len(options["around"]) > 2 and options["distance"] is not None:
         raise UsageError("The radius in `around` and `distance` say the same twice: give one of them.")
     if kind == "points" and len(options["points"]) < 2:
-        raise UsageError("A line to fly along needs at least two places: give `points` twice or more.")
+        raise UsageError("A line to fly along needs at least two points: give `points` twice or more.")
 
 
 def tour_of(

@@ -55,7 +55,7 @@ def _check(scene: Scene, device: Device, around: View) -> None:
     most = largest(device)
     if max(around.width, around.height) > most:
         raise UsageError(
-            f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
+            f"{device.adapter.name} draws at most {most} × {most} pixels at a time, not {view.width} × {view.height}.",
             remedy="Draw it in tiles: orograph render, or rendering.large.draw_large.",
         )
 

@@ -44,7 +44,7 @@ def draw(window: Window) -> None:
     imgui.same_line()
     if imgui.radio_button("triangles", by_budget):
         settings.budget = settings.budget or 500_000
-    tip("Adjusts the tolerance until there are about this many triangles.")
+    tip("Adjusts the tolerance to reach about this many triangles.")
     if settings.budget is None:
         _, settings.tolerance = imgui.slider_float("pixels", settings.tolerance, 0.1, 50.0, "%.2f px", flags)
     else:

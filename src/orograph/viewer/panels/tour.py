@@ -32,7 +32,7 @@ def draw(window: Window) -> None:
     if imgui.button("Pause" if touring.playing else "Play"):
         touring.play()
     imgui.same_line()
-    if imgui.button("Begin anew"):
+    if imgui.button("Start again"):
         touring.clear()
     imgui.end_disabled()
     if not touring.stops:
