@@ -103,7 +103,7 @@ def test_a_disk_that_is_full_when_light_is_put_in_is_told_with_what_goes_on(run,
         (("--products", "sky"), 2, ("no product",)),
         (("--products", "insolation"), 2, ("--date",)),
         (("--products", "aperture", "--radius", "-1"), 2, ("radius",)),
-        (("--products", "visible-sky", "--rho", "linear"), 2, ("--rho changes nothing", "ambient-occlusion")),
+        (("--products", "visible-sky", "--rho", "linear"), 2, ("--rho has no effect", "ambient-occlusion")),
     ],
 )
 def test_wrong_commands(run, built, options, code, words):

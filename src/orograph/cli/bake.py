@@ -1,4 +1,4 @@
-"""``orograph bake``: light products into a store, as layers at all its levels."""
+"""``orograph bake``: store light products as layers of a store, at all its levels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from orograph.store.stored import StoredTerrain
 
 
-@click.command("bake", short_help="Put light into a store: sky, occlusion, apertures, at all levels.")
+@click.command("bake", short_help="Bake light into a store: sky, occlusion, apertures, at all levels.")
 @click.argument("store", metavar="STORE")
 @click.option(
     "--products",
@@ -36,21 +36,21 @@ if TYPE_CHECKING:
     required=True,
     multiple=True,
     metavar="NAMES",
-    help="What to bake (see above), with commas between or given again.",
+    help="What to bake (see above); separate with commas, or repeat.",
 )
 @horizon_options
 @ray_options(
     ["horizon", "rays"],
-    method="Of ambient occlusion and apertures.  [default: horizon]",
+    method="Method for ambient occlusion and apertures.  [default: horizon]",
     rays="With --by rays: rays per sample.",
 )
 @insolation_options
 @click.option(
     "--bits",
     type=click.Choice(["8", "16"]),
-    help="Of a value in the store.  [default: 16 of apertures and insolation, else 8]",
+    help="Bits per value in the store.  [default: 16 for apertures and insolation, else 8]",
 )
-@click.option("--overwrite", is_flag=True, help="Bake also what is there already; begin an interrupted bake anew.")
+@click.option("--overwrite", is_flag=True, help="Bake existing layers again; restart an interrupted bake.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @memory_option
 @jobs_option
@@ -63,7 +63,7 @@ def command(
     as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, part: str | None,
     finish: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """Put light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
+    """Bake light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
 
     \b
     sky-view-factor, sky-view-horizontal, visible-sky   what is seen of the sky
@@ -72,7 +72,7 @@ def command(
     openness, openness-negative, horizon, insolation (--date)
 
     render --light ao and --light aperture use what is baked. A layer of the same name is replaced when the new one is
-    complete. A bake that is interrupted goes on when the same command is run again.
+    complete. An interrupted bake continues when the same command is run again.
 
     \b
     Examples:
@@ -120,10 +120,10 @@ def run(
     store: str, names: Sequence[str], progress: Progress, options: Options | None = None, *, part: str | None = None,
     **how: Any,
 ) -> StoredTerrain | None:  # fmt: skip
-    """``lighting.bake.bake``, which says after Ctrl-C, and on a full disk, how it goes on."""
+    """As ``lighting.bake.bake``, but after Ctrl-C or on a full disk says how to continue."""
     from orograph.lighting.bake import bake
 
-    resumes = "what has been swept is kept" if "://" not in store else "it begins anew"
+    resumes = "finished sweeps are kept" if "://" not in store else "it starts from the beginning"
     again = f"orograph bake {store} again with the same {'part' if part else 'products'} to finish ({resumes})."
     try:
         return bake(store, names, options, progress=progress, part=part, **how)
@@ -131,5 +131,5 @@ def run(
         click.echo(f"\n{store} is as it was; run {again}", err=True)
         raise
     except OutputError as error:
-        error.remedy = f"See that the disk has room and the folder is yours to write in, then run {again}"
+        error.remedy = f"Check that the disk has room and that you may write to the folder, then run {again}"
         raise

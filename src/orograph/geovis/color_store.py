@@ -76,7 +76,7 @@ def stored(
     wanted = made_with(drape, **options)
     if wanted is not None and same(wanted, COLORS.of(terrain.record)):
         return StoredColorErrors(terrain)
-    progress.note("The store has color errors of other colours; those of these are computed.")
+    progress.note("The store's color errors are of other colours; new ones are computed.")
     return None
 
 
@@ -117,7 +117,7 @@ def store_colors(
     wanted = made_with(drape, **options)
     if wanted is None:
         raise UsageError(
-            f"{os.fspath(drape or '')} is no file, so that it could not be told from another image later.",
+            f"{os.fspath(drape or '')} is not a file, so a changed image could not be detected later.",
             remedy="Fetch the image, and name the copy.",
         )
     check_workers(workers, dask, "A store's color errors")

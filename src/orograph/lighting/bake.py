@@ -173,18 +173,18 @@ def bake(
     for each in products:
         each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
-        raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
+        raise UsageError(f"Layers must have 8 or 16 bits, not {bits}.")
     check_workers(workers, dask, "A bake", part, finish)
     share = None if part is None else part_of(part)
     store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
     if dask is not None and not isinstance(storage, FolderStorage):
         raise UsageError(
-            "The workers of a cluster elsewhere bake into stores in folders, for what they hand on lies beside them.",
+            "The workers of a remote cluster bake only into stores in folders: they exchange files there.",
             remedy="Use `workers` of this machine.",
         )
     if workers is not None and storage.url.startswith("memory:"):
-        raise UsageError("Workers bake into stores in folders or buckets.", remedy="Leave out `workers`.")
+        raise UsageError("Workers bake into stores in folders or buckets.", remedy="Omit `workers`.")
     before = read_record(storage)  # a store that is not there is said before anything is written beside it
     folder, shared = None, None
     if share is not None or finish:
@@ -200,7 +200,7 @@ def bake(
         if not overwrite:
             there = [layer for layer in made if LAYERS.of(before).get(layer.name) == layer]
             for layer in there:
-                progress.note(f"{layer.name} is in {storage.url} already, made with the same options.")
+                progress.note(f"{layer.name} is already in {storage.url}, made with the same options.")
             made = [layer for layer in made if layer not in there]
         if folder is not None and share is None:
             bake_parts.finish(folder, before, made, progress)
@@ -291,7 +291,7 @@ def _bakeable(name: str) -> Product:
     found = product(name)
     if name not in BAKED:
         raise UsageError(
-            f"{name} is not baked: it follows from the heights at once, or holds for one sun only.",
+            f"{name} is not baked: it follows directly from the heights, or holds for one sun only.",
             remedy=f"What can be baked is {', '.join(BAKED)}; for a map of {name} use orograph light.",
         )
     return found
@@ -311,7 +311,7 @@ def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> 
         "cone-tracing": {"cones": options.more.get("cones", 64)},
     }.get(str(made_with.get("method")), {})
     if callable(made_with.get("rho")):
-        raise UsageError("A function cannot be told in a store: bake with rho 'step' or 'linear'.")
+        raise UsageError("A store cannot hold a function: bake with rho 'step' or 'linear'.")
     bands = tuple(
         LayerBand(band.name.replace(" ", "-"), band.unit, float(band.byte[0]), float(band.byte[1]), bits or how.bits)
         for band in of.described(options)

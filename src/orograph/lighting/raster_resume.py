@@ -66,7 +66,7 @@ class Checkpoint:
             if file.is_file():
                 if file.read_text(encoding="utf-8") != text:
                     raise OutputError(
-                        "What was interrupted there is another map, or of another terrain.",
+                        "The interrupted work there is another map, or of another terrain.",
                         path=folder,
                         remedy="Run it with the same products and options, or delete that folder to start anew.",
                     )
@@ -86,7 +86,7 @@ class Checkpoint:
             with (self.folder / kept["file"]).open("rb") as file:
                 for part in _parts(canvases):
                     if file.readinto(part.view(np.uint8).data) != part.nbytes:
-                        raise OSError("it is cut off")
+                        raise OSError("it is truncated")
         except (OSError, ValueError, KeyError) as error:
             raise OutputError(
                 f"What was kept of the interrupted work cannot be read: {error}.",
@@ -171,5 +171,5 @@ def _replace(path: Path, text: str) -> None:
 def _unwritable(folder: Path, error: OSError) -> OutputError:
     return OutputError(
         f"What has been done cannot be kept: {error.strerror or error}.", path=folder,
-        remedy="See that the disk has room and the folder is yours to write in, then run the same again: it goes on.",
+        remedy="Check that the disk has space and the folder is writable, then run the same again to continue.",
     )  # fmt: skip

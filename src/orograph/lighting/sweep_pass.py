@@ -73,7 +73,7 @@ class Strip:
 
 
 class Terms(NamedTuple):
-    """What a horizon is, as ``sweep.horizons`` takes it."""
+    """The terms of a horizon, as in ``sweep.horizons``."""
 
     lowest: float = 0.0
     below: bool = False
@@ -141,7 +141,7 @@ class Pass:
             raise UsageError(
                 f"A radius of {radius:g} m is {reach} samples of a terrain {self.lanes} samples wide, for which "
                 f"{memory >> 20} MiB of memory are not enough.",
-                remedy="Allow more memory (`max_memory`), or leave the radius unlimited, which takes less.",
+                remedy="Allow more memory (`max_memory`), or omit the radius, which takes less.",
             )
         self.lines, self.radius, self.stacks = group[:count], radius, third
         self.indices = np.array([a.index for a in self.lines])
@@ -163,7 +163,7 @@ class Pass:
         return cols if self.by_columns else pitch(cols)
 
     def begin(self, spare: list[Pool]) -> None:
-        """Take pools of passes before, and leave them for passes to come."""
+        """Reuse pools of earlier passes, and leave them for later ones."""
         if sum(p.size for p in spare) > self.stacks // 2:
             spare.clear()
         self._spare = spare

@@ -21,7 +21,7 @@ def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = Non
     """
     if not isinstance(url, str | os.PathLike):
         raise UsageError(
-            f"A store is a folder or a URL, not {type(url).__name__}.",
+            f"A store must be a folder or a URL, not {type(url).__name__}.",
             remedy="Build one of it: `orograph.build(heights, 'area.oro')`.",
         )
     text = os.fspath(url)

@@ -104,8 +104,8 @@ class BucketStorage(Storage):
         self.web = cut_up.scheme in WEB
         if cut_up.query or cut_up.fragment:
             raise StoreError(
-                "The address of a store has no query: it would have to stand behind the name of each of its objects.",
-                path=self.url, remedy="Let the environment have the credentials.",
+                "The address of a store must not have a query: it would have to follow the name of each object.",
+                path=self.url, remedy="Put the credentials into the environment.",
             )  # fmt: skip
         self.prefix = unquote(cut_up.path).strip("/") if self.web else cut_up.path.strip("/")
         self._client = connected(
@@ -276,7 +276,7 @@ class BucketStorage(Storage):
             cause = error.__cause__
             if isinstance(cause, (NotImplementedError, NotSupportedError)) or status_of(str(cause)) == 501:
                 raise StoreError(
-                    "This storage writes nothing under conditions (If-None-Match), on which locks rest.", path=self.url,
+                    "This storage has no conditional writes (If-None-Match), which locks need.", path=self.url,
                     remedy="Build in a folder, and copy the store there with orograph publish.",
                 ) from error  # fmt: skip
             raise
@@ -293,8 +293,8 @@ class BucketStorage(Storage):
         made = self.swap(ROOT, data, self._roots[ROOT])
         if made is None:
             raise StoreError(
-                "Another process has published the store, or removed it, meanwhile: its root is not what it was.",
-                path=self.url, remedy="See what is there, and run it again.",
+                "Another process has published the store, or removed it, meanwhile: its root has changed.",
+                path=self.url, remedy="Check what is there, and run it again.",
             )  # fmt: skip
         self._roots[ROOT] = made
 
@@ -359,13 +359,13 @@ class BucketStorage(Storage):
         elif "kind: Connect" in text:
             why, remedy = "the server cannot be reached", "Check the address and the network."
         elif "RangeNotSupported" in text:
-            why = "the server sends whole files where parts of them are asked for"
+            why = "the server sends whole files when parts are requested"
             remedy = (
-                "Serve the store by one that understands ranges (nginx, Apache, Caddy, any object storage; "
+                "Use a server that supports range requests (nginx, Apache, Caddy, any object storage; "
                 "python -m http.server does not), or copy it to a disk."
             )
         elif status_of(text) in (401, 403):
-            remedy = "See to the credentials in the environment."
+            remedy = "Check the credentials in the environment."
         return StoreError(f"{key or 'It'} could not be {what}: {why}.", path=self.url, remedy=remedy)
 
 

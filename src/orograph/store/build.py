@@ -175,9 +175,9 @@ def build(
     wanted = words(errors)
     kinds = tuple(kind for kind in KINDS if kind in wanted)
     if len(kinds) != len(set(wanted)):
-        raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, wanted))}.")
+        raise UsageError(f"Errors must be of the kinds {', '.join(KINDS)}, not {', '.join(map(str, wanted))}.")
     if tins is not None and tins not in TIN_LEGS:
-        raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
+        raise UsageError(f"`tins` must be one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
         chunked = checked_kind(chunked)
         kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # which chunks follow from

@@ -87,7 +87,7 @@ def workers_of(client: Any) -> dict[str, int]:
     except LOST as error:
         raise StoreError(
             "The scheduler of the cluster is gone.",
-            remedy="See that one runs, and do the same again (a build with `resume=True`): what was done is kept.",
+            remedy="Check that one is running and try again (a build with `resume=True`): what was done is kept.",
         ) from error
 
 
@@ -126,7 +126,7 @@ def on_workers(
 def check_workers(workers: int | None, dask: Any, what: str, part: Any = None, finish: bool = False) -> None:
     """Raise UsageError where there are no workers, or work is shared in two ways (with workers, or in parts)."""
     if workers is not None and workers < 1:
-        raise UsageError(f"{what} takes at least one worker, not {workers}.")
+        raise UsageError(f"{what} needs at least one worker, not {workers}.")
     ways = {"workers": workers, "dask": dask, "part": part, "finish": finish or None}
     said = [name for name, value in ways.items() if value is not None]
     if len(said) > 1:
@@ -168,7 +168,7 @@ class Cluster:
             except LOST as error:  # a worker has died while it was told; others may not have been
                 if not left:
                     raise StoreError(
-                        f"The workers of the cluster cannot be reached: {error}.", remedy="See that they run."
+                        f"The workers of the cluster cannot be reached: {error}.", remedy="Check that they are running."
                     ) from error
                 time.sleep(PAUSE)
         return self
@@ -263,7 +263,7 @@ class _Round:
                 self.stage.add(spot, found)
                 self.task.advance()
                 return
-            why = "what the worker made of it is not seen by the process that builds"
+            why = "the building process cannot see the worker's result"
         if self.begun[spot] < TRIES and not isinstance(error, UsageError):
             self.again.append(spot)
             self.task.note(f"tried again: {why}")
@@ -303,7 +303,7 @@ class _Round:
         return StoreError(
             f"{len(self.given_up)} tasks of {self.stage.label!r} were given up after {TRIES} tries each: "
             f"{'; '.join(told)}{others}.{never}", path=self.stage.place,
-            remedy=f"See to the cause. {self.stage.again}",
+            remedy=f"Fix the cause. {self.stage.again}",
         )  # fmt: skip
 
 

@@ -50,7 +50,7 @@ def part_of(said: str | Sequence[int]) -> Part:
     else:
         numbers = [int(number) for number in said]
     if len(numbers) != 2 or not 1 <= numbers[0] <= numbers[1]:
-        raise UsageError(f"A part is I/N with I from 1 to N, such as 3/64, not {said!r}.")
+        raise UsageError(f"A part must be I/N with I from 1 to N, such as 3/64, not {said!r}.")
     return numbers[0], numbers[1]
 
 
@@ -112,8 +112,8 @@ def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite:
             said = count_of(there)
             other = f" It is in {said} parts." if said not in (None, count) else ""
             raise StoreError(
-                f"Another build of this store was begun, of other files or options.{other}", path=final.url,
-                remedy=f"Run the parts with its files and options, or remove {storage.url} to begin anew.",
+                f"Another build of this store was begun, with other files or options.{other}", path=final.url,
+                remedy=f"Run the parts with its files and options, or remove {storage.url} to start again.",
             )  # fmt: skip
         return
     if begun(storage):

@@ -115,7 +115,7 @@ def missing(storage: Storage) -> StoreError:
         ways.append(f"rename the folder that you want to {path.name}")
     remedy = " or ".join(ways)
     return StoreError(
-        f"The store is not there: a build was cut off while it took its place. {'; '.join(there)}.",
+        f"The store is not there: a build was interrupted while it moved the store into place. {'; '.join(there)}.",
         path=storage.url,
         remedy=f"{remedy[0].upper()}{remedy[1:]}.",
     )
@@ -179,8 +179,8 @@ def publish(built: Path, final: Path) -> None:
         built.rename(final)
     except OSError as error:
         raise StoreError(
-            f"The finished store could not take its place: {error.strerror or error}.",
+            f"The finished store could not be moved into place: {error.strerror or error}.",
             path=final,
-            remedy=f"It lies complete at {built}.",
+            remedy=f"It is complete at {built}.",
         ) from error
     FolderStorage(old).remove()

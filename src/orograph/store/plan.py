@@ -107,7 +107,7 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
         unlike = differing(plan, before)
         if unlike:
             raise StoreError(
-                f"The interrupted build cannot be resumed: its {unlike} differ from these.",
+                f"The interrupted build cannot be resumed: its {unlike} differ.",
                 path=storage.url,
                 remedy="Run it with the same files and options, or start anew with `overwrite=True`.",
             )
@@ -121,7 +121,7 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
         unlike = differing({**plan, "shard": before["shard"], "chunk": before["chunk"]}, before)
         if unlike:
             raise StoreError(
-                f"A complete store of other sources or options is there: its {unlike} differ from these.",
+                f"A complete store of other sources or options is there: its {unlike} differ.",
                 path=final.url,
                 remedy="Use `overwrite=True` to replace it.",
             )

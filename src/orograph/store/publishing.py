@@ -70,7 +70,7 @@ def publish(
     """
     target = storage_at(url, storage_options)
     if isinstance(target, FolderStorage):
-        raise UsageError("Stores are published at URLs.", remedy="Into a folder, copy the store as any other folder.")
+        raise UsageError("Stores are published at URLs.", remedy="To put a store into a folder, just copy it.")
     if not isinstance(store, StoredTerrain):
         with open_store(store) as opened:
             return publish(
@@ -131,7 +131,7 @@ class _Copy:
         self.target.put(key, [data])
         if not self._is_there(what, key):
             raise StoreError(
-                f"{key} is not what was sent when it is read back.", path=self.target.url, remedy="Publish it again."
+                f"{key} differs from what was sent when read back.", path=self.target.url, remedy="Publish it again."
             )
         return len(data)
 

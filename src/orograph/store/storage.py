@@ -241,7 +241,7 @@ class FolderStorage(Storage):
         """A file that is gone is damage, a folder that is gone has been moved or removed."""
         if not self.path.exists():
             raise StoreError(
-                "The folder is not there any more.", path=self.path,
+                "The folder no longer exists.", path=self.path,
                 remedy="Put it back, or open the store where it is now.",
             )  # fmt: skip
 
@@ -250,7 +250,7 @@ class FolderStorage(Storage):
         return StoreError(
             f"{key or 'The folder'} could not be {what}: {error.strerror or error}.",
             path=self.path,
-            remedy="Make room, and run it again: a build with `resume=True`, an update as it is." if full else "",
+            remedy="Make room, and run it again: a build with `resume=True`, an update unchanged." if full else "",
         )
 
 

@@ -283,8 +283,8 @@ def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int 
         found = _open(before.pop(0)[1], cache_bytes, jobs)
     if found.record.source != source:
         raise StoreError(
-            "A worker finds another store there than the process that began.", path=found.url,
-            remedy="See that all of them have the same file system.",
+            "A worker finds a different store there than the process that started the work.", path=found.url,
+            remedy="Check that all of them share one file system.",
         )  # fmt: skip
     return found
 

@@ -56,7 +56,7 @@ class FilmRecipe(NamedTuple):
         if film.fingerprint() != self.fingerprint:
             raise StoreError(
                 "A worker has another terrain, or another release of Orograph, than the process that films.",
-                path=self.scene.terrain.name, remedy="See that all of them have the same.",
+                path=self.scene.terrain.name, remedy="Make sure that all of them have the same.",
             )  # fmt: skip
         return _FilmState(Frames(film, pictures_of(self.path, film, self.dpi)))
 
