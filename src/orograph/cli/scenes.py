@@ -107,7 +107,7 @@ uncertainty_option = click.option(
     "--uncertainty", cls=DataOption, multiple=True, expose_value=False, metavar="FILE|spread|ci90[,KEY=VALUE…]",
     help="How uncertain the --data before it are: spread (standard deviation) or ci90 (half of the central 90 %) of "
     "its members, or a raster of standard deviations. Keys: variable, band, time, member, range, style (transparency, "
-    "noise, blur, saturation, whiteness, palette, glyphs, hatching).",
+    "noise, blur, saturation, whiteness, palette, glyphs, hatching; in films members: in turn, rate= a second).",
 )  # fmt: skip
 
 

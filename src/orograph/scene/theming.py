@@ -69,6 +69,12 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     aids = made_of("aids", options.get("aids"), terrain)
     if not data and given is None:
         return Themed(made, _walls(terrain, (), None) if aids is not None and aids.walls else None)
+    for one in data:
+        if one.uncertainty is not None and one.uncertainty.style == "members":
+            raise UsageError(
+                "Members in turn are seen in films.", path=str(one.source),
+                remedy='In a picture they stand side by side (`each="member"`), or choose another style.',
+            )  # fmt: skip
     priority = given or Priority(data=True)
     around = [one for one in data if one.style == "walls"]
     if len(around) > 1:
