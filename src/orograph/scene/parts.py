@@ -187,7 +187,8 @@ class Theme:
     data: tuple[Dataset, ...] = option(
         (),
         "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
-        "variable, band, time (2019-03-01T12, T12; A..B: a span, which films play), member, value (of several: median, min, max, spread, p90), exceeds (how probably), "
+        "variable, band, time (2019-03-01T12, T12; A..B: a span, which films play), member, value (of several: median, "
+        "min, max, spread, p90), exceeds (how probably), "
         "layer, geometry (which of several), style "
         "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
         "spheres, cones, discs, flags; of lines tubes, curtains; of tracks tubes, paths; of boreholes columns, logs; "
