@@ -50,6 +50,9 @@ Measure = Literal["spread", "ci90"]
 """Uncertainties of the members of an ensemble: their standard deviation (n − 1), or half the width between their 5 %
 and 95 % quantiles (linear between members)."""
 
+MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
+"""What uncertainties of members are, in words."""
+
 T = TypeVar("T")
 
 Breaks = Literal["quantiles", "equal", "jenks"]
@@ -104,6 +107,11 @@ class Uncertainty:
     def of_members(self) -> bool:
         """Whether it follows from the data's own members."""
         return isinstance(self.source, str) and self.source in get_args(Measure)
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        return "± " + MEASURES[self.source if self.of_members else "spread"]
 
     @classmethod
     def parse(cls, text: str) -> Self:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import linear_to_srgb
-from orograph.geovis.data.dataset import Dataset, Standing
+from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
@@ -287,6 +287,9 @@ def key_of(
         for part, shade in zip(SWATCHES, shades):
             sigma = doubt[0] + part * (doubt[1] - doubt[0])
             swatches.append((f"± {rounded(sigma, doubt[1])} {unit}".rstrip(), shade))
+    if sign != "none" and isinstance(dataset.uncertainty, Uncertainty):
+        bars = "error bars " if sign == "errorbars" else ""
+        note = ", ".join(filter(None, (note, bars + dataset.uncertainty.words)))
     told = f"{title}: {note}" if note else ""
     if classes is None:
         return Legend((colors,), tuple(swatches), note=told)
