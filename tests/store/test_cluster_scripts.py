@@ -59,7 +59,8 @@ def test_the_settings_are_those_of_clusters_of_this_machine():
     config, yaml = pytest.importorskip("dask.config"), pytest.importorskip("yaml")
     told = yaml.safe_load((SCRIPTS / "calm.yaml").read_text())
     assert {key: config.get(key, config=told) for key in CALM} == CALM
-    assert sum(1 for line in (SCRIPTS / "calm.yaml").read_text().splitlines() if line.split(":")[1:] > [""]) == len(
+    lines = (SCRIPTS / "calm.yaml").read_text().splitlines()
+    assert sum(1 for line in lines if line.split(":")[1:] > [""]) == len(CALM)
         CALM
     )
 
