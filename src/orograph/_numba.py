@@ -27,7 +27,7 @@ Array = TypeVar("Array", bound=NDArray[Any])
 
 
 class _Listener(numba.core.event.Listener):
-    """Tells what is compiled; what Numba reads from its cache makes no event."""
+    """Reports what is compiled; kernels read from Numba's cache raise no event."""
 
     def on_start(self, event: object) -> None:
         COMPILING.begin()
@@ -105,8 +105,8 @@ def _compile_elsewhere(dispatcher: Any) -> None:
 def _keep_safely(cache: Any) -> None:
     """Let a cache begin anew where its index cannot be read, and lie on a disk that is full.
 
-    Numba reads the whole index before it sees that the source is another. An index that names a class which is gone by
-    now (an argument's type in an older version) would end every call.
+    Numba reads the whole index before it notices that the source has changed. An index that names a class that no
+    longer exists (an argument's type in an older version) would make every call fail.
     """
     file = cache._cache_file
     load = file._load_index
@@ -161,9 +161,9 @@ def read_only(array: Array) -> Array:
 
 
 def shared(function: Function) -> Function:
-    """Let kernels call a plain function; outside of them it stays the plain function that it is.
+    """Let kernels call a plain function; outside kernels it stays a plain function.
 
-    Inlining is left to LLVM, which does as well for small functions as ``inlined`` and compiles in half the time.
+    LLVM does the inlining, which works as well as ``inlined`` for small functions and compiles in half the time.
     """
     numba.extending.register_jitable(error_model="numpy")(function)
     return function

@@ -1,7 +1,7 @@
-"""How many kernels were compiled, and how long that took: counted by ``_numba``, shown by progress.
+"""Counts how many kernels were compiled and how long that took; ``_numba`` counts, progress shows it.
 
-Compiling happens within whatever needs a kernel first, once on a machine: without this the time would be put down to
-that work. It imports nothing of its own, so that whoever only wants to show it need not load the compiler.
+Compiling happens inside whatever needs a kernel first, once per machine: without this, its time would be attributed to
+that work. This module imports nothing of the package, so showing the counts does not load the compiler.
 
 Kernels are compiled by a process that does nothing else (``compiled_elsewhere``), so that its memory is not the work's.
 Numba compiles one kernel at a time in a process. Long work therefore has a second one compile what it needs last, while
@@ -38,7 +38,7 @@ class Compiling:
         self._here = threading.local()
 
     def begin(self) -> None:
-        """A kernel is being compiled."""
+        """Note that a kernel begins to compile."""
         self._here.depth = getattr(self._here, "depth", 0) + 1
         if self._here.depth == 1:
             self._here.began = time.perf_counter()
@@ -47,7 +47,7 @@ class Compiling:
                 notify()
 
     def end(self) -> None:
-        """It is compiled."""
+        """Note that a kernel is compiled."""
         self._here.depth -= 1
         if self._here.depth == 0:
             self.seconds += time.perf_counter() - self._here.began  # (compilers take turns: no two times overlap)
@@ -57,12 +57,12 @@ LONG = 4.0
 """Seconds of compiling that mark a machine's first run."""
 
 COMPILING = Compiling()
-"""Of this process."""
+"""When this process began."""
 
 
 @contextlib.contextmanager
 def while_compiling(program: str, *arguments: str) -> Iterator[None]:
-    """Within it, the first kernel that has to be compiled starts ``python -m program``, once in this process.
+    """Inside this context, the first kernel that must be compiled starts ``python -m program``, once per process.
 
     On one core, in a program that is not Python itself (its executable would start that program), where
     ``OROGRAPH_COMPILE_AHEAD`` is 0, or without arguments, nothing is started. What is started ends by itself.
@@ -140,9 +140,9 @@ def compiled_elsewhere(module: str, name: str, types: object) -> bool:
 
 
 def compile_rest(program: str) -> bool:
-    """Start ``python -m program`` if this process had to compile for long; whether it was started.
+    """Start ``python -m program`` if this process spent long on compiling; returns whether it was started.
 
-    It goes on when this process ends, and is not stopped by what stops this one.
+    The new process outlives this one, and signals that stop this one do not stop it.
     """
     if COMPILING.seconds < LONG or not _worthwhile():
         return False
@@ -181,4 +181,4 @@ def _run(program: str, *arguments: str, **how: Any) -> subprocess.Popen[bytes] |
 
 
 _STARTED: dict[str, subprocess.Popen[bytes]] = {}
-"""What was started by this process, by program."""
+"""The processes that this one started, by program."""

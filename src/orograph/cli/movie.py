@@ -1,4 +1,4 @@
-"""``orograph movie``: a tour of a DEM or a store as a film."""
+"""``orograph movie``: film a tour of a DEM or a store."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
-from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene_options
 from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
@@ -33,7 +33,7 @@ from orograph.scene.sizes import dpi_of
 from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
-"""What is said about the film; all other options are about reading."""
+"""The options about the film; all other options are about reading."""
 
 
 @click.command("movie", cls=Verb)
@@ -57,7 +57,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
     metavar="N",
     help="Constant rate factor: lower is better and larger.  [default: 18 for H.264, 28 for VP9]",
 )
-@click.option("--overwrite", is_flag=True, help="Draw pictures anew that are there already.")
+@click.option("--overwrite", is_flag=True, help="Redraw existing pictures.")
 @scene_options()
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
@@ -67,7 +67,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 @cluster_options("Draw", ", which share --max-memory")
 @sort_last_option("whole frames")
 @click.option("--part", metavar="I/N", help="Draw only this part of the frames (for job arrays), such as 3/64.")
-@click.option("--finish", is_flag=True, help="Make the film of its parts, when all are drawn.")
+@click.option("--finish", is_flag=True, help="Make the film from its parts, once all are drawn.")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, tour_path: str | None, crf: int | None,
@@ -76,8 +76,8 @@ def command(
 ) -> None:  # fmt: skip
     """Film a tour of a DEM (one file or many) or of a store, every frame with all of its detail.
 
-    What an option says of the scene (--sun, --exaggeration…) holds for the whole film, whatever the tour says. Pictures
-    (frames/%05d.png) that are there already are not drawn again: an interrupted film is taken up where it stopped.
+    Options of the scene (--sun, --exaggeration…) apply to the whole film, whatever the tour says. Existing pictures
+    (frames/%05d.png) are not drawn again: an interrupted film continues where it stopped.
 
     \b
     Examples:
@@ -97,8 +97,8 @@ def command(
     errors = check_scene(options, progress)
     if (tour_path is not None) == bool(chosen(options)):
         raise UsageError(
-            "Give a --tour or a kind of one (--orbit, --turntable, --around, --line, --point), and not both.",
-            remedy="orograph tour new writes a tour to begin with.",
+            "Give either --tour or a kind of tour (--orbit, --turntable, --still, --plan, --around, --line, --point).",
+            remedy="orograph tour new writes a tour to start from.",
         )
     check_outputs(
         {"--output": output},
@@ -115,12 +115,12 @@ def command(
         from orograph.verbs.filming import By, Shot, shoot_by
         from orograph.verbs.movie import shoot, shoot_by_parts, without
 
-    # What is wrong with the command line is said before any work is done.
+    # Report errors of the command line before any work is done.
     check_movie(output, options["size"], crf)
     by = By.of(workers, dask, part, finish)
     check_sort_last(sort_last, workers is not None or dask is not None, options["backend"])
     if overwrite and not is_numbered(output):
-        progress.warn("--overwrite is about pictures: a film takes the place of what was there, when it is whole.")
+        progress.warn("--overwrite applies to pictures: a finished film replaces an existing file anyway.")
     if tour_path is not None:
         Tour.readable(tour_path)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
@@ -131,14 +131,15 @@ def command(
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
     else:
         size = options["size"] or (1280, 720)
-        tour = tour_of(terrain, size, options, (sun.azimuth, sun.altitude), options["exaggeration"])
+        way = (sun.azimuth, sun.altitude), options["exaggeration"], options["furniture"]
+        tour = tour_of(terrain, size, options, *way)
     check_movie(output, size, crf)
     check_memory(size, max_memory if "max_memory" in said else None)
-    scene = scene_of(terrain, tour.keys[0].view.resized(*size), options, max_memory, jobs)
-    draw = session(progress, backend=options["backend"])
-    film = Film(
-        tour, scene, draw=draw, fps=options["fps"], first=options["begin"], last=options["end"], progress=progress
-    )
+    looks = {**given_of(options), "max_memory": max_memory, "jobs": jobs}
+    film = Film.of(
+        tour, terrain, size, looks, draw=session(progress, backend=options["backend"]), fps=options["fps"],
+        first=options["begin"], last=options["end"], progress=progress,
+    )  # fmt: skip
     how: dict[str, Any] = {"crf": crf, "overwrite": overwrite, "jobs": jobs, "progress": progress}
     how["dpi"] = dpi_of(options["size"])
     if by is None:
@@ -153,12 +154,13 @@ def command(
             "movie": output, "frames": len(film), "drawn": shot.drawn, "fps": film.tour.fps, "width": size[0],
             "height": size[1], "tour_seconds": film.tour.duration, "seconds_in_all": round(seconds, 3),
             "lifted_m": round(film.course.lifted, 3), "imbalance": shot.imbalance, "part": part,
+            "played": [] if film.playing is None else film.playing.facts,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
     elif part is not None:
         click.echo(f"{output}: part {part} is drawn ({shot.drawn} frames)  {seconds:.1f} s")
     else:
-        there = f" ({len(film) - shot.drawn} were there)" if shot.drawn < len(film) else ""
+        there = f" ({len(film) - shot.drawn} existed)" if shot.drawn < len(film) else ""
         uneven = "" if shot.imbalance is None else f"  (busiest worker {shot.imbalance:.2f} × the mean)"
         click.echo(
             f"{output}  {len(film)} frames{there}, {size[0]} × {size[1]}, {film.tour.fps:g}/s  {seconds:.1f} s{uneven}"

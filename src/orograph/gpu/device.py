@@ -66,7 +66,7 @@ class DeviceLimitError(OrographError):
     exit_code = 6
 
 
-LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or have the CPU do it."
+LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or use the CPU."
 """What to do where a device has not enough for what is asked of it, if nothing better is known."""
 
 
@@ -393,7 +393,7 @@ def open_device(wanted: str | None = None, *, portable: bool = False) -> Device:
                 )
             except Exception as error:
                 raise NoAdapterError(
-                    f"{adapter.name} gives no device: {error}.", remedy="See orograph doctor."
+                    f"{adapter.name} provides no device: {error}.", remedy="See orograph doctor."
                 ) from error
             device = Device(adapter, handle, frozenset(features), portable)
             _OPEN[key] = device

@@ -17,7 +17,6 @@ from orograph.reporting import reporting
 from orograph.scene import given
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
-from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
@@ -54,26 +53,26 @@ def movie(
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options.
         output: the film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.
-        tour: the key frames (``orograph.tour``), or their file; None: the way that ``options`` describe as for
-            ``orograph.tour`` (orbit, turntable, around, line, points…), or an orbit.
-        size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames a second; None: the tour's.
-        begin, end: seconds in the tour to begin and to end at; None: all of it.
+        tour: the key frames (``orograph.tour``), or their file; None: the tour that ``options`` describe as for
+            ``orograph.tour`` (orbit, turntable, still, plan, around, line, points…), or an orbit.
+        size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames per second; None: the tour's.
+        begin, end: the part of the tour to film, seconds; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
-        overwrite: draw pictures anew that are there already; else an interrupted film goes on.
-        backend: "cpu" or "gpu". conservative: refuse a ``method`` with which the tolerance is no promise.
-        progress: hears of it; False: nothing is said.
-        workers: draw in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        overwrite: redraw existing pictures; otherwise an interrupted film is continued.
+        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not guarantee the tolerance.
+        progress: gets progress reports; False: silent.
+        workers: draw in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
-        sort_last: workers have a part of the terrain each, and draw every frame together (``rendering.sort_last``).
+        sort_last: each worker has a part of the terrain, and all draw every frame together (``rendering.sort_last``).
         part: draw only this part of the frames, "3/64" or (3, 64), for job arrays. finish: make the film of its parts.
-        options: of the scene, as for ``orograph.render``: they hold for the whole film, whatever the tour says.
+        options: of the scene, as for ``orograph.render``; they apply to the whole film, whatever the tour says.
 
     Returns:
         the path of the film.
 
     Raises:
         UsageError: an option is unknown or makes no sense. ReadError, StoreError: the terrain or the tour cannot be
-        read; or parts are missing, or frames were given up by workers. OutputError: the film cannot be written.
+        read; parts are missing, or workers gave up frames. OutputError: the film cannot be written.
         NothingInViewError: a frame would be empty.
     """
     heard = reporting(progress)
@@ -84,15 +83,15 @@ def movie(
     if conservative:
         check_promise(options.get("method", "auto"), backend)
     if tour is not None and any(way.values()):
-        raise UsageError("Give a tour or say its way (orbit, turntable, around, line, points), not both.")
+        raise UsageError("Give a tour or describe one (orbit, turntable, still, plan, around, line, points), not both.")
     if tour is None and not chosen(way):
         way["orbit"] = True
     check_tour(way)
     by = By.of(workers, dask, part, finish)
     if sort_last and backend != "cpu":
-        raise UsageError("`sort_last` is drawn by the CPU.", remedy="Leave out `backend`.")
+        raise UsageError("`sort_last` draws on the CPU.", remedy="Leave out `backend`.")
     if sort_last and workers is None and dask is None:
-        raise UsageError("`sort_last` is for workers.", remedy="Give `workers` or `dask`.")
+        raise UsageError("`sort_last` needs workers.", remedy="Give `workers` or `dask`.")
     path = os.fspath(output)
     size = None if size is None else size_of(size)
     check_movie(path, size, crf)
@@ -101,16 +100,16 @@ def movie(
     if tour is None:
         sun = given.sun(options.get("sun"), ground)
         way_size = size or (1280, 720)
-        keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), options.get("exaggeration", 1.0))
+        stretch, furniture = options.get("exaggeration", 1.0), bool(options.get("furniture"))
+        keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), stretch, furniture)
     else:
         keys = without(tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs), options)
     view = keys.keys[0].view
     pixels = size or (view.width, view.height)
     check_movie(path, pixels, crf)
     check_memory(pixels, max_memory)
-    scene = Scene.of(ground, view.resized(*pixels), **options)
     draw = session(heard, backend=backend)
-    film = Film(keys, scene, draw=draw, fps=fps, first=begin, last=end, progress=heard)
+    film = Film.of(keys, ground, pixels, options, draw=draw, fps=fps, first=begin, last=end, progress=heard)
     if by is None:
         shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
     elif sort_last:
@@ -124,7 +123,7 @@ def movie(
 
 
 def without(tour: Tour, options: Iterable[str]) -> Tour:
-    """A tour whose key frames leave to the film's scene what ``options`` say of it."""
+    """A tour whose key frames do not set what ``options`` set for the whole film."""
     over: dict[str, Any] = dict.fromkeys(set(options) & set(spoken(tour)))
     return replace(tour, keys=tuple(replace(key, **over) for key in tour.keys))
 
@@ -133,13 +132,14 @@ def shoot(
     film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
     progress: Progress, dpi: float | None = None,
 ) -> int:  # fmt: skip
-    """Draw the frames of a film into its file or its pictures; how many were drawn, and were not there already.
+    """Draw the frames of a film into its file or its pictures; returns how many were drawn (existing ones do not
+    count).
 
     Args:
-        dpi: dots per inch that pictures say; None: nothing.
+        dpi: dots per inch to write into pictures; None: none.
 
     Raises:
-        KeyboardInterrupt: it was stopped; a note says what there is.
+        KeyboardInterrupt: it was interrupted; a note says what was finished.
     """
     writer: Pictures | Video
     if is_numbered(path):
@@ -160,11 +160,11 @@ def shoot(
     except KeyboardInterrupt:
         done = f"\nstopped after {number - film.numbers[0]} of {len(film)} frames"
         if is_numbered(path):
-            progress.note(f"{done}, which are kept: the same again goes on there")
+            progress.note(f"{done}, which are kept: run the same again to go on from there")
         else:
             progress.note(
-                f"{done}; {path} is as it was before. Pictures (frames/%05d.png) are kept, and the same again goes on "
-                "where it stopped."
+                f"{done}; {path} is as it was before. A film as pictures (frames/%05d.png) can be continued where it "
+                "stopped."
             )
         raise
     return drawn
@@ -174,7 +174,7 @@ def shoot_by_parts(
     by: By, film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
     max_memory: int | None, progress: Progress, dpi: float | None = None,
 ) -> Shot:  # fmt: skip
-    """Draw the frames of a film, one after the other, each by all workers, sort-last. Arguments and errors as of
+    """Draw the frames of a film one after the other, each by all workers, sort-last. Arguments and errors as for
     ``shoot_by``."""
     from orograph.rendering.sort_last import by_parts
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty
-from orograph.geovis.data.times import matches, times_of
+from orograph.geovis.data.times import is_span, matches, times_of
 from orograph.geovis.data.vertical import levels_of
 from orograph.geovis.keys import written_unit
 
@@ -27,14 +27,14 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
     if given.time is not None:
         times = times_of(file)
         if not any(times):
-            raise UsageError("Its bands say no times.", path=str(given.source), remedy="Choose by band=.")
+            raise UsageError("Its bands have no times.", path=str(given.source), remedy="Choose by band=.")
         bands = [band for band in bands if matches(times[band - 1], given.time)]
         if not bands:
             raise UsageError(
                 f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
-                path=str(given.source), remedy="Give the beginning of one, or an hour of all days: T12.",
+                path=str(given.source), remedy="Give the beginning of a time, or an hour of all days: T12.",
             )  # fmt: skip
-        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[bands[0] - 1].replace("T", " "))
+        words.append(time_words(given.time, [times[band - 1] for band in bands]))
     if given.level is not None:
         own = levels_of(file, getattr(given, "vertical", None))
         bands = [band for band in bands if own is not None and is_level(own.values[band - 1], given.level)]
@@ -51,9 +51,19 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
         bands = bands[:1]
     if len(bands) > 1:
         words.insert(0, f"mean of {len(bands)}")
+    elif given.member is not None:
+        words.insert(0, f"member {given.member}")
     elif file.count > 1 and not words:
         words.append(file.descriptions[bands[0] - 1] or f"band {bands[0]}")
     return bands, " ".join(words)
+
+
+def time_words(asked: str, times: Sequence[str]) -> str:
+    """Times that were asked for, in words; ``times``: those found, in order."""
+    if asked.startswith("T"):
+        return f"at {asked[1:]} h"
+    first, last = (time.replace("T", " ") for time in (times[0], times[-1]))
+    return f"from {first} to {last}" if is_span(asked) and first != last else first
 
 
 def is_level(value: float, asked: str | float) -> bool:
@@ -65,7 +75,7 @@ def is_level(value: float, asked: str | float) -> bool:
     try:
         return math.isclose(value, float(asked), rel_tol=1e-5)
     except ValueError:
-        raise UsageError(f"A level is a number, not {asked!r}.") from None
+        raise UsageError(f"A level must be a number, not {asked!r}.") from None
 
 
 def wants_members(given: Dataset | Uncertainty) -> bool:
@@ -83,8 +93,8 @@ def picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
         return list(bands)
     found = re.fullmatch(r"(\d+)(?:-(\d+))?", asked.strip())
     if found is None:
-        raise UsageError(f"Bands are 3, 1-13 or all, not {asked!r}.", path=name)
+        raise UsageError(f"Bands must be like 3, 1-13 or all, not {asked!r}.", path=name)
     first, last = int(found[1]), int(found[2] or found[1])
     if not 1 <= first <= last <= len(bands):
-        raise UsageError(f"Bands are counted from 1 to {len(bands)} here; there is no {asked}.", path=name)
+        raise UsageError(f"Bands are numbered from 1 to {len(bands)} here; there is no {asked}.", path=name)
     return list(bands[first - 1 : last])

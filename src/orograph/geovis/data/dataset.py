@@ -32,9 +32,13 @@ Vertical = Literal["height", "above", "depth", "pressure"]
 """What a vertical dimension counts: metres above the heights' zero, above or below the ground, or hPa."""
 
 Sign = Literal[
-    "transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching", "errorbars", "none"
+    "transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching", "errorbars", "members",
+    "none",
 ]  # fmt: skip
-"""Ways of showing uncertainty; the first six are intrinsic."""
+"""Ways of showing uncertainty; the first six are intrinsic. "members": one after the other, in films."""
+
+FASTEST = 3.0
+"""Changes a second that nobody is harmed by (WCAG 2.2, criterion 2.3.1: three flashes)."""
 
 LEVELS = ("height", "above", "depth")
 """Options that say how high points are."""
@@ -45,6 +49,9 @@ BELOW = 0.65
 Measure = Literal["spread", "ci90"]
 """Uncertainties of the members of an ensemble: their standard deviation (n − 1), or half the width between their 5 %
 and 95 % quantiles (linear between members)."""
+
+MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
+"""What uncertainties of members are, in words."""
 
 T = TypeVar("T")
 
@@ -64,6 +71,7 @@ class Uncertainty:
         variable, band, time, member, level: as of a ``Dataset``.
         style: see ``Sign``; None: what the priority says.
         range: the uncertainties at the ends of its scale; None: from 0 to the 98th percentile.
+        rate: of members in turn, how many are shown a second, at most 3; None: 2.
 
     Raises:
         UsageError: a value makes no sense.
@@ -77,15 +85,33 @@ class Uncertainty:
     level: str | float | None = None
     style: Sign | None = None
     range: tuple[float, float] | None = None
+    rate: float | None = None
 
     def __post_init__(self) -> None:
         _check_choice("style of an uncertainty", self.style, get_args(Sign))
         _check_range(self.range, "uncertainties")
+        if self.style == "members" and not self.of_members:
+            raise UsageError("Members in turn are those of the data.", remedy='Say "spread" instead of a source.')
+        if self.rate is None:
+            return
+        if self.style != "members":
+            raise UsageError("rate= is of members in turn.", remedy="Give it with style=members.")
+        if not 0 < self.rate <= FASTEST:
+            raise UsageError(
+                f"Members change more than 0 and at most {FASTEST:g} times a second, not {self.rate:g}: faster "
+                "flicker harms some people.",
+                remedy="Leave out rate=, or give 3 or less.",
+            )
 
     @property
     def of_members(self) -> bool:
         """Whether it follows from the data's own members."""
         return isinstance(self.source, str) and self.source in get_args(Measure)
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        return "± " + MEASURES[self.source if self.of_members else "spread"]
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -94,7 +120,7 @@ class Uncertainty:
         Raises:
             UsageError: a key is unknown or its value makes no sense.
         """
-        return _parsed(cls, text, {"range": _range})
+        return _parsed(cls, text, {"range": _range, "rate": _number})
 
 
 @named("A dataset")
@@ -109,7 +135,8 @@ class Dataset:
         variable: of several (NetCDF, HDF5), or the attribute of features that is shown; for arrows and lic two,
             "u10+v10": the components to the east and to the north (or so the band).
         band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
-            (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
+            (``2019-03-01T12``), an hour of all days (``T12``), or a span (``2019-03-01..2019-03-03``; ``..``: all),
+            which films play. member: as ``band``, of an ensemble.
             Where several are chosen their mean is shown.
         value: what is shown of several members or times instead of their mean: "median", "min", "max", "spread", or a
             quantile, "p90". exceeds: instead of values, how probably they are above this one: the part of the members,
@@ -190,16 +217,16 @@ class Dataset:
         else:
             _check_colors(self.colormap)
         if not 2 <= self.classes <= 12:
-            raise UsageError(f"There are 2 to 12 classes, not {self.classes}.")
+            raise UsageError(f"The number of classes must be 2 to 12, not {self.classes}.")
         if isinstance(self.breaks, str):
             _check_choice("way of finding breaks", self.breaks, get_args(Breaks))
         elif len(self.breaks) < 3 or any(not a < b for a, b in zip(self.breaks, self.breaks[1:])):
-            raise UsageError(f"Breaks are at least three values, each above the last, not {self.breaks}.")
+            raise UsageError(f"Breaks must be at least three increasing values, not {self.breaks}.")
         if self.size is not None and not 0 < self.size < math.inf:
-            raise UsageError(f"A size is in metres, above 0, not {self.size}.")
+            raise UsageError(f"A size must be in metres, above 0, not {self.size}.")
         for opacity in (self.opacity, 0.0 if self.hidden is None else self.hidden):
             if not 0 <= opacity <= 1:
-                raise UsageError(f"An opacity is a number from 0 to 1, not {opacity:g}.")
+                raise UsageError(f"The opacity must be a number from 0 to 1, not {opacity:g}.")
         _check_choice("vertical dimension", self.vertical, get_args(Vertical))
         _check_choice("kind of geometry", self.geometry, get_args(Geometry))
         if self.width is not None:
@@ -207,7 +234,7 @@ class Dataset:
         self._check_derived()
         given = [f"{name}=" for name in LEVELS if getattr(self, name) is not None]
         if len(given) > 1:
-            raise UsageError(f"{' and '.join(given)} all say how high points are.", remedy="Give one of them.")
+            raise UsageError(f"{' and '.join(given)} all give the height of points.", remedy="Give one of them.")
         doubt: Any = self.uncertainty
         if doubt is not None and not isinstance(doubt, Uncertainty):
             object.__setattr__(self, "uncertainty", Uncertainty(doubt))
@@ -231,9 +258,9 @@ class Dataset:
         if self.exceeds is None:
             return
         if not math.isfinite(self.exceeds):
-            raise UsageError(f"A value to exceed is a number, not {self.exceeds}.")
+            raise UsageError(f"A value to exceed must be a number, not {self.exceeds}.")
         if self.value is not None:
-            raise UsageError("value= and exceeds= say two different things to show.", remedy="Give one of the two.")
+            raise UsageError("value= and exceeds= exclude each other.", remedy="Give one of the two.")
 
     @property
     def leveled(self) -> str | None:
@@ -259,7 +286,7 @@ class Dataset:
         """
         if isinstance(self.colormap, str):
             return self.colormap
-        raise UsageError("Colours by name are for classes, and these values are numbers.", remedy="Name a colormap.")
+        raise UsageError("Colours by name are for classes, but these values are numbers.", remedy="Name a colormap.")
 
     def but(self, **changes: Any) -> Dataset:
         """The same with other attributes."""
@@ -294,14 +321,14 @@ def _number(text: str) -> float:
     except ValueError:
         found = math.nan
     if not math.isfinite(found):
-        raise UsageError(f"{text!r} is no number.")
+        raise UsageError(f"{text!r} is not a number.")
     return found
 
 
 def _whole(text: str) -> int:
     found = _number(text)
     if found != int(found):
-        raise UsageError(f"{text!r} is no whole number.")
+        raise UsageError(f"{text!r} is not an integer.")
     return int(found)
 
 
@@ -320,14 +347,14 @@ def _width(given: float | str) -> float | str:
     text = str(given).strip()
     number = _number(text.removesuffix("m"))
     if number < 0:
-        raise UsageError(f"A width is in pixels, or in metres (30m), not below 0: {text}.")
+        raise UsageError(f"A width must be in pixels, or in metres (30m), 0 or more: {text}.")
     return text if text.endswith("m") else number
 
 
 def _range(text: str) -> tuple[float, float]:
     parts = [_number(part) for part in text.split(":")]
     if len(parts) != 2:
-        raise UsageError(f"A range is LOW:HIGH, not {text!r}.")
+        raise UsageError(f"A range must be LOW:HIGH, not {text!r}.")
     return parts[0], parts[1]
 
 
@@ -342,4 +369,4 @@ def _check_choice(what: str, value: Any, known: tuple[str, ...]) -> None:
 
 def _check_range(given: tuple[float, float] | None, what: str) -> None:
     if given is not None and not -math.inf < given[0] < given[1] < math.inf:
-        raise UsageError(f"A range of {what} goes from a lower to a higher one, not {given}.")
+        raise UsageError(f"A range of {what} must go from a lower to a higher value, not {given}.")

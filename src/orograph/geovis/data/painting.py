@@ -52,9 +52,6 @@ OUTLINE, CASING = 0.8, 0.65
 FLOWS = ("arrows", "lic")
 """Styles of two components."""
 
-MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
-"""What uncertainties of members are, in words."""
-
 DARKER, LIGHTER = 0.75, 0.22
 """How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
 
@@ -105,11 +102,9 @@ class Shown:
         """What else a reader must know."""
         parts = [self.field.chosen]
         if self.sigma is not None:
-            source = self.dataset.uncertainty.source if self.dataset.uncertainty is not None else None
-            if isinstance(source, Field):
-                parts.append(source.name)
-            else:
-                parts.append(f"± {MEASURES.get(source if isinstance(source, str) else '', MEASURES['spread'])}")
+            doubt = self.dataset.uncertainty
+            if doubt is not None:
+                parts.append(doubt.source.name if isinstance(doubt.source, Field) else doubt.words)
         told = ", ".join(filter(None, parts))
         return f"{self.title}: {told}" if told else ""
 
@@ -123,7 +118,7 @@ class Shown:
 def shown(
     dataset: Dataset, grid: Grid, texels: int, priority: Priority, surface: Callable[[Grid], Array] | None = None
 ) -> Shown:  # fmt: skip
-    """Read data and say how they are shown.
+    """Read data and prepare them for display.
 
     Args:
         grid: the terrain's. texels: along the longer side of the image. surface: heights (rows, cols) at the samples of
@@ -135,7 +130,7 @@ def shown(
     if style == "classes":
         return _shown_classes(dataset, grid, texels, priority)
     if dataset.derived and style in FLOWS:
-        raise UsageError(f"{style} shows two components, of which there is no value= or exceeds=.")
+        raise UsageError(f"{style} shows two components, which have no value= or exceeds=.")
     components: list[Values] = []
     if style in FLOWS:
         field, *components = once("vectors", (dataset, grid), lambda: read_vectors(dataset, grid))
@@ -210,8 +205,8 @@ def as_shown(dataset: Dataset) -> Dataset:
         return dataset
     if dataset.uncertainty is not None and dataset.uncertainty.of_members:
         raise UsageError(
-            "A probability of exceeding says how certain the members are; it has no spread of its own.",
-            path=str(dataset.source), remedy="Leave the uncertainty away.",
+            "A probability of exceeding already expresses the members' uncertainty; it has no spread of its own.",
+            path=str(dataset.source), remedy="Leave out the uncertainty.",
         )  # fmt: skip
     even = "equal" if dataset.breaks == "quantiles" else dataset.breaks
     return dataset.but(range=dataset.range or (0.0, 1.0), breaks=even, uncertainty=None)

@@ -23,7 +23,7 @@ from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.attribute_table import Named, named_beside
-from orograph.geovis.data.choosing import chosen_bands, is_level, picked, wants_members
+from orograph.geovis.data.choosing import chosen_bands, is_level, picked, time_words, wants_members
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.listing import array_of, subdataset, times_in
 from orograph.geovis.data.statistics import statistic
@@ -85,7 +85,7 @@ class Field:
         """
         if len(self.values) < 2:
             raise UsageError(
-                f"The {measure} is that of members, and {self.name} has one.",
+                f"The {measure} is of members, but {self.name} has only one.",
                 remedy="Choose several: band=all, time=T12, or member=all.",
             )
         few = np.isfinite(self.values).sum(0) < 2
@@ -124,15 +124,20 @@ def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
 def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, part: float) -> Field:
     """Values at a moment between two times."""
     first, last = (read(replace(given, time=time), grid) for time in (before, after))
-    named = first.palette is not None or first.named is not None or "flag_meanings" in first.tags
-    named = named or getattr(given, "style", None) == "classes"
-    moment, way = str(given.time).replace("T", " "), "nearest" if named else "linear"
-    if named:
+    classes = has_classes(given, first)
+    moment, way = str(given.time).replace("T", " "), "nearest" if classes else "linear"
+    if classes:
         values = (first if part < 0.5 else last).values
     else:
         values = np.asarray(first.values + (last.values - first.values) * np.float32(part), np.float32)
     words = f"at {moment}, {way} between {before.replace('T', ' ')} and {after.replace('T', ' ')}"
     return replace(first, values=values, chosen=words)
+
+
+def has_classes(given: Dataset | Uncertainty, found: Field) -> bool:
+    """Whether values stand for names, which have nothing between them."""
+    said = found.palette is not None or found.named is not None or "flag_meanings" in found.tags
+    return said or getattr(given, "style", None) == "classes"
 
 
 def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
@@ -219,7 +224,7 @@ def _window(placement: Placement, name: str) -> tuple[int, int, int, int]:
         f"The data do not overlap the terrain: they cover {extent(placement.image)}, and the terrain "
         f"{extent(placement.grid)}.",
         path=name,
-        remedy="Name data of the same area, or mend their georeference (gdal_edit.py).",
+        remedy="Name data of the same area, or fix their georeference (gdal_edit.py).",
     )
 
 
@@ -245,12 +250,12 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
         return _of_dataarray(replace(given, source=one), grid)
     array = np.ma.asarray(given.source)
     if array.dtype.kind not in "biuf":
-        raise UsageError(f"Data are real numbers, not {array.dtype}.")
+        raise UsageError(f"Data must be real numbers, not {array.dtype}.")
     raw = np.ma.filled(array.astype(np.float32), np.nan)
     if raw.ndim == 2:
         raw = raw[None]
     if raw.ndim != 3:
-        raise UsageError(f"Data are (rows, cols) or (members, rows, cols), not {raw.shape}.")
+        raise UsageError(f"Data must have the shape (rows, cols) or (members, rows, cols), not {raw.shape}.")
     fit = Affine.scale(grid.cols / raw.shape[2], grid.rows / raw.shape[1])
     values, words = _members(raw, given, "the array")
     return Field(values, Grid(raw.shape[1:], compose(grid.transform, fit), grid.crs), "data", "", words)
@@ -263,6 +268,8 @@ def _members(values: Values, given: Dataset | Uncertainty, name: str) -> tuple[V
         values = values[[i - 1 for i in picked(range(1, len(values) + 1), str(asked), name)]]
     elif given.time is None and not wants_members(given):
         values = values[:1]
+    if len(values) == 1 and given.member is not None:
+        return values, f"member {given.member}"
     return values, f"mean of {len(values)}" if len(values) > 1 else ""
 
 
@@ -276,13 +283,13 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     words: list[str] = []
     if given.time is not None:
         if "time" not in array.coords:
-            raise UsageError("The DataArray has no coordinate time.", remedy="Leave time away.")
+            raise UsageError("The DataArray has no coordinate time.", remedy="Omit time.")
         times = np.atleast_1d(array.coords["time"].values).astype("datetime64[m]").astype(str)
         keep = [i for i, time in enumerate(times) if matches(time, given.time)]
         if not keep:
             raise UsageError(f"It has no time {given.time}; its times go from {times[0]} to {times[-1]}.")
         array = array.isel(time=keep) if "time" in array.dims else array
-        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[keep[0]].replace("T", " "))
+        words.append(time_words(given.time, [times[i] for i in keep]))
     if given.level is not None:
         found = vertical_dimension(array, getattr(given, "vertical", None))
         levels = np.empty(0) if found is None else np.asarray(array.coords[found[0]].values, np.float64)
@@ -296,7 +303,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     axes = [d for d in array.dims if d not in lead]
     if len(axes) != 2:
         raise UsageError(
-            f"A DataArray has rows, columns, and if it likes time and member, not {dict(array.sizes)}.",
+            f"A DataArray must have rows and columns, and optionally time and member, not {dict(array.sizes)}.",
             remedy="Choose one level: level=; style curtains or walls shows all.",
         )
     stacked = array.transpose(*lead, *axes)

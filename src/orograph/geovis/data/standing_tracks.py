@@ -82,8 +82,8 @@ def things_of_tracks(
     sigma = None if tracks.sigma is None else tracks.sigma[pieces.of]
     count = f"{tracks.tracks} track{'s' * (tracks.tracks != 1)}"
     note = f"{count}, height is time (UTC)" if paths else count
-    rgb, legend = colors_of(_of_all(dataset, whole), values, sigma,
-                            Told(tracks.name, dataset.unit or tracks.unit, note, tracks.classes))  # fmt: skip
+    rgb, legend, *_ = colors_of(_of_all(dataset, whole), values, sigma,
+                                Told(tracks.name, dataset.unit or tracks.unit, note, tracks.classes))  # fmt: skip
     wide = longer(grid) / ACROSS["tubes"] if paths else size
     n = len(values)
     lift = np.where(np.isfinite(levels[0]), 0.0, wide / 2)

@@ -1,7 +1,7 @@
 """The passes of a frame: patches into depth and marks, light and colour per pixel, resolving to the display.
 
-Shading is deferred: patches leave only depth and a word of marks per pixel, so that light is computed once a pixel
-whatever lies behind another, and one shader holds all of it (``shaders/shade.wgsl``).
+Shading is deferred: patches leave only depth and a word of marks per pixel, so that light is computed once per pixel
+whatever is hidden, and one shader does all of it (``shaders/shade.wgsl``).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from orograph.rendering.gpu.shade.tracing import TRACED
 from orograph.rendering.gpu.targets import DEPTH, EMPTY, LIGHT, Targets
 
 FRAGMENTS, COMPUTED = ("fragment", "background"), ("compute",)
-"""Entries of the shading shader that make a picture."""
+"""Entry points of the shading shader that make a picture."""
 
 _WEIGHED = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
 MEAN: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": _WEIGHED, "alpha": _WEIGHED}}]
@@ -36,7 +36,7 @@ class ShadePass:
 
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
-        missing: what is added to heights that are missing (``tiles.missing``), metres.
+        missing: offset that marks missing heights (``tiles.missing``), metres.
     """
 
     def __init__(self, device: Device, camera: Any, missing: int) -> None:
@@ -62,9 +62,9 @@ class ShadePass:
 
     def group(self, targets: Targets, resources: dict[str, Any]) -> Any:
         """The bind group of what a frame looks up: buffers and texture views by the names of ``shade.wgsl``; the
-        targets' own and the sampler are put in.
+        targets' own and the sampler are added.
 
-        It is kept as long as the same objects are asked for: making one takes longer than a frame's other calls.
+        It is reused while the objects are the same: making one takes longer than a frame's other calls.
         """
         asked = [targets.depth_view, targets.marks_view, *resources.values()]
         if len(asked) == len(self._bound[0]) and all(a is b for a, b in zip(asked, self._bound[0], strict=True)):
@@ -75,12 +75,12 @@ class ShadePass:
         return group
 
     def at_hand(self, flags: int, also: Callable[[], Any], *, wait: bool) -> int:
-        """The flags to draw with: those wanted, or the last ones while a thread compiles what these need.
+        """The flags to draw with: the wanted ones, or the last ones while a thread compiles the wanted ones.
 
-        Compiling takes a hundred milliseconds and more, which no frame has but the first.
+        Compiling takes a hundred milliseconds or more, which only the first frame can afford.
 
         Args:
-            also: compiles what else a frame with these flags needs.
+            also: compiles whatever else a frame with these flags needs.
             wait: compile at once.
         """
         self._compiler.take()
@@ -93,11 +93,11 @@ class ShadePass:
 
     @property
     def busy(self) -> bool:
-        """Whether something is being compiled: a later frame will look otherwise."""
+        """Whether something is compiling, so that a later frame will look different."""
         return self._compiler.busy
 
     def pipeline(self, flags: int, entry: str = "fragment") -> Any:
-        """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
+        """The pipeline for what is drawn (``look``'s flags), compiled on first use.
 
         ``entry``: "fragment" (ground, where there is depth) or "background" (where there is none), which give light its
         weight in the target's mean; "compute", both; or "surface" (depth and normals).
@@ -128,12 +128,12 @@ class ShadePass:
         self, encoder: Any, targets: Targets, group: Any, flags: int, *, frame: int = 0, clear: bool = True,
         part: Part | None = None,
     ) -> None:  # fmt: skip
-        """Bring the light of all pixels to the target, which holds the mean over ``frame`` frames before this one.
+        """Add the light of all pixels to the target, which holds the mean over ``frame`` earlier frames.
 
-        The depth test tells ground from background, so that no pixel goes through both.
+        The depth test separates ground from background, so that no pixel is shaded twice.
 
         Args:
-            clear: whether a first frame finds the target as it was left. part: None: all.
+            clear: whether a first frame clears the target. part: None: all.
         """
         if self._computes:
             self._compute(encoder, targets, group, flags, frame, part or (0, 0, targets.width, targets.height))
@@ -191,7 +191,7 @@ class ScreenOcclusion:
     """Ambient occlusion in screen space of what the targets hold (``ssao``): depth and normals from the shading's data.
 
     Args:
-        shading: knows how to look up the ground's slope.
+        shading: looks up the ground's slope.
     """
 
     def __init__(self, device: Device, shading: ShadePass) -> None:
@@ -200,7 +200,7 @@ class ScreenOcclusion:
         self._surface: list[Any] = []
 
     def encode(self, encoder: Any, targets: Targets, group: Any, pixel: float, radius: float, perspective: bool) -> Any:
-        """Add the passes; the view of a texture of how open each pixel's surroundings are.
+        """Add the passes; returns the view of a texture of each pixel's openness.
 
         Args:
             pixel: metres of a pixel at depth 1, or anywhere in a plan. radius: metres.
@@ -244,12 +244,12 @@ class ResolvePass:
         self, encoder: Any, targets: Targets, view: Any, *, frames: int = 1, occlusion: Any = None,
         strength: float = 0.0, light: Any = None,
     ) -> None:  # fmt: skip
-        """Bring the light to a view.
+        """Write the light to a view.
 
         Args:
-            frames: how many the light is the sum of.
-            occlusion: a texture's view that it is multiplied by, as ``strength`` says.
-            light: a view of it, if it is not that of the targets.
+            frames: the number of frames summed in the light.
+            occlusion: a texture's view to multiply it by, with ``strength``.
+            light: a view of it, if it is not the targets' light.
         """
         values = np.zeros(4, np.uint32)
         values[2] = self.encode

@@ -1,8 +1,8 @@
-"""A moving picture that does not shimmer: frames gather samples while the camera moves, as a picture at rest does.
+"""Temporal antialiasing: frames accumulate samples while the camera moves, as a picture at rest does.
 
-Every frame puts the samples of its pixels elsewhere (a Halton sequence). Where the ground that a pixel shows was in the
-last frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many
-in it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
+Every frame moves the samples within its pixels (a Halton sequence). Where the ground that a pixel shows was in the last
+frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many in
+it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
 cubic). It has more of what moves fast or changes its scale, since every look-up blurs. What the mean is of is known by
 depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, on ground of which
 tiles have come since, and where light has, is the mean clamped to the range of the 3 × 3 pixels around, so that it
@@ -29,23 +29,23 @@ from orograph.rendering.gpu.targets import EMPTY, LIGHT, Targets
 from orograph.scene.scene import Scene
 
 SHARE = 1 / 48
-"""Of a new frame in the mean of many, at least: an edge between ground and sky may not flicker by more."""
+"""The least weight of a new frame in the mean of many: an edge between ground and sky must not flicker by more."""
 
 FAR = "r32float"
-"""Of the depths that a frame leaves to the next one."""
+"""The format of the depths that a frame leaves to the next one."""
 
 FULL = 16
-"""Samples of a pixel at rest that need no others."""
+"""Samples of a pixel at rest after which no others are needed."""
 
 AREAS = 64
-"""Areas of the ground that new tiles may be told of; were it more, all of the picture would be taken to be new."""
+"""The most areas of ground with new tiles; beyond that the whole picture counts as new."""
 
 Areas = NDArray[np.floating]
 NONE: Areas = np.empty((0, 4))
 _ZEROS = (0.0,) * (4 * AREAS)
 _UNIFORM = Struct(f"<20f4I{4 * AREAS}f")
 OWN = "view", "depths", "terrain", "furniture", "title"
-"""What of a scene may change from frame to frame of one picture."""
+"""What may change in a scene from frame to frame of one picture."""
 _settings = attrgetter(*(f.name for f in fields(Scene) if f.name not in OWN))
 
 
@@ -59,7 +59,7 @@ def _halton(k: int, base: int) -> float:
 
 
 SHIFTS = tuple((_halton(k, 2) - 0.5, _halton(k, 3) - 0.5) for k in range(1, FULL + 1))
-"""Where in its pixel the sample of a frame lies, pixels from the middle, one frame after the other."""
+"""The sample position of each frame, pixels from the pixel's middle."""
 
 
 class TemporalAntialiasing:
@@ -90,7 +90,7 @@ class TemporalAntialiasing:
 
     @property
     def shift(self) -> tuple[float, float]:
-        """Where in its pixels the samples of the next frame belong."""
+        """The sample position of the next frame."""
         return SHIFTS[self._tick % FULL] if self._last is not None else (0.0, 0.0)
 
     def forget(self) -> None:
@@ -186,7 +186,7 @@ def _from_eye(areas: Areas, scene: Scene) -> Areas:
 
 
 def _alike(one: Scene, other: Scene) -> bool:
-    """Whether two scenes differ by where the camera is and nothing else."""
+    """Whether two scenes differ only in the camera."""
     if one is other:
         return True
     if one.view.projection != other.view.projection:
