@@ -61,8 +61,6 @@ def test_the_settings_are_those_of_clusters_of_this_machine():
     assert {key: config.get(key, config=told) for key in CALM} == CALM
     lines = (SCRIPTS / "calm.yaml").read_text().splitlines()
     assert sum(1 for line in lines if line.split(":")[1:] > [""]) == len(CALM)
-        CALM
-    )
 
 
 STAND_INS = {
