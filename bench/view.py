@@ -11,7 +11,8 @@ Flights: *orbit*, all of the terrain in view, half a degree a frame; *low*, a st
 300 m/s and 60 frames a second; *steady*, the same at ten times the height and speed; *jump*, to another place of the
 terrain every ten frames (of a flight of fewer than 40, four times). Every frame is drawn as the window draws it (the
 first, too, after ``Renderer.prepare``; tiles stream in meanwhile; shadows and sky are on) and then waited for, and no
-frame is begun before its time on a clock of ``--rate`` frames a second; 0: each begins when the last one is done.
+frame is begun before its time on a clock of ``--rate`` frames a second; 0: each begins when the last one is done, and
+then all are drawn once more with none waited for but the last: so many frames a second there can be.
 
 Each flight is flown by every ``--method`` (all: each there is) at every tolerance and size; their frames are compared
 best where other programs rest, or by the processors' time. A method that cannot fly over the terrain says why.
@@ -184,6 +185,17 @@ def fly(
     return frames, meshes
 
 
+def most(renderer: Renderer, device: Device, views: list[View], scene: Scene) -> float:
+    """Frames a second where none is waited for."""
+    target = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT").create_view()
+    device.wait()
+    start = time.perf_counter()
+    for view in views:
+        renderer.draw(target, "rgba8unorm", scene.but(view=view))
+    device.wait()
+    return len(views) / (time.perf_counter() - start)
+
+
 def grown(renderer: Renderer, device: Device, views: list[View], tolerance: float) -> str:
     """What the tree of a renderer takes, with the pages that it has."""
     tree = renderer.tree.tree
@@ -280,11 +292,11 @@ def told(frames: list[Frame]) -> str:
 
 COLUMNS = (
     "flight", "method", "ms a frame, median", "worst", "of the GPU", "of all threads", "of Python, to submit",
-    "triangles", "late", "MB", "px, by the referee",
+    "frames a second", "triangles", "late", "MB", "px, by the referee",
 )  # fmt: skip
 
 
-def line(name: str, method: str, frames: list[Frame], errors: list[float]) -> str:
+def line(name: str, method: str, frames: list[Frame], errors: list[float], rate: float) -> str:
     """The row of a flight in a table."""
     stats = [f.stats for f in frames]
     done, gpu = [f.done for f in frames], [f.gpu for f in frames if f.gpu is not None]
@@ -292,7 +304,7 @@ def line(name: str, method: str, frames: list[Frame], errors: list[float]) -> st
     triangles = f"{np.median([s.triangles for s in stats]):,.0f}" if max(s.triangles for s in stats) else "-"
     cells = [
         name, f"`{method}`", short(done), f"{max(done):.3g}", short(gpu), short([f.worked for f in frames]),
-        short([s.submit_ms for s in stats]),
+        short([s.submit_ms for s in stats]), f"{rate:.0f}" if rate else "-",
         triangles + (f", {windows} windows" if windows else ""),
         f"{sum(not s.current for s in stats)} of {len(stats)}",
         f"{sum(s.bytes_uploaded for s in stats) / 1e6:.1f}", ", ".join(f"{e:.2f}" for e in errors) or "-",
@@ -312,6 +324,7 @@ def flight(
     scene = Scene.of(terrain, views[0], sky=True, tolerance=tolerance, method=method, max_memory=options.memory << 20)
     try:
         frames, meshes = fly(renderer, device, views, scene, options)
+        rate = 0.0 if options.rate else most(renderer, device, views, scene)
         failed = next((f.stats.failed for f in frames if f.stats.failed), "")
         if failed:
             print(f"{name}, {method}: {failed}", flush=True)
@@ -321,10 +334,12 @@ def flight(
         else:
             errors = judged_pictures(renderer, device, [scene.but(view=view) for view in some])
         if options.table:
-            print(line(name, method, frames, errors), flush=True)
+            print(line(name, method, frames, errors, rate), flush=True)
             return
         print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
         print(told(frames), flush=True)
+        if rate:
+            print(f"  frames a second, none waited for    {rate:.0f}")
         if renderer.tree is not None:
             print(grown(renderer, device, views, tolerance), flush=True)
         if meshes:

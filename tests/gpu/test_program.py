@@ -77,7 +77,10 @@ def test_binding_by_name(device: Device) -> None:
 
 
 def test_equal_groups_are_shared(device: Device) -> None:
-    one, other = Program(device, "patches", EDGES=0, STORED=0, MISSING=0), Program(device, "temporal_antialiasing")
+    one, other = (
+        Program(device, "patches", EDGES=0, STORED=0, MISSING=0),
+        Program(device, "temporal_antialiasing", COMPUTED=0, FRAGMENTS=1),
+    )
     assert one.groups[0].layout is other.groups[0].layout  # the camera's
     assert one.groups[1].layout is not other.groups[1].layout
 

@@ -104,7 +104,7 @@ def store_colors(
         overwrite: make them anew.
         max_memory: bytes the process should stay within.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
-        workers: so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        workers: this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: on the workers of a cluster: a ``distributed.Client``, or its scheduler's address. The image is opened by
             each of them, under the same path.
         options: ``colormap``, ``sun``, ``relief``, as for ``Colors``.
@@ -136,7 +136,7 @@ def store_colors(
                     storage.remove(PARTIAL)
                     storage.put(f"{PARTIAL}/plan.json", [plan])
                 at_once = max(1, min(threads_for(jobs), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
-                writer = ShardWriter(storage)
+                writer = ShardWriter(storage, before.digests.keyed)
                 stage = ColorStage(colors, writer, before)
                 with _executor(storage, drape, options, plan, at_once, (workers, dask, jobs, max_memory)) as executor:
                     executor.run(stage, progress)

@@ -39,7 +39,10 @@ from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import words
 from orograph.store.addresses import storage_at
+from orograph.store.bucket import BucketStorage
+from orograph.store.bucket_updates import tidy
 from orograph.store.clusters import check_workers, on_workers
+from orograph.store.derived import At
 from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Threads
 from orograph.store.layers import GROUP, LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
@@ -60,7 +63,7 @@ class Baked:
     Attributes:
         averaging: see the module.
         bits: of a code, unless others are asked for.
-        more: which of ``Options.more`` it has, and what they are if nothing is said.
+        more: which of ``Options.more`` it has, and their defaults.
     """
 
     averaging: Averaging = "mean"
@@ -100,7 +103,7 @@ def bake(
     """Put products of light into a store, as layers of their names, and open it again.
 
     A layer of the same name is replaced, unless it was made with the same options; then it is left as it is. An
-    interrupted bake into a folder goes on when it is asked for again.
+    interrupted bake into a folder resumes when it is repeated.
 
     Args:
         store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
@@ -110,9 +113,9 @@ def bake(
         overwrite: bake also what is there already, and begin anew what was interrupted.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.
-        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
-        workers: bake in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
+        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
+        workers: bake in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…
 
@@ -162,12 +165,12 @@ def bake(
 
 def _make(context: Context, storage: Storage, before: Record, made: list[LayerRecord], overwrite: bool) -> None:
     """Bake layers, and let them take their places."""
-    writer = ShardWriter(storage)
+    writer = ShardWriter(storage, before.digests.keyed)
     if isinstance(storage, FolderStorage):
         context.kept = _kept(storage, before, made, overwrite)
         writer = ShardWriter(FolderStorage(storage.path / PARTIAL))
     else:
-        before = _publish(storage, before, [], {layer.name for layer in made}, writer.digests)
+        before = _removed(storage, before, {layer.name for layer in made})
     products = [product(layer.name) for layer in made]
     for layer, read in zip(made, readers(context, products), strict=True):
         stage = LayerStage(writer, before, layer, is_cap(layer), _of_all(read))
@@ -205,8 +208,8 @@ def _on_cluster(
     partial.sweep()
     names = {layer.name for layer in made}
     if folder is not storage:
-        before = _publish(storage, before, [], names, writer.digests)
-        _send(partial, storage, names, progress)
+        before = _removed(storage, before, names)
+        _send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), writer.digests, progress)
     _publish(storage, before, made, names, writer.digests)
     kept.remove()
 
@@ -222,14 +225,16 @@ def _scratch(storage: Storage) -> FolderStorage:
     return folder
 
 
-def _send(made: FolderStorage, storage: Storage, names: set[str], progress: Progress) -> None:
-    """Put the objects of layers into a bucket, whose record does not name them yet."""
-    keys = [
-        str(path.relative_to(made.path).as_posix())
-        for name in names for path in sorted((made.path / GROUP / name).rglob("*")) if path.is_file()
+def _send(made: FolderStorage, storage: Storage, record: Record, digests: Digests, progress: Progress) -> None:
+    """Put the shards of the record's layers into a bucket, whose own record does not name them yet."""
+    at, keyed = At(record.grid, record.shard, record.chunk), record.digests.joined(digests)
+    shards = [
+        (spec.key((i, j)), spec.place((i, j), keyed))
+        for spec, _ in LAYERS.arrays(LAYERS.of(record), at)
+        for i in range(spec.shards[0]) for j in range(spec.shards[1])
     ]  # fmt: skip
-    with progress.task("Sending layers", total=len(keys)) as task:
-        for _ in map_ordered(lambda key: storage.put(key, [made.get(key) or b""]), keys, AT_ONCE):
+    with progress.task("Sending layers", total=len(shards)) as task:
+        for _ in map_ordered(lambda each: storage.put(each[1], [made.get(each[0]) or b""]), shards, AT_ONCE):
             task.advance()
 
 
@@ -307,24 +312,29 @@ def _finished(storage: FolderStorage, record: Record) -> bool:
     return all(name in there and there[name].to_json() == layer for name, layer in plan.items())
 
 
-def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> Record:
+def _removed(storage: Storage, before: Record, gone: set[str]) -> Record:
+    """The record without these layers, which are removed where new ones would come into their place."""
+    there = LAYERS.of(before)
+    record = LAYERS.put(before, {name: layer for name, layer in there.items() if name not in gone})
+    if not gone & set(there) or before.digests.keyed:
+        return record
+    publish(storage, record)
+    for name in gone & set(there):
+        storage.remove(f"{GROUP}/{name}")
+    return read_record(storage)
+
+
+def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> None:
     """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
-    left = {name: layer for name, layer in LAYERS.of(before).items() if name not in gone}
-    record = LAYERS.put(before, left)
-    if gone & set(LAYERS.of(before)):
-        publish(storage, record)
-        for name in gone & set(LAYERS.of(before)):
-            storage.remove(f"{GROUP}/{name}")
-        record = read_record(storage)
+    record = _removed(storage, before, gone)
     if isinstance(storage, FolderStorage):
         for layer in made:
             storage.remove(f"{GROUP}/{layer.name}")
             storage.rename(f"{PARTIAL}/{GROUP}/{layer.name}", f"{GROUP}/{layer.name}")
-    if made:
-        layers = dict(sorted({**left, **{layer.name: layer for layer in made}}.items()))
-        record = replace(LAYERS.put(record, layers), digests=record.digests.joined(digests))
-        publish(storage, record)
-    return record
+    layers = dict(sorted({**LAYERS.of(record), **{layer.name: layer for layer in made}}.items()))
+    publish(storage, replace(LAYERS.put(record, layers), digests=record.digests.joined(digests)))
+    if isinstance(storage, BucketStorage) and before.digests.keyed:
+        tidy(storage)
 
 
 __all__ = ["BAKED", "Baked", "bake"]

@@ -45,7 +45,7 @@ class Film:
         draw: the backend; None: the CPU caster.
         fps: frames per second; None: the tour's.
         first, last: the part of the tour that is wanted, seconds; None: from its beginning, to its end.
-        progress: hears of what is prepared.
+        progress: gets the progress of preparations.
 
     Attributes:
         numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene.
