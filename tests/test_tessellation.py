@@ -184,20 +184,20 @@ def test_files_that_cannot_be_used(tmp_path: Path):
         mesh.save(tmp_path / "none" / "mesh.npz", grid)
     with pytest.raises(UsageError, match="not JSON"):
         Tessellation(mesh.vertices, mesh.triangles, None, {"error": float("nan")}).save(tmp_path / "m.npz", grid)
-    with pytest.raises(UsageError, match=r"knows no grid.*terrain\.grid"):
+    with pytest.raises(UsageError, match=r"has no grid.*terrain\.grid"):
         mesh.save(tmp_path / "m.npz")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ReadError, match="cannot be read"):
         Tessellation.load(tmp_path / "absent.npz")
     (tmp_path / "text.npz").write_text("no archive")
-    with pytest.raises(ReadError, match="no tessellation"):
+    with pytest.raises(ReadError, match="not a tessellation"):
         Tessellation.load(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(ReadError, match="no tessellation"):
+    with pytest.raises(ReadError, match="not a tessellation"):
         Tessellation.load(tmp_path / "other.npz")
     whole = mesh.save(tmp_path / "mesh.npz", grid).read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ReadError, match="no tessellation"):
+    with pytest.raises(ReadError, match="not a tessellation"):
         Tessellation.load(tmp_path / "half.npz")
 
 

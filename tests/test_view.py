@@ -95,5 +95,5 @@ def test_files_that_hold_no_view(tmp_path):
     with pytest.raises(ReadError, match="not JSON"):
         View.load(path)
     path.write_text('{"eye": [0, 0, 1], "target": [0, 0, 0], "crs": "EPSG:4326"}')
-    with pytest.raises(UsageError, match=r"v\.json.*the terrain has none"):
+    with pytest.raises(UsageError, match=r"v\.json.*the terrain has no CRS"):
         View.load(path)

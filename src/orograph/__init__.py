@@ -153,10 +153,11 @@ _HOMES = {
     "tour": "orograph.verbs.tour",
     "view": "orograph.viewer.notebook",
 }
-"""Where each name is: MODULE; MODULE:NAME where it has another name there; MODULE: where it is that module."""
+"""Where each name is: MODULE; MODULE:NAME if the module calls it otherwise; MODULE: if the name is the module itself.
+"""
 
 
-if not TYPE_CHECKING:  # (who check types look for names themselves)
+if not TYPE_CHECKING:  # (type checkers look for names themselves)
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":
@@ -171,7 +172,7 @@ if not TYPE_CHECKING:  # (who check types look for names themselves)
 
 
 def _meant(name: str) -> str:
-    """What to use instead of a name that is not here, as the end of a message; "" where nothing is like it."""
+    """The end of a message: what to use instead of an unknown name; "" if nothing is similar."""
     from importlib.util import find_spec
 
     if name.startswith("_") or find_spec(f"orograph.{name}") is not None:  # (a module, which is imported next)
@@ -194,5 +195,5 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-if "xarray" in sys.modules:  # da.orograph, for those who use xarray; others need not pay for it
+if "xarray" in sys.modules:  # da.orograph, only if xarray is in use: importing it costs time
     importlib.import_module("orograph.accessor")

@@ -1,4 +1,4 @@
-"""``python -m orograph`` is the command line."""
+"""Run the command line as ``python -m orograph``."""
 
 from orograph.cli import main
 

@@ -1,7 +1,7 @@
-"""numcodecs' Blosc, also where another library breaks the import of numcodecs as a whole.
+"""Import numcodecs' Blosc even if another library breaks the import of numcodecs.
 
-numcodecs imports every codec that it has. One whose library does not fit (zfpy built for another NumPy) may end that
-import with an error that is not an ImportError. Then numcodecs is imported as if that codec were absent.
+numcodecs imports all of its codecs. A codec whose library does not fit (such as zfpy built for another NumPy) may raise
+an error that is not an ImportError. In that case numcodecs is imported as if that codec were absent.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import sys
 from typing import Any
 
 _OPTIONAL = ("numcodecs.zfpy", "numcodecs.msgpacks", "numcodecs.pcodec")
-"""Codecs of libraries of their own, which no store of ours needs."""
+"""Codecs that need libraries of their own; no store uses them."""
 
 broken: str | None = None
-"""What kept numcodecs from being imported as a whole, if anything did."""
+"""What broke the full import of numcodecs, if anything did."""
 
 
 def _load() -> Any:
@@ -27,7 +27,7 @@ def _load() -> Any:
         broken = f"{type(error).__name__}: {error}"
     for name in [m for m in sys.modules if m.partition(".")[0] == "numcodecs"]:
         del sys.modules[name]
-    absent: dict[str, Any] = dict.fromkeys(_OPTIONAL)  # (None: "there is no such module")
+    absent: dict[str, Any] = dict.fromkeys(_OPTIONAL)  # (None means "no such module")
     sys.modules.update(absent)
     try:
         return importlib.import_module("numcodecs.blosc")

@@ -1,9 +1,9 @@
-"""Eight numbers side by side inside kernels: what is done to one of them is done to all, by vector instructions.
+"""Eight numbers side by side inside kernels: an operation on them acts on all eight, with vector instructions.
 
-LLVM makes vectors of loops by itself only where it can prove that no load meets a store, which it cannot for samples
-looked up here and there. So kernels say it: ``Lanes`` of eight float64 (or int64, or marks: true or false), with
-Python's operators, which numbers join as eight equal ones. Each lane is computed as a number by itself would be, to the
-bit, on every processor: wider vectors than it has are split.
+LLVM vectorises a loop only if it can prove that no load meets a store, which it cannot for scattered lookups. So
+kernels say it: ``Lanes`` holds eight float64 (or int64, or booleans) and has Python's operators; a scalar operand
+stands for eight equal numbers. Each lane has the same bits as scalar code, on every processor: vectors wider than the
+processor's are split.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LANES = 8
 
 
 class Lanes(types.Type):
-    """Numba's type of eight floats, integers or marks."""
+    """Numba's type of eight floats, integers or booleans."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -38,7 +38,7 @@ SCALARS = {"float": types.float64, "int": types.int64, "mark": types.boolean}
 
 @register_model(Lanes)
 class LanesModel(models.PrimitiveModel):
-    """Held as one of LLVM's vectors."""
+    """Stored as an LLVM vector."""
 
     def __init__(self, manager: Any, kind: Lanes) -> None:
         super().__init__(manager, kind, ir.VectorType(ELEMENTS[kind.kind], LANES))
@@ -62,7 +62,8 @@ def _joined(context: Any, builder: Any, kind: Lanes, value: Any, of: Any) -> Any
 
 
 def _operator(function: Any, kinds: dict[Lanes, Callable[[Any, Any, Any], Any]], result: Lanes | None = None) -> None:
-    """Give lanes one of Python's operators; ``kinds``: how each kind does it; ``result``: of which kind (its own)."""
+    """Give lanes one of Python's operators. ``kinds``: how each kind computes it; ``result``: the kind of the result
+    (default: the same)."""
 
     @infer_global(function)
     class Operator(AbstractTemplate):
@@ -92,7 +93,7 @@ _operator(operator.rshift, {INTS: lambda b, x, y: b.ashr(x, y)})
 
 
 def _comparison(function: Any, sign: str) -> None:
-    """Give lanes one of Python's comparisons; with NaN none is true."""
+    """Give lanes one of Python's comparisons; comparisons with NaN are false."""
     kinds: dict[Lanes, Callable[[Any, Any, Any], Any]] = {
         FLOATS: lambda b, x, y: b.fcmp_ordered(sign, x, y),
         INTS: lambda b, x, y: b.icmp_signed(sign, x, y),
@@ -119,7 +120,7 @@ def _inverted(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 def operation(function: Function) -> Function:
-    """A function that kernels call, by what it tells Numba of itself."""
+    """A function that kernels call, made from its Numba typing function."""
     return cast(Function, intrinsic(function))
 
 
@@ -150,7 +151,7 @@ def counted(typing: Any) -> Any:
 
 @operation
 def where(typing: Any, marks: Any, yes: Any, no: Any) -> Any:
-    """Lane by lane ``yes`` where marked, else ``no``: lanes, or numbers."""
+    """Lane by lane, ``yes`` where ``mask`` is true, else ``no``; both may be lanes or numbers."""
     numbers = INTS if isinstance(yes, types.Integer) and isinstance(no, types.Integer) else FLOATS
     kind = next((k for k in (yes, no) if isinstance(k, Lanes)), numbers)
 
@@ -232,7 +233,7 @@ def corners(typing: Any, array: Any, index: Any, stride: Any) -> Any:
 
 
 def _picked(builder: Any, a: Any, b: Any, order: range) -> Any:
-    """Elements of two vectors in an order."""
+    """Pick elements of two vectors in a given order."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order)))
 
 

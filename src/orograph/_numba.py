@@ -1,7 +1,7 @@
 """The one place that says how kernels are compiled (see docs/architecture.md, *Kernels*).
 
-``@kernel`` releases the GIL and caches its machine code, so that a thread pool may run it on blocks of the work;
-``@inlined`` is for the small helpers inside kernels. ``fastmath`` stays off: a tie or a floor may decide an index.
+``@kernel`` releases the GIL and caches its machine code, so that a thread pool can run it on blocks of work;
+``@inlined`` is for small helpers inside kernels. ``fastmath`` stays off: a tie or a floor may decide an index.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Function = Callable[..., Any]
 
 
 class _Listener(numba.core.event.Listener):
-    """Tells what is compiled; what Numba reads from its cache makes no event."""
+    """Reports what is compiled; kernels read from Numba's cache raise no event."""
 
     def on_start(self, event: object) -> None:
         COMPILING.begin()
@@ -59,10 +59,10 @@ def leaf(function: Function) -> Function:
 
 
 def _cached(dispatcher: Any) -> Function:
-    """A dispatcher whose cache begins anew where its index cannot be read, and may lie on a disk that is full.
+    """Make a dispatcher's cache start afresh if its index cannot be read, and ignore a full disk.
 
-    Numba reads the whole index before it sees that the source is another. An index that names a class which is gone by
-    now (an argument's type in an older version) would end every call.
+    Numba reads the whole index before it notices that the source has changed. An index that names a class that no
+    longer exists (an argument's type in an older version) would make every call fail.
     """
     cache = getattr(dispatcher, "_cache", None)
     if cache is None:  # NUMBA_DISABLE_JIT leaves the function as it is
@@ -80,7 +80,7 @@ def _cached(dispatcher: Any) -> Function:
     save = cache.save_overload
 
     def save_overload(signature: object, data: object) -> None:
-        with contextlib.suppress(OSError):  # what cannot be kept is compiled again next time
+        with contextlib.suppress(OSError):  # what cannot be cached is compiled again next time
             save(signature, data)
 
     cache.save_overload = save_overload
@@ -88,9 +88,9 @@ def _cached(dispatcher: Any) -> Function:
 
 
 def paired(function: Function) -> Function:
-    """Compile a ``leaf`` whose work on two like things is done by vector instructions where that can be (LLVM's SLP
-    vectoriser). Numba leaves it off, for it has miscompiled before: only for kernels whose tests compare every bit.
-    """
+    """Compile a ``leaf`` that does the same work on two things with vector instructions where possible (LLVM's SLP
+    vectoriser). Numba turns it off because it has miscompiled before: use it only for kernels whose tests compare every
+    bit."""
     dispatcher: Any = leaf(function)
     compile_plainly = dispatcher.compile
 
@@ -109,9 +109,9 @@ def paired(function: Function) -> Function:
 
 
 def shared(function: Function) -> Function:
-    """Let kernels call a plain function; outside of them it stays the plain function that it is.
+    """Let kernels call a plain function; outside kernels it stays a plain function.
 
-    Inlining is left to LLVM, which does as well for small functions as ``inlined`` and compiles in half the time.
+    LLVM does the inlining, which works as well as ``inlined`` for small functions and compiles in half the time.
     """
     numba.extending.register_jitable(error_model="numpy")(function)
     return function

@@ -1,9 +1,9 @@
-"""From corners to vertices: a method's triangles name their corners by grid position; here each position becomes one
-vertex, as fast as the corners can be read.
+"""Weld corners to vertices: triangles name their corners by grid position; each position becomes one vertex, at the
+speed of reading the corners.
 
 Positions are int64 keys ``row << 32 | col`` of the padded square of 2^n + 1 samples, squeezed onto the raster on the
-way: (min(row, rows − 1), min(col, cols − 1)). Squeezing is monotone along both axes, so no triangle turns over; those
-beyond the raster lose their area and are left out. Vertices are found again in a hash table with open addressing and
+way: (min(row, rows − 1), min(col, cols − 1)). Squeezing is monotone along both axes, so no triangle flips; triangles
+beyond the raster lose their area and are dropped. Vertices are found again in a hash table with open addressing and
 linear probing (Knuth, *The Art of Computer Programming*, vol. 3, §6.4), half empty, multiplicative (Fibonacci) hashing;
 key and index lie side by side, so that a corner costs one cache line. Heights are metres.
 """
@@ -21,20 +21,20 @@ LOW = np.int64(0xFFFFFFFF)
 
 @inlined
 def squeeze(key, last_row, last_col):
-    """The key of the sample at which a vertex of the padded square lies."""
+    """The key of the sample that a vertex of the padded square is squeezed onto."""
     return (min(key >> 32, last_row) << 32) | min(key & LOW, last_col)
 
 
 @inlined
 def doubled_area(a, b, c):
-    """Twice the signed area of three keys in (col, row), exact: positive if they turn clockwise with rows downwards."""
+    """Twice the signed area of a triangle of keys in (col, row), exact: positive if clockwise with rows downwards."""
     ar, ac = a >> 32, a & LOW
     return ((b & LOW) - ac) * ((c >> 32) - ar) - ((c & LOW) - ac) * ((b >> 32) - ar)
 
 
 @inlined
 def slot_of(table, shift, key):
-    """Where ``key`` lies in the table, or the empty slot it belongs to."""
+    """The slot of ``key`` in the table, or the empty slot where it belongs."""
     mask = table.shape[0] - 1
     slot = np.int64((np.uint64(key) * FIBONACCI) >> shift)
     while table[slot, 0] != EMPTY and table[slot, 0] != key:

@@ -1,7 +1,7 @@
 """The xarray accessor ``da.orograph``: a DataArray of heights as a Dem, a Terrain, a picture.
 
 Importing this module registers it (``import orograph.accessor``; ``import orograph`` does so too where xarray is
-imported already); every method forwards to a plain function. What is read of the array: ``dem.dataarray``.
+imported already); every method forwards to a plain function. ``dem.dataarray`` says what is read from the array.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class OrographAccessor:
         self._array = array
 
     def to_dem(self, *, crs: str | CRS | None = None, name: str | None = None) -> Dem:
-        """The array as a Dem: ``from_xarray``."""
+        """The array as a Dem; see ``from_xarray``."""
         return from_xarray(self._array, crs=crs, name=name)
 
     def to_terrain(self, *, crs: str | CRS | None = None, name: str | None = None) -> Terrain:
@@ -37,14 +37,14 @@ class OrographAccessor:
         return terrain(self._array, crs=crs, name=name)
 
     def light(self, name: str, **options: Any) -> xr.DataArray:
-        """A product of light on the array's ground, by its name: ``orograph.lighting.make``."""
+        """A light product of the array's ground by name; see ``orograph.lighting.make``."""
         from orograph.lighting import make
 
         made: xr.DataArray = make(self._array, name, **options)
         return made
 
     def render(self, view: Any = None, *, crs: str | CRS | None = None, name: str | None = None, **options: Any) -> Any:
-        """A picture of the array: ``orograph.render(terrain, view, **options)``."""
+        """A picture of the array; see ``orograph.render(terrain, view, **options)``."""
         from orograph.rendering.api import render
 
         return render(self.to_terrain(crs=crs, name=name), view, **options)

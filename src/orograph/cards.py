@@ -1,7 +1,7 @@
-"""What objects say of themselves: one line for terminals, a card with a small picture for notebooks.
+"""How objects show themselves: one line in terminals, a card with a small picture in notebooks.
 
-The small picture is a shaded relief (Horn 1981) of a few hundred samples under a light from the north-west; it is there
-to recognise a terrain by, and needs nothing of what draws pictures.
+The small picture is a shaded relief (Horn 1981) of a few hundred samples, lit from the north-west. It helps to
+recognise a terrain and needs none of the rendering code.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from orograph.geo.grid import Grid
 
 SIDE = 240
-"""Pixels of a small picture's longer side, at most."""
+"""Maximum pixels on the longer side of a small picture."""
 
 Row = tuple[str, str]
-"""A name and what is said of it."""
+"""A label and its text."""
 
 
 def extent_rows(grid: Grid) -> list[Row]:
@@ -39,14 +39,14 @@ def extent_rows(grid: Grid) -> list[Row]:
 
 
 def heights_row(low: float, high: float, vertical: str | None) -> Row:
-    """The range of heights, and what they are above."""
+    """The range of heights, and their vertical datum."""
     if math.isnan(low):
         return "heights", "none"
     return "heights", f"{low:.6g} to {high:.6g} m" + (f" ({vertical})" if vertical else "")
 
 
 def amount(size: float) -> str:
-    """Bytes in words."""
+    """An amount of bytes as text."""
     for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if size >= factor:
             return f"{size / factor:.3g} {unit}"
@@ -93,7 +93,7 @@ def relief(values: NDArray[np.float32], grid: Grid, step: float = 1.0) -> bytes:
 
     Args:
         values: (rows, cols) heights, NaN where missing.
-        grid: of the raster at full resolution. step: of its samples between two of the values.
+        grid: of the raster at full resolution. step: samples of the raster from one value to the next.
     """
     thin = max(1, -(-max(values.shape) // SIDE))
     z = values[::thin, ::thin].astype(np.float64)
@@ -104,7 +104,7 @@ def relief(values: NDArray[np.float32], grid: Grid, step: float = 1.0) -> bytes:
         metres = 111_320.0
     dx, dy = (v * step * thin * metres for v in grid.spacing)
     down, across = np.gradient(z)
-    # Gentle land is stretched, so that its shape is seen: the mean slope becomes 20° at least.
+    # Gentle land is stretched so that its shape shows: the mean slope becomes at least 20°.
     rise, fall = across / dx, down / dy
     mean = float(np.nanmean(np.hypot(rise, fall))) or 1.0
     factor = max(1.0, 0.36 / mean)

@@ -1,11 +1,12 @@
-"""How many kernels were compiled, and how long that took: counted by ``_numba``, shown by progress.
+"""Counts how many kernels were compiled and how long that took; ``_numba`` counts, progress shows it.
 
-Compiling happens within whatever needs a kernel first, once on a machine: without this the time would be put down to
-that work. It imports nothing of its own, so that whoever only wants to show it need not load the compiler.
+Compiling happens inside whatever needs a kernel first, once per machine: without this, its time would be attributed to
+that work. This module imports nothing of the package, so showing the counts does not load the compiler.
 
-Numba compiles one kernel at a time in a process. Long work therefore has a second one compile what it needs last, while
-it compiles what it needs first (``while_compiling``); each finds the other's kernels in Numba's cache. And a command
-that had to compile for long leaves a process behind that compiles what the other verbs need (``compile_rest``).
+Numba compiles one kernel at a time in a process. Long work therefore starts a second process that compiles the kernels
+needed last, while it compiles those needed first (``while_compiling``); each finds the other's kernels in Numba's
+cache. A command that spent long on compiling also leaves a process behind that compiles what the other verbs need
+(``compile_rest``).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Compiling:
         self._here = threading.local()
 
     def begin(self) -> None:
-        """A kernel is being compiled."""
+        """Note that a kernel begins to compile."""
         self._here.depth = getattr(self._here, "depth", 0) + 1
         if self._here.depth == 1:
             self._here.began = time.perf_counter()
@@ -45,7 +46,7 @@ class Compiling:
                 notify()
 
     def end(self) -> None:
-        """It is compiled."""
+        """Note that a kernel is compiled."""
         self._here.depth -= 1
         if self._here.depth == 0:
             self.seconds += time.perf_counter() - self._here.began  # (compilers take turns: no two times overlap)
@@ -55,15 +56,15 @@ LONG = 4.0
 """Seconds of compiling that mark a machine's first run."""
 
 COMPILING = Compiling()
-"""Of this process."""
+"""When this process began."""
 
 
 @contextlib.contextmanager
 def while_compiling(program: str, *arguments: str) -> Iterator[None]:
-    """Within it, the first kernel that has to be compiled starts ``python -m program``, once in this process.
+    """Inside this context, the first kernel that must be compiled starts ``python -m program``, once per process.
 
     On one core, in a program that is not Python itself (its executable would start that program), or where
-    ``OROGRAPH_COMPILE_AHEAD`` is 0, nothing is started. What is started ends by itself.
+    ``OROGRAPH_COMPILE_AHEAD`` is 0, nothing is started. The started process ends by itself.
     """
 
     def start() -> None:
@@ -82,9 +83,9 @@ def while_compiling(program: str, *arguments: str) -> Iterator[None]:
 
 
 def compile_rest(program: str) -> bool:
-    """Start ``python -m program`` if this process had to compile for long; whether it was started.
+    """Start ``python -m program`` if this process spent long on compiling; returns whether it was started.
 
-    It goes on when this process ends, and is not stopped by what stops this one.
+    The new process outlives this one, and signals that stop this one do not stop it.
     """
     if COMPILING.seconds < LONG or not _worthwhile():
         return False
@@ -99,11 +100,11 @@ def _worthwhile() -> bool:
 
 
 def _start(program: str, *arguments: str, **how: Any) -> None:
-    command = [sys.executable, "-P", "-m", program, *arguments]  # -P: modules of the folder one is in are not ours
+    command = [sys.executable, "-P", "-m", program, *arguments]  # -P: keep the current folder's modules out of sys.path
     silent, alone = subprocess.DEVNULL, os.environ | {"OROGRAPH_COMPILE_AHEAD": "0"}
-    with contextlib.suppress(OSError):  # one process compiles all, then
+    with contextlib.suppress(OSError):  # one process compiles everything, and then
         _STARTED[program] = subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent, env=alone, **how)
 
 
 _STARTED: dict[str, subprocess.Popen[bytes]] = {}
-"""What was started by this process, by program."""
+"""The processes that this one started, by program."""

@@ -1,4 +1,4 @@
-"""The JSON files that people read and write (views, flights, tours): which is wrong, and where, is said."""
+"""JSON files that people read and write (views, flights, tours); errors say which file is wrong and where."""
 
 from __future__ import annotations
 

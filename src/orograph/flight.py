@@ -7,10 +7,10 @@ A key is a view (as VIEW.json) and the time in seconds at which the camera is th
 - the eye follows a centripetal Catmull-Rom spline, and the directions of view and of up the same spline on the sphere;
 - distance to the target and tan(fov_y/2) change by equal factors in equal times.
 
-How fast the camera goes along these is a monotonic cubic of time: it changes smoothly, never runs backwards, and rests
-where two keys are alike (``splines``, with the sources). Size, projection, near and far are the same in all keys.
+The speed along these is a monotonic cubic of time: it changes smoothly, never runs backwards, and rests where two keys
+are alike (``splines``, with the sources). Size, projection, near and far are the same in all keys.
 
-A flight is a camera and nothing else, the same for every program that measures; a ``tour`` is what films are made of.
+A flight holds a camera only, so that measurements can be repeated; films are made from a ``tour``.
 
 Units: seconds; metres and degrees as in ``View``.
 """
@@ -35,22 +35,23 @@ DEFAULT_FPS = 60.0
 MOST_FRAMES = 1_000_000
 
 SAME = ("width", "height", "projection", "near", "far", "part")
-"""What all keys have alike."""
+"""What all keys have in common."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A camera's way through views.
+    """A camera path through views.
 
     Attributes:
         times: of the keys, seconds, increasing, none below 0.
         views: the keys.
-        seconds: how long it takes, at least the last key's time. Before the first key and after the last one it rests.
+        seconds: how long it takes, at least the last key's time. The camera rests before the first key and after the
+        last one.
         fps: frames per second.
 
     Raises:
-        UsageError: there is no key, times do not increase, views differ in what has to be the same, or the camera turns
-            by 180° from one key to the next (which way round?).
+        UsageError: there is no key, times do not increase, views differ in what must be equal, or the camera turns by
+            180° from one key to the next (which way round?).
     """
 
     times: tuple[float, ...]
@@ -64,14 +65,14 @@ class Flight:
 
     def __post_init__(self) -> None:
         if not self.views or len(self.times) != len(self.views):
-            raise UsageError(f"A flight has a time for each of its keys, not {len(self.times)} for {len(self.views)}.")
+            raise UsageError(f"A flight needs one time per key, not {len(self.times)} for {len(self.views)}.")
         if not 0 < self.fps < math.inf:
-            raise UsageError(f"fps is the number of frames in a second, more than 0, not {self.fps:g}.")
+            raise UsageError(f"fps must be greater than 0, not {self.fps:g}.")
         for i, time in enumerate(self.times):
             if not 0 <= time < math.inf:
-                raise UsageError(f"The time of key {i} is in seconds from the beginning, 0 or more, not {time:g}.")
+                raise UsageError(f"The time of key {i} must be 0 or more seconds from the beginning, not {time:g}.")
             if i and not time > self.times[i - 1]:
-                raise UsageError(f"Keys are in the order of their times, but key {i} ({time:g} s) follows "
+                raise UsageError(f"Keys must be in the order of their times, but key {i} ({time:g} s) follows "
                                  f"{self.times[i - 1]:g} s.")  # fmt: skip
         if not self.times[-1] <= self.seconds < math.inf:
             raise UsageError(f"The flight ends at {self.seconds:g} s, before its last key at {self.times[-1]:g} s.")
@@ -81,15 +82,15 @@ class Flight:
             for name in SAME:
                 if getattr(view, name) != getattr(self.views[0], name):
                     raise UsageError(
-                        f"All keys of a flight have the same {name}, but key {i} has {getattr(view, name)} and key 0 "
-                        f"{getattr(self.views[0], name)}."
+                        f"All keys of a flight must have the same {name}, but key {i} has {getattr(view, name)} and "
+                        f"key 0 {getattr(self.views[0], name)}."
                     )
         eye = np.array([v.eye for v in self.views])
         aim = np.array([v.target for v in self.views]) - eye
         distance = np.linalg.norm(aim, axis=1)
         up = np.array([v.up for v in self.views])
         zoom = np.tan(np.radians([v.fov_y for v in self.views]) / 2)
-        # Slots of a frozen dataclass are set so.
+        # Attributes of a frozen dataclass are set this way.
         object.__setattr__(self, "_eye", Track(self.times, eye, lerp, distance_between))
         object.__setattr__(self, "_forward", Track(self.times, aim / distance[:, None], slerp, angle_between))
         object.__setattr__(
@@ -107,18 +108,18 @@ class Flight:
             crs: the terrain's CRS, as for ``View.from_dict``.
 
         Raises:
-            UsageError: something is missing, unknown or of the wrong kind; of a key, its number is named.
+            UsageError: something is missing, unknown or of the wrong kind; the message names the key's number.
         """
         unknown = set(values) - {"fps", "seconds", "keys"}
         if unknown:
-            raise UsageError(f"A flight has no {sorted(unknown)[0]!r}; its keys are fps, seconds and keys.")
+            raise UsageError(f"A flight has no key {sorted(unknown)[0]!r}; it may have fps, seconds and keys.")
         keys = values.get("keys")
         if not isinstance(keys, Sequence) or isinstance(keys, str) or not keys:
             raise UsageError('A flight lacks "keys": a list of views, each with a "time" in seconds.')
         times, views = [], []
         for i, key in enumerate(keys):
             if not isinstance(key, Mapping):
-                raise UsageError(f'Key {i} of the flight is no view (a JSON object with "time", "eye", "target"…).')
+                raise UsageError(f'Key {i} of the flight is not a view (a JSON object with "time", "eye", "target"…).')
             times.append(number(key.get("time"), f'The "time" of key {i}'))
             try:
                 views.append(View.from_dict({k: v for k, v in key.items() if k != "time"}, crs=crs))
@@ -145,7 +146,7 @@ class Flight:
             return cls.from_dict(values, crs=crs)
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``from_dict`` reads."""
+        """The inverse of ``from_dict``."""
         keys = [{"time": t, **v.to_dict()} for t, v in zip(self.times, self.views)]
         return {"fps": self.fps, "seconds": self.seconds, "keys": keys}
 
@@ -154,7 +155,7 @@ class Flight:
         return max(1, round(self.seconds * self.fps))
 
     def at(self, time: float) -> View:
-        """The view at a time in seconds."""
+        """The view at a time, in seconds."""
         if time <= self.times[0] or len(self.times) == 1:
             return self.views[0]
         if time >= self.times[-1]:

@@ -1,4 +1,4 @@
-"""Where what was made of a user's files is kept, for the next run or only for this one, and how much of it. Bytes."""
+"""Where files derived from a user's data are kept, for the next run or only this one, and how much of them. Bytes."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Amount: TypeAlias = int | str
-"""An amount of memory as users give it: bytes, or a text such as "1GiB"."""
+"""An amount of memory as users give it: a number of bytes, or a text such as "1GiB"."""
 
 HELD = 1 << 26
-"""Bytes of a table that memory holds; larger ones lie in a scratch file."""
+"""Tables up to this many bytes are held in memory; larger ones go to a scratch file."""
 
 CACHE_SIZE = "20GiB"
-"""Of the cache folder, unless ``$OROGRAPH_CACHE_SIZE`` says otherwise."""
+"""Size of the cache folder, unless ``$OROGRAPH_CACHE_SIZE`` says otherwise."""
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
 def cache_folder() -> Path:
-    """Stores of large DEMs, coarse levels of images: ``$OROGRAPH_CACHE``, else the platform's cache folder."""
+    """The folder for stores of large DEMs and coarse levels of images: ``$OROGRAPH_CACHE``, else the platform's cache
+    folder."""
     if chosen := os.environ.get("OROGRAPH_CACHE"):
         return Path(chosen)
     if sys.platform == "darwin":
@@ -49,14 +50,14 @@ def cache_limit() -> int:
     """How many bytes the cache folder may hold.
 
     Raises:
-        UsageError: ``$OROGRAPH_CACHE_SIZE`` is no size.
+        UsageError: ``$OROGRAPH_CACHE_SIZE`` is not a size.
     """
     text = os.environ.get("OROGRAPH_CACHE_SIZE") or CACHE_SIZE
     try:
         return parse_bytes(text)
     except ValueError:
         raise UsageError(
-            f"OROGRAPH_CACHE_SIZE is {text!r}, which is no size.", remedy="Write it like 20GiB, 512MiB or 2G."
+            f"OROGRAPH_CACHE_SIZE is {text!r}, which is not a size.", remedy="Write it like 20GiB, 512MiB or 2G."
         ) from None
 
 
@@ -75,7 +76,7 @@ def bytes_of(value: Amount | None, called: str = "max_memory") -> int | None:
         called: the argument, for errors.
 
     Raises:
-        UsageError: it is no amount of memory.
+        UsageError: it is not an amount of memory.
     """
     if value is None:
         return None
@@ -100,14 +101,14 @@ def parse_bytes(text: str) -> int:
 
 
 def held(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
-    """``scratch``, but in memory where it is little."""
+    """As ``scratch``, but in memory if the amount is small."""
     import numpy as np
 
     return scratch(length) if length > HELD else (np.zeros(length, np.uint8), lambda: None)
 
 
 def temporary() -> tempfile.TemporaryDirectory[str]:
-    """A folder for what lies on the disk for a moment; those of processes that were killed are removed.
+    """A temporary folder; folders of killed processes are removed.
 
     Raises:
         OutputError: nothing can be written to the temporary folder.
@@ -128,7 +129,7 @@ def _ours() -> str:
 
 @functools.cache
 def _sweep(folder: str) -> None:
-    """Remove what processes of this machine that have ended left in a temporary folder."""
+    """Remove what ended processes of this machine left in a temporary folder."""
     for path in Path(folder).glob(f"{glob.escape(_ours())}*-*"):
         pid = path.name.removeprefix(_ours()).partition("-")[0]
         if pid.isdecimal() and not running(int(pid)):
@@ -136,17 +137,17 @@ def _sweep(folder: str) -> None:
 
 
 def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
-    """So many zero bytes in a scratch file, as an array, and a function that lets go of their memory.
+    """``length`` zero bytes in a scratch file, as an array, and a function that releases their memory.
 
     Raises:
         OutputError: the temporary folder has no room.
     """
-    import numpy as np  # (the command line begins without it)
+    import numpy as np  # (the command line starts without it)
 
     try:
         with tempfile.TemporaryFile(prefix="orograph-") as file:
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, length)  # a full disk is an error here, not a signal later
+                os.posix_fallocate(file.fileno(), 0, length)  # a full disk raises an error here, not a signal later
             else:
                 file.truncate(length)
             mapped = mmap.mmap(file.fileno(), length)
@@ -160,6 +161,6 @@ def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
     def release() -> None:
         if hasattr(mapped, "madvise"):
             with contextlib.suppress(OSError):
-                mapped.madvise(mmap.MADV_DONTNEED)  # of a shared mapping: the file keeps what was written
+                mapped.madvise(mmap.MADV_DONTNEED)  # of a shared mapping: the file keeps the data
 
     return np.frombuffer(mapped, np.uint8), release

@@ -1,7 +1,7 @@
-"""Files appear whole or not at all: results are written beside their place and moved there when they are finished.
+"""Files appear whole or not at all: results are written beside their destination and renamed when finished.
 
-The file beside it is named after the machine and the process: ``.sky.tif.HOST.PID.part``. A process that is killed
-leaves it there; the next one that writes the same result removes it.
+The temporary file is named after the machine and the process: ``.sky.tif.HOST.PID.part``. A killed process leaves it
+behind; the next process that writes the same result removes it.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ def check_folder(path: Path) -> None:
 
 
 def check_vacant(path: Path, overwrite: bool) -> None:
-    """Raise OutputError if something is there that may not be replaced."""
+    """Raise OutputError if a file is there that must not be replaced."""
     if path.exists() and not overwrite:
         raise OutputError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
 
 
 def beside(out: Path, ending: str) -> Path:
-    """A name beside ``out`` for a file of this process; what processes left there that have ended is removed.
+    """A temporary name beside ``out`` for this process; leftovers of ended processes are removed.
 
     Args:
         ending: "part" or "raw".
     """
-    # A name without a host is of this machine.
+    # A name without a host belongs to this machine.
     ours = re.compile(rf"\.{re.escape(out.name)}\.(?:{re.escape(host())}\.)?(\d+)\.(?:part|raw)(?:\..+)?")
     for path in _left(out.parent.absolute()):
         found = ours.fullmatch(path.name)
@@ -49,31 +49,31 @@ def beside(out: Path, ending: str) -> Path:
 
 @functools.cache
 def _left(folder: Path) -> list[Path]:
-    """What may have been left in a folder (an absolute path) when it was first written to."""
+    """What processes may have left in a folder (an absolute path) before it was first written to."""
     with contextlib.suppress(OSError):
         return [path for path in folder.iterdir() if re.fullmatch(r"\..+\.\d+\.(part|raw)(\..+)?", path.name)]
     return []
 
 
 def check_room(path: Path, size: int) -> None:
-    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes, or this process may not write a file
-    of that size: before libraries meet that, which print lines of their own."""
+    """Raise OutputError if the disk of ``path`` has less than ``size`` bytes free, or this process may not write a file
+    of that size. Libraries that meet this themselves print lines of their own."""
     allowed = _largest_file()
     if allowed < size:
         raise OutputError(
-            f"A file of {size / 1e6:,.2f} MB is needed on the way, and this process may write none of more than "
+            f"A file of {size / 1e6:,.2f} MB is needed on the way, and this process may write no file larger than "
             f"{allowed / 1e6:,.2f} MB.", path=path, remedy="Raise that limit of your shell (ulimit -f).",
         )  # fmt: skip
     free = shutil.disk_usage(path.parent).free
     if free < size:
         raise OutputError(
-            f"There is no room for it: {size / 1e6:,.1f} MB are needed on the way, {free / 1e6:,.1f} MB are free.",
+            f"There is not enough room: {size / 1e6:,.1f} MB are needed on the way, {free / 1e6:,.1f} MB are free.",
             path=path, remedy="Make room, or write to another disk.",
         )  # fmt: skip
 
 
 def _largest_file() -> float:
-    """Bytes this process may write to one file."""
+    """The largest file that this process may write, bytes."""
     try:
         import resource
     except ImportError:  # Windows has no such limit
@@ -83,7 +83,7 @@ def _largest_file() -> float:
 
 
 def remove(path: Path) -> None:
-    """Remove a file if it is there and can be removed: on a disk that has become read-only nothing can."""
+    """Remove a file if it is there and can be removed (on a read-only disk it cannot)."""
     with contextlib.suppress(OSError):
         path.unlink()
 
@@ -92,7 +92,7 @@ _unfinished: set[Path] = set()
 
 
 def remove_unfinished() -> None:
-    """Remove what is half written, and what lies beside it under its name: the process is about to end."""
+    """Remove unfinished files and their companions: the process is about to end."""
     for part in list(_unfinished):
         for left in part.parent.glob(f"{glob.escape(part.name)}*"):
             remove(left)
@@ -102,7 +102,7 @@ class Beside:
     """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure.
 
     Args:
-        keep: a file of the same bytes that is there already stays: another process may be reading it.
+        keep: leave an existing file with the same bytes alone, since another process may be reading it.
     """
 
     def __init__(self, out: Path, keep: bool = False) -> None:
@@ -130,11 +130,11 @@ class Beside:
         if isinstance(error, OSError):
             raise OutputError(
                 f"The file cannot be written: {error.strerror or error}.", path=self.out,
-                remedy="See that the disk has room and the folder is yours to write in.",
+                remedy="Check that the disk has room and that you may write to the folder.",
             ) from error  # fmt: skip
 
     def _kept(self) -> bool:
-        """Give the part its name if it is free, or leave what is there if it is alike; False: it must be replaced."""
+        """Rename the part if the name is free, or leave an identical file there; False: the file must be replaced."""
         try:
             os.link(self.part, self.out)
         except FileExistsError:

@@ -1,7 +1,7 @@
-"""Threads over independent blocks of work; kernels release the GIL, so threads are all that is needed.
+"""Threads over independent blocks of work; kernels release the GIL, so threads are enough.
 
-Results come back in order whatever the number of workers, an error or Ctrl-C cancels what has not begun, and one worker
-runs in the calling thread, so that "one worker equals many" is a matter of the blocks alone.
+Results come back in order whatever the number of workers. An error or Ctrl-C cancels what has not begun. One worker
+runs in the calling thread, so "one worker equals many" depends on the blocks alone.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ def threads_for(jobs: int | None) -> int:
     """How many threads to work with: as many as asked for, or all processors.
 
     Raises:
-        UsageError: no such number.
+        UsageError: ``jobs`` is not such a number.
     """
     given: Any = jobs
     if given is None:
         return cpu_count()
     if not isinstance(given, Integral) or int(given) < 1:
-        raise UsageError(f"`jobs` is a number of threads, 1 or more, not {given!r}.")
+        raise UsageError(f"`jobs` must be a number of threads, 1 or more, not {given!r}.")
     return int(given)
 
 
@@ -61,7 +61,7 @@ def map_ordered(work: Callable[[T], R], items: Iterable[T], jobs: int | None = N
     source = iter(items)
     with ThreadPoolExecutor(jobs) as pool:
         pending: list[Future[R]] = [pool.submit(work, item) for item in islice(source, jobs * ahead)]
-        pending.reverse()  # pop() from the end is the oldest
+        pending.reverse()  # pop() from the end takes the oldest
         queue = pending
         try:
             while queue:
@@ -77,8 +77,8 @@ def map_ordered(work: Callable[[T], R], items: Iterable[T], jobs: int | None = N
 def for_each(work: Callable[[T], object], items: Sequence[T], jobs: int | None = None) -> None:
     """Call ``work(item)`` for every item, in any order, and wait for all.
 
-    The calling thread takes its share, the others stand ready, and none is woken between items: of many small ones two
-    threads make almost twice as many as one. An error or Ctrl-C lets the others finish what they are at.
+    The calling thread takes its share and the others stay awake between items, so two threads are almost twice as fast
+    as one even on small items. After an error or Ctrl-C the others finish their current item.
 
     Args:
         work: called from ``jobs`` threads.
@@ -91,23 +91,23 @@ def for_each(work: Callable[[T], object], items: Sequence[T], jobs: int | None =
 def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs: int | None = None) -> None:
     """``for_each`` over groups of items, one after the other, without waiting for the end of each.
 
-    The items of a group may begin while some of the group before it are still at work, but not before all groups before
-    that one are done. So threads need not wait for one another where work depends on what was done two groups before.
+    Items of a group may begin while the previous group is still running, but only once all groups before that one are
+    done. Threads thus need not wait for each other where work depends on the results of two groups before.
 
     Args:
         work: called from ``jobs`` threads.
-        groups: asked for the next group when all of the last one have begun and all before it are done; from any
-            thread, one at a time.
+        groups: the next group is requested when all items of the last one have begun and all earlier ones are done;
+            from any thread, one at a time.
         jobs: threads (default: all processors).
     """
     jobs = threads_for(jobs)
     source, failed, busy, ended = iter(groups), list[BaseException](), 0, False
     left: Iterator[T] = iter(())
-    before, here = [0], [0]  # how many items of the last two groups are at work
+    before, here = [0], [0]  # number of items of the last two groups still running
     lock = threading.Condition()
 
     def take() -> tuple[object, list[int]]:
-        """The next item, and the count of its group; holding the lock."""
+        """The next item and its group's count; call with the lock held."""
         nonlocal left, before, here, ended
         while not failed:
             item = next(left, _NONE)
@@ -141,7 +141,7 @@ def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs:
                 if item is _NONE:
                     break
                 work(cast(T, item))
-                item = None  # what it holds is let go of
+                item = None  # release what it holds
         except BaseException as error:
             failed.append(error)
         finally:
@@ -153,7 +153,7 @@ def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs:
         _crew(jobs - 1).call(attend)
     try:
         attend()
-        with lock:  # who comes too late finds nothing to do
+        with lock:  # a late thread finds nothing to do
             while busy:
                 lock.wait()
     except BaseException as error:  # Ctrl-C between two items
@@ -164,10 +164,10 @@ def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs:
 
 
 def aside(work: Callable[[], R]) -> R:
-    """Do the work in a thread of its own and wait for it.
+    """Run the work in its own thread and wait for it.
 
     Ctrl-C interrupts the main thread at once. A kernel that returns arrays must not run there: an interrupt while Numba
-    makes Python objects of its results would crash the interpreter.
+    converts its results to Python objects would crash the interpreter.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()
@@ -182,10 +182,11 @@ Inbox = SimpleQueue[Callable[[], object] | None]
 
 
 class Crew:
-    """Threads that stay parked between calls, for work of a few milliseconds: to make a pool each time would take one.
+    """Threads that stay parked between calls, for work of a few milliseconds: making a pool each time would cost one
+    millisecond.
 
-    Nobody waits for them here: who calls must know from the work itself when it is done, and finish it alone if nobody
-    comes (threads do not survive a fork; they are made anew at the next call).
+    This class does not wait for them: the caller must know from the work itself when it is done, and finish it alone if
+    no thread comes (threads do not survive a fork; the next call makes new ones).
 
     Args:
         count: threads.
@@ -224,5 +225,5 @@ _crews: dict[int, Crew] = {}
 
 
 def _crew(count: int) -> Crew:
-    """The threads that help ``for_each``, as many as ``count``."""
+    """The threads that help ``for_each``; ``count`` of them."""
     return _crews.setdefault(count, Crew(count))

@@ -1,4 +1,4 @@
-"""Which process is at work: how its files name it, and whether it still runs."""
+"""Identify the running process: its name in files, and whether it is still alive."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import platform
 
 
 def host() -> str:
-    """The name of this machine, without what has no place in a file's name."""
+    """The name of this machine, without characters that do not belong in a file name."""
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in platform.node()) or "localhost"
 
 
 def running(pid: int) -> bool:
-    """Whether a process of this machine may still run. On Windows, where asking could end it: always True."""
+    """Whether a process of this machine may still be running. Always True on Windows, where asking could end it."""
     if os.name == "nt":
         return True
     try:

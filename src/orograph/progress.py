@@ -1,12 +1,4 @@
-"""How long work reports on itself: a silent default for libraries, a live line on stderr for the command line.
-
-Functions that may take over a second accept ``progress: Progress = SILENT`` and write::
-
-    with progress.task("Building level 0", total=n_shards) as task:
-        for shard in shards:
-            ...
-            task.advance()
-"""
+"""How long work reports its progress: silent by default for libraries, a live line on stderr for the command line."""
 
 from __future__ import annotations
 
@@ -15,13 +7,13 @@ from typing import Self
 
 
 class Task:
-    """One piece of work; a context manager. The base class says nothing."""
+    """One piece of work; a context manager. The base class reports nothing."""
 
     def advance(self, n: float = 1) -> None:
-        """Say that ``n`` more units (of the task's total) are done. Safe from any thread."""
+        """Report that ``n`` more units (of the task's total) are done. Safe from any thread."""
 
     def note(self, text: str) -> None:
-        """A short remark shown beside the task (what is being waited for, where the result lies)."""
+        """A short remark shown beside the task (what it waits for, where the result is)."""
 
     def __enter__(self) -> Self:
         return self
@@ -40,17 +32,17 @@ class Progress:
         return Task()
 
     def warn(self, text: str) -> None:
-        """A thing the user should know that does not stop the work (one sentence)."""
+        """Warn the user of something that does not stop the work (one sentence)."""
 
     def note(self, text: str) -> None:
-        """A thing worth knowing that is no cause for concern (one line)."""
+        """Tell the user something worth knowing that is no cause for concern (one line)."""
 
 
 SILENT = Progress()
 
 
 class Within(Progress):
-    """Reports of several tasks as of one."""
+    """Combine the reports of several tasks into one."""
 
     def __init__(self, progress: Progress, task: Task) -> None:
         self._progress, self._task = progress, task
@@ -66,7 +58,7 @@ class Within(Progress):
 
 
 class _Same(Task):
-    """Another task, which neither begins nor ends."""
+    """Report to an existing task without beginning or ending it."""
 
     def __init__(self, task: Task) -> None:
         self._task = task

@@ -1,7 +1,7 @@
-"""Progress that people see: bars in terminals and notebooks (rich), warnings as their place has them.
+"""Visible progress: bars in terminals and notebooks (rich), and warnings in the way that fits the place.
 
-Functions of the package take ``progress``: a ``Progress``, True or None (``Shown``: bars where somebody looks on, and
-Python's warnings), or False (nothing is said). ``reporting`` decides which.
+Functions of the package take ``progress``: a ``Progress``, True or None (``Shown``: bars if a person is watching, and
+Python's warnings), or False (silent). ``reporting`` converts them.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LASTS = 0.7
 
 
 def reporting(progress: Progress | bool | None) -> Progress:
-    """What hears of work that was asked for with ``progress=``."""
+    """The ``Progress`` for an argument ``progress=``."""
     if isinstance(progress, Progress):
         return progress
     return SILENT if progress is False else Shown()
 
 
 def bars(console: Any) -> Bar:
-    """Bars on rich's console, which are gone when all is done."""
+    """Bars on rich's console, removed when all is done."""
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
@@ -42,7 +42,7 @@ def bars(console: Any) -> Bar:
 
 
 class Shown(Progress):
-    """Progress for who works with Python: bars of tasks that last, in a terminal or a notebook; warnings are Python's
+    """Progress for Python users: bars for long tasks in a terminal or a notebook; warnings are Python's
     (``UserWarning``)."""
 
     def __init__(self) -> None:
@@ -61,14 +61,14 @@ class Shown(Progress):
 
 
 def _watched() -> bool:
-    """Whether somebody sees bars: stderr is a terminal, or this is a notebook."""
+    """Whether bars are visible: stderr is a terminal, or this is a notebook."""
     shell = sys.modules.get("IPython")
     kernel = shell is not None and getattr(shell.get_ipython(), "kernel", None) is not None
     return kernel or (sys.stderr is not None and sys.stderr.isatty())
 
 
 class _Bar(Task):
-    """A task that gets a bar if it lasts."""
+    """A task that gets a bar if it takes long."""
 
     def __init__(self, owner: Shown, what: str, total: float | None) -> None:
         self.owner, self.what, self.total = owner, what, total

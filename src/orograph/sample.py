@@ -55,7 +55,7 @@ def jacksboro() -> Dem:
     with np.load(path) as data:
         heights = data["elevation"].astype(np.float32)
         west, east = sorted(float(data[k]) for k in ("xmin", "xmax"))
-        south, north = sorted(float(data[k]) for k in ("ymin", "ymax"))  # the file has the two the other way round
+        south, north = sorted(float(data[k]) for k in ("ymin", "ymax"))  # the file has the two swapped
     rows, cols = heights.shape
     transform = Affine((east - west) / cols, 0.0, west, 0.0, (south - north) / rows, north)
     return Dem(

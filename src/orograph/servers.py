@@ -1,6 +1,6 @@
-"""How buckets and web servers are reached, and what their answers mean: obstore's clients and errors.
+"""How buckets and web servers are reached and what their answers mean: obstore's clients and errors.
 
-Credentials are those of the environment, as the clouds' own tools find them.
+Credentials come from the environment, as for the clouds' own tools.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from orograph.errors import StoreError, public
 
 WEB = frozenset({"http", "https"})
 BUSY = frozenset({408, 409, 425, 429, 500, 502, 503, 504})
-"""HTTP: not now."""
+"""HTTP statuses that mean "try again later"."""
 SILENCE = 10.0
-"""Seconds that a server may let pass without a byte."""
+"""Seconds that a server may stay silent."""
 
 
 def connected(base: str, scheme: str, options: dict[str, Any] | None, url: str, silence: float = SILENCE) -> Any:
-    """obstore's client of a whole bucket or server.
+    """obstore's client for a whole bucket or server.
 
     Args:
-        silence: seconds that it may let pass without a byte.
+        silence: seconds that the server may stay silent.
 
     Raises:
-        StoreError: obstore is not installed, or the address is of no kind that it knows.
+        StoreError: obstore is not installed, or does not support this kind of address.
     """
     try:
         from obstore import store
@@ -58,11 +58,12 @@ def connected(base: str, scheme: str, options: dict[str, Any] | None, url: str, 
         return make(base, config=given, **more)
     except (BaseError, ValueError, TypeError) as error:
         why = public(" ".join(str(error).partition("Debug source")[0].split()))
-        raise StoreError(f"Its kind of address cannot be opened: {why}", path=url) from error
+        raise StoreError(f"This kind of address cannot be opened: {why}", path=url) from error
 
 
 def _profile(given: dict[str, Any]) -> Any:
-    """Amazon's own chain, where it is profiles and sign-ons in ``~/.aws`` (by boto3); obstore knows all others."""
+    """Amazon's own credential chain, where it uses profiles and single sign-on in ``~/.aws`` (by boto3); obstore knows
+    all others."""
     said = {name.lower().removeprefix("aws_") for name in given}
     named = any(os.environ.get(f"AWS_{name}") for name in ("ACCESS_KEY_ID", "WEB_IDENTITY_TOKEN_FILE"))
     if named or said & {"access_key_id", "skip_signature"}:
@@ -78,13 +79,13 @@ def _profile(given: dict[str, Any]) -> Any:
 
 
 def status_of(text: str) -> int | None:
-    """The HTTP status in what obstore says."""
+    """The HTTP status in obstore's message."""
     found = re.search(r"status code: (\d{3})", text)
     return int(found[1]) if found else None
 
 
 def beyond(text: str) -> bool:
-    """Whether an object ends before, or within, the range that was asked for: it was cut off."""
+    """Whether an object ends before or within the requested range: it was truncated."""
     return status_of(text) == 416 or "UnexpectedRange" in text or "InvalidGetRange" in text
 
 

@@ -1,4 +1,4 @@
-"""One or several of a kind, as users give them: a sequence, one alone, or the command line's text with commas."""
+"""One or several values of a kind, as users give them: a sequence, a single value, or a text with commas."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Numbers = float | str | Iterable[float]
 
 
 def words(value: str | Iterable[str]) -> tuple[str, ...]:
-    """The words of "a,b" or of a sequence; none of "none"."""
+    """The words of "a,b" or of a sequence; "none" gives no words."""
     if isinstance(value, str):
         return () if value == "none" else tuple(word.strip() for word in value.split(","))
     return tuple(value)
 
 
 def numbers(value: Numbers, called: str) -> tuple[float, ...]:
-    """Numbers given in any of these ways.
+    """Convert numbers given in any of these ways.
 
     Args:
         called: the argument, for errors.
@@ -32,4 +32,4 @@ def numbers(value: Numbers, called: str) -> tuple[float, ...]:
             return (float(value),)
         return tuple(float(one) for one in (value.split(",") if isinstance(value, str) else value))  # type: ignore[union-attr]
     except (TypeError, ValueError):
-        raise UsageError(f"`{called}` is a number, or several, not {value!r}.") from None
+        raise UsageError(f"`{called}` must be one or several numbers, not {value!r}.") from None

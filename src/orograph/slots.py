@@ -1,7 +1,7 @@
-"""A fixed number of places for tiles: what was used longest ago makes room.
+"""A fixed number of slots for tiles; the least recently used one makes room.
 
-Pages of a refinement, tiles on the GPU and tiles of images all wait in such places. Time is any number that grows:
-frames, rounds, uses. Not safe from several threads by itself.
+Pages of a refinement, tiles on the GPU and tiles of images all use such slots. Time is any increasing number: frames,
+rounds, uses. Not thread-safe.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 K = TypeVar("K", bound=Hashable)
 
 HELD = np.iinfo(np.int64).max
-"""The last use of what may not leave."""
+"""The time of last use that marks a slot as held."""
 
 
 class Slots(Generic[K]):
-    """Which key has which slot, and when it was used last.
+    """Maps keys to slots and tracks when each was last used.
 
     Args:
         capacity: how many there are.
@@ -48,7 +48,7 @@ class Slots(Generic[K]):
         return self._of.get(key, -1)
 
     def room(self, before: int) -> int:
-        """How many slots are free or were used last before a time."""
+        """How many slots are free or were last used before a time."""
         return int((self.last < before).sum())
 
     def touch(self, slots: ArrayLike, now: int) -> None:
@@ -57,9 +57,9 @@ class Slots(Generic[K]):
         self.last[which] = np.maximum(self.last[which], now)
 
     def take(self, key: K, before: int) -> tuple[int, K | None]:
-        """A slot, held, for a key that has none, and the key that had it until now, if there was one.
+        """Take a slot for a key that has none, and hold it; returns the slot and the key that it held before, if any.
 
-        A free slot, or of those that were used last before a time the one used longest ago; −1 if there is none.
+        It is a free slot, or else the least recently used one last used before a time; −1 if there is none.
         """
         gone: K | None = None
         if self._free:

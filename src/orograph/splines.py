@@ -1,11 +1,11 @@
-"""Smooth ways through given values at given times: what flights and tours are made of.
+"""Smooth paths through given values at given times, for flights and tours.
 
 - ``Track``: a Catmull-Rom spline with *centripetal* knots (the square roots of the distances between points), which
-  passes every point and makes neither cusps nor loops (Yuksel, Schaefer & Keyser, *Parameterization and applications
-  of Catmull-Rom curves*, CAD 2011). On a sphere each step of the pyramid of interpolations that Barry & Goldman
-  (SIGGRAPH 1988) make the spline of is a slerp (Schlag 1991, *Graphics Gems II*, VIII.4).
+  passes every point and makes neither cusps nor loops (Yuksel, Schaefer & Keyser, *Parameterization and applications of
+  Catmull-Rom curves*, CAD 2011). On a sphere each step of Barry & Goldman's pyramid of interpolations (SIGGRAPH 1988)
+  is a slerp (Schlag 1991, *Graphics Gems II*, VIII.4).
 - ``Monotone``: the monotonic cubic (Fritsch & Butland 1984, as PCHIP), which never leaves the range of neighbouring
-  values. It says how fast a track is gone along: smoothly, never backwards, at rest where two points are alike.
+  values. It gives the speed along a track: smooth, never backwards, at rest where two points are equal.
 
 Units are the caller's; times in seconds.
 """
@@ -48,7 +48,7 @@ class Monotone:
         self.slopes[list(rests)] = 0.0
 
     def __call__(self, time: float) -> float:
-        """The value at a time; beyond the ends, those."""
+        """The value at a time; constant beyond the ends."""
         return float(self.many(np.array([time]))[0])
 
     def many(self, times: Array) -> Array:
@@ -67,7 +67,7 @@ class Monotone:
 
 
 def _between(before: float, after: float, slope_before: float, slope_after: float) -> float:
-    """The slope at a value between two intervals: the weighted harmonic mean of theirs, 0 at an extremum."""
+    """The slope at a value between two intervals: the weighted harmonic mean of their slopes, 0 at an extremum."""
     if slope_before * slope_after <= 0:
         return 0.0
     a, b = 2 * after + before, after + 2 * before
@@ -75,7 +75,7 @@ def _between(before: float, after: float, slope_before: float, slope_after: floa
 
 
 class Track:
-    """A spline through points (n, d) at times (n,), by a way of mixing points and of measuring between two.
+    """A spline through points (n, d) at times (n,), given how to mix two points and how to measure their distance.
 
     Args:
         mix: the points at t (m, 1) between a (m, d) at 0 and b (m, d) at 1; t may lie beyond.
@@ -113,7 +113,7 @@ class Track:
         if loop and len(moved) > 2:
             before, after = moved[-2], moved[1]
             ends = at[0] - (at[-1] - at[-2]), at[-1] + (at[1] - at[0])
-        else:  # the ends go on as they began: a point mirrored at each
+        else:  # extend the ends: mirror a point at each
             two = np.array([[2.0]])
             before = mix(moved[1][None], moved[0][None], two)[0]
             after = mix(moved[-2][None], moved[-1][None], two)[0]
@@ -158,7 +158,7 @@ def distance_between(a: Array, b: Array) -> float:
 
 
 def angle_between(a: Array, b: Array) -> float:
-    """Radians between unit vectors (d,), to the last digits also for small angles.
+    """The angle in radians between unit vectors (d,), accurate for small angles too.
 
     Raises:
         UsageError: it is 180°.

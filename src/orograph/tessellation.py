@@ -1,9 +1,9 @@
-"""What a method makes of a terrain: ``Tessellation``, a triangle mesh over the full-resolution grid.
+"""The mesh that a method makes of a terrain: ``Tessellation``, triangles over the full-resolution grid.
 
-A vertex is (column, row, height in true metres), on a sample or anywhere between samples, each once. Triangles turn
+A vertex is (column, row, height in true metres), on a sample or between samples; no vertex occurs twice. Triangles turn
 counter-clockwise seen from above in map orientation (east to the right, north up), whichever way the rows of the raster
-run; none is without area. The strip, where a method makes one, is a generalised triangle strip (Lindstrom & Pascucci
-2001, §3.4): indices into the vertices, in which repeated ones make triangles without area that turn corners.
+run; none has zero area. The strip, where a method makes one, is a generalised triangle strip (Lindstrom & Pascucci
+2001, §3.4): indices into the vertices, in which repeated indices make triangles of zero area that turn corners.
 
 Methods on right triangles work on the padded square of 2^n + 1 samples and hand over keys ``row << 32 | col`` of its
 vertices (``from_triangles``, ``from_strip``); here they are squeezed onto the raster and welded.
@@ -36,11 +36,11 @@ class Tessellation:
         vertices: (n, 3) float64: column, row, height in true metres; columns and rows are those of the full-resolution
             grid, sample centres at integers.
         triangles: (m, 3) int32, indices into ``vertices``, counter-clockwise from above in map orientation.
-        strip: (k,) int32, a generalised triangle strip of the same triangles whose first one turns as ``triangles`` do;
-            None where the method makes none.
-        stats: what the method says of itself, as JSON has it: method, error, metric, tolerance, conservative, …;
-            geomorph where vertices on samples may be on their way from other heights.
-        grid: the full-resolution grid that columns and rows count on, where the mesh knows it: the verbs' meshes do.
+        strip: (k,) int32, a generalised triangle strip of the same triangles whose first one has the orientation of
+            ``triangles``; None if the method makes no strip.
+        stats: what the method reports, as JSON values: method, error, metric, tolerance, conservative, …; geomorph if
+            vertices on samples may be moving from other heights.
+        grid: the full-resolution grid that columns and rows refer to, if known (it is for meshes made by the verbs).
 
     Raises:
         UsageError: an array has another shape or type, or an index points at no vertex.
@@ -79,7 +79,7 @@ class Tessellation:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its arrays."""
+        """The size of its arrays, bytes."""
         strip = 0 if self.strip is None else self.strip.nbytes
         return self.vertices.nbytes + self.triangles.nbytes + strip
 
@@ -94,10 +94,9 @@ class Tessellation:
         Args:
             grid: the terrain's full-resolution grid.
             keys: (m, 3) int64, ``row << 32 | col`` of each corner; rows and columns beyond the raster are squeezed onto
-                its last ones, and triangles that lose their area so are left out.
+                its last ones, and triangles that thereby lose their area are dropped.
             heights: (m, 3) float32, the height of each corner, metres.
-            clockwise: how the triangles turn as the raster is drawn, columns to the right and *rows downwards* (all of
-                them the same way).
+            clockwise: the orientation of all triangles with columns to the right and *rows downwards*.
             stats: see ``Tessellation``.
 
         Raises:
@@ -117,15 +116,15 @@ class Tessellation:
     ) -> Self:
         """Weld a generalised triangle strip whose vertices are keys of the padded square.
 
-        Triangle i joins the strip's vertices i, i + 1 and i + 2; every second one turns the other way and is turned
-        over, those without area are skipped.
+        Triangle i joins the strip's vertices i, i + 1 and i + 2; every second one has the opposite orientation and is
+        flipped; triangles of zero area are skipped.
 
         Args:
             grid, stats: as ``from_triangles``.
             keys: (k,) int64, ``row << 32 | col``.
             heights: (k,) float32, metres.
-            clockwise: how triangle 0 turns (or would, if it is one without area) as the raster is drawn, columns to the
-                right and *rows downwards*.
+            clockwise: the orientation of triangle 0 (even if its area is zero) with columns to the right and *rows
+                downwards*.
 
         Raises:
             UsageError: the arrays have other shapes or types.
@@ -149,24 +148,24 @@ class Tessellation:
     # ---- files -----------------------------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str], grid: Grid | None = None) -> Path:
-        """Write an .npz that can be used alone.
+        """Write a self-contained .npz.
 
         Args:
-            path: ends with .npz. grid: the one that columns and rows count on; None: the mesh's own.
+            path: ends with .npz. grid: the one that columns and rows refer to; None: the mesh's own.
 
         Its arrays: ``vertices``, ``triangles``, ``strip`` (if there is one), ``stats`` (a JSON string); and the grid's
         ``shape`` (rows, cols), ``transform`` (the six numbers of GDAL's affine map in the order a, b, c, d, e, f) and
         ``crs`` (WKT, empty if unknown).
 
         Raises:
-            UsageError: the statistics are not JSON, the ending is another, or no grid is known. OutputError: the file
+            UsageError: the statistics are not JSON, the ending is not .npz, or no grid is known. OutputError: the file
                 cannot be written.
         """
         grid = self._grid(grid)
         if Path(path).suffix.lower() != ".npz":
             raise UsageError(
-                "This writes an .npz.", path=path,
-                remedy="Others are written where meshes are made: tessellate or tin with `output`.",
+                "This writes .npz files only.", path=path,
+                remedy="For other formats give `output` to tessellate or tin.",
             )  # fmt: skip
         try:
             stats = json.dumps(self.stats, allow_nan=False)
@@ -189,7 +188,7 @@ class Tessellation:
 
     def _grid(self, given: Grid | None) -> Grid:
         if (grid := given or self.grid) is None:
-            raise UsageError("This mesh knows no grid.", remedy="Give the terrain's: `terrain.grid`.")
+            raise UsageError("This mesh has no grid.", remedy="Give that of the terrain: `terrain.grid`.")
         return grid
 
     @classmethod
@@ -197,7 +196,7 @@ class Tessellation:
         """Read what ``save`` wrote; ``grid`` is the one it was saved with.
 
         Raises:
-            ReadError: the file cannot be read, or is no tessellation.
+            ReadError: the file cannot be read, or is not a tessellation.
         """
         from pyproj import CRS
 
@@ -214,7 +213,9 @@ class Tessellation:
             raise ReadError(f"The tessellation cannot be read: {error.strerror or error}.", path=path) from error
         except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, UsageError) as error:
             raise ReadError(
-                f"This is no tessellation: {error}.", path=path, remedy="Make one with orograph tessellate -o NAME.npz."
+                f"This is not a tessellation: {error}.",
+                path=path,
+                remedy="Make one with orograph tessellate -o NAME.npz.",
             ) from error
 
 

@@ -1,14 +1,15 @@
 """The camera: ``View``, its axes, matrices and frustum, and the rays through its pixels; all in float64.
 
-A view lives in the terrain's projected CRS: x = easting, y = northing, z = height, in metres. Pixel (0, 0) is the
-upper left one and its centre lies at (0.5, 0.5). View-space depth is the distance along the viewing direction; rays are
-made with directions of unit forward component, so the ray parameter *is* the depth.
+A view lives in the terrain's projected CRS: x = easting, y = northing, z = height, in metres. Pixel (0, 0) is the upper
+left one and its centre lies at (0.5, 0.5). View-space depth is the distance along the viewing direction; ray directions
+have unit forward component, so the ray parameter *is* the depth.
 
 A *tile* of a view (``tile``) is a rectangle of its pixels as a view of its own, with an off-axis frustum: pixel (0, 0)
-of the tile is pixel (left, top) of the whole. Pictures too large for a memory or a graphics card are drawn by tiles.
+of the tile is pixel (left, top) of the whole. Pictures too large for memory or the graphics card are drawn tile by
+tile.
 
 Exaggeration stretches heights on the way to the screen only. The eye and the target are true places and are stretched
-with the ground: what is seen does not depend on the height that counts as zero, and an eye above the ground stays so.
+with the ground: the picture does not depend on the zero of heights, and an eye above the ground stays above it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ NUMBERS: dict[str, tuple[type[int] | type[float], int]] = {
     **dict.fromkeys(("eye", "target", "up"), (float, 3)), **dict.fromkeys(("fov_y", "near", "far"), (float, 1)),
     **dict.fromkeys(("width", "height"), (int, 1)), "part": (int, 4),
 }  # fmt: skip
-"""What the numbers of a VIEW.json are, and how many."""
+"""What the numbers of a VIEW.json are, and how many of each."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -46,14 +47,14 @@ class View:
 
     Attributes:
         eye, target: (easting, northing, height) in metres, in the terrain's CRS.
-        up: the direction that is up in the picture; parallel to the view it is replaced by north.
+        up: the direction that is up in the picture; north replaces it if it is parallel to the view.
         fov_y: vertical field of view, degrees in (0, 180).
         width, height: pixels.
-        near, far: depths in metres between which things are seen.
+        near, far: the range of visible depths, metres.
         projection: "perspective", or "plan": straight down onto the target, parallel rays; the picture is as high as
             ``fov_y`` spans at the eye's distance from the target, and ``up`` (or the viewing direction) turns it.
-        part: None, or of a tile (left, top, width, height): where its first pixel is in the whole picture, and the size
-            of that. ``fov_y`` is the whole picture's; ``width`` and ``height`` are the tile's.
+        part: None, or for a tile (left, top, width, height): its first pixel in the whole picture, and the whole
+            picture's size. ``fov_y`` is the whole picture's; ``width`` and ``height`` are the tile's.
     """
 
     eye: Point
@@ -74,11 +75,11 @@ class View:
                 raise UsageError(f"The view's {name} must be three finite numbers, not {value}.")
             object.__setattr__(self, name, value)
         if self.up == (0.0, 0.0, 0.0):
-            raise UsageError("The view's up has no direction: all three of its numbers are 0.")
+            raise UsageError("The view's up has no direction: all three numbers are 0.")
         if self.eye == self.target:
             raise UsageError("The view's eye and target are the same point, so it has no direction.")
         if not 0 < self.fov_y < 180:
-            raise UsageError(f"fov_y is an angle in degrees between 0 and 180, not {self.fov_y}.")
+            raise UsageError(f"fov_y must be an angle between 0 and 180 degrees, not {self.fov_y}.")
         if self.width < 1 or self.height < 1 or self.width != int(self.width) or self.height != int(self.height):
             raise UsageError(
                 f"A picture needs whole numbers of pixels, at least 1 × 1, not {self.width} × {self.height}."
@@ -86,7 +87,7 @@ class View:
         if not 0 <= self.near < self.far:
             raise UsageError(f"near ({self.near}) must not be negative and must be less than far ({self.far}).")
         if self.projection not in ("perspective", "plan"):
-            raise UsageError(f"projection is 'perspective' or 'plan', not {self.projection!r}.")
+            raise UsageError(f"projection must be 'perspective' or 'plan', not {self.projection!r}.")
         if self.part is not None:
             left, top, width, height = self.part
             if left < 0 or top < 0 or left + self.width > width or top + self.height > height:
@@ -116,7 +117,7 @@ class View:
         Args:
             values: eye, target; optionally up, fov_y, width, height, near, far, projection, and ``crs``: the CRS of eye
                 and target where it is not the terrain's, e.g. "EPSG:4326" for (longitude, latitude, height).
-            crs: the terrain's CRS (pyproj); needed if ``values`` names another.
+            crs: the terrain's CRS (pyproj); needed if ``values`` names another one.
 
         Raises:
             UsageError: a key is missing, unknown or of the wrong kind, or the CRS cannot be used.
@@ -124,7 +125,9 @@ class View:
         known = {f.name for f in fields(cls)}
         unknown = set(values) - known - {"crs"}
         if unknown:
-            raise UsageError(f"A view has no {sorted(unknown)[0]!r}; its keys are {', '.join(sorted(known))} and crs.")
+            raise UsageError(
+                f"A view has no key {sorted(unknown)[0]!r}; its keys are {', '.join(sorted(known))} and crs."
+            )
         given: dict[str, Any] = {k: v for k, v in values.items() if k in known and v is not None}
         for name in ("eye", "target"):
             if name not in given:
@@ -139,8 +142,8 @@ class View:
                 x, y = (float(v) for v in move(given[name][0], given[name][1]))
                 if not (math.isfinite(x) and math.isfinite(y)):
                     raise UsageError(
-                        f"The view's {name}, {values[name]!r} in {values['crs']}, cannot be brought to the terrain's "
-                        "CRS."
+                        f"The view's {name}, {values[name]!r} in {values['crs']}, cannot be transformed to the "
+                        "terrain's CRS."
                     )
                 given[name] = (x, y, given[name][2])
         return cls(**given)
@@ -161,7 +164,7 @@ class View:
         write(self.to_dict(), path)
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``from_dict`` reads; an unlimited ``far`` is left out (JSON knows no infinity)."""
+        """The inverse of ``from_dict``; an unlimited ``far`` is left out (JSON has no infinity)."""
         values = asdict(self)
         if math.isinf(self.far):
             del values["far"]
@@ -184,12 +187,12 @@ class View:
 
     @property
     def frame(self) -> tuple[int, int, int, int]:
-        """(left, top, width, height): where the first pixel is in the whole picture, and that picture's size."""
+        """(left, top, width, height): the first pixel in the whole picture, and that picture's size."""
         return self.part or (0, 0, self.width, self.height)
 
     @property
     def whole(self) -> Self:
-        """The view that this is a tile of; itself, if it is none."""
+        """The view that this is a tile of; itself if it is not a tile."""
         return self if self.part is None else self.resized(*self.part[2:])
 
     # ---- geometry ------------------------------------------------------------------------------------------------
@@ -200,7 +203,7 @@ class View:
         return np.array(right), np.array(up), np.array(forward)
 
     def plain_axes(self, exaggeration: float = 1.0) -> tuple[Vector, Vector, Vector]:
-        """``axes`` in plain numbers, which take a fifth of NumPy's time for so few: cameras move at every frame."""
+        """``axes`` as plain numbers, five times as fast as NumPy for so few: cameras move at every frame."""
         return camera_axes(self.eye, self.target, self.up, self.projection == "plan", exaggeration)
 
     @property
@@ -215,7 +218,7 @@ class View:
 
     @property
     def pixel_metres(self) -> float:
-        """The size of a pixel at the target, metres; everywhere, in a plan."""
+        """The size of a pixel at the target, metres (in a plan: everywhere)."""
         return self.pixel_slope * self.distance
 
     def view_matrix(self, exaggeration: float = 1.0) -> Array:
@@ -234,7 +237,7 @@ class View:
         """Camera → clip space, (4, 4), reversed depth: 1 at ``near`` (or 1 m, if that is 0), 0 at ``far``."""
         near = self.near or 1.0
         left, top, width, height = self.frame
-        # The middle of the picture as seen from the tile's, in half tiles: 0 unless this is a tile.
+        # The middle of the whole picture as seen from the tile's, in half tiles: 0 unless this is a tile.
         aside, above = (width / 2 - left) * 2 / self.width - 1, 1 - (height / 2 - top) * 2 / self.height
         matrix = np.zeros((4, 4))
         if self.projection == "plan":
@@ -253,7 +256,8 @@ class View:
         return matrix
 
     def frustum(self, exaggeration: float = 1.0) -> Array:
-        """The planes (n, 4) that bound what is seen: a·x + b·y + c·z + d ≥ 0 inside, unit normals, stretched space.
+        """The planes (n, 4) that bound the visible space: a·x + b·y + c·z + d ≥ 0 inside, unit normals, stretched
+        space.
 
         Left, right, bottom, top, near, and far if it is finite.
         """
@@ -267,7 +271,7 @@ class View:
             (up, 1.0, height / 2 - top - self.height), (up, -1.0, top - height / 2),
         )  # fmt: skip
         planes = []
-        for axis, sign, pixels in sides:  # what is seen lies at least so many pixels along the axis from the middle
+        for axis, sign, pixels in sides:  # at least this many pixels along the axis from the middle
             least = pixels * pixel
             if plan:
                 normal = sign * axis[0], sign * axis[1], sign * axis[2]
@@ -304,7 +308,8 @@ class View:
         return np.stack([x, y], -1), depth
 
     def ray_basis(self, exaggeration: float = 1.0) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """What makes the ray through pixel position (px, py): origin o0 + px·ou + py·ov, direction d0 + px·du + py·dv.
+        """The parameters of the ray through pixel position (px, py): origin o0 + px·ou + py·ov, direction d0 + px·du +
+        py·dv.
 
         All (3,), true space; pixel *positions*: (0.5, 0.5) is the centre of the first pixel. In perspective ou and ov
         are zero, in a plan du and dv are. Directions have unit forward component.
@@ -326,7 +331,7 @@ class View:
 
 
 def _numbers(name: str, value: Any) -> Any:
-    """What a VIEW.json says, as the numbers that it must be."""
+    """A value of a VIEW.json as the numbers that it must be."""
     kind, count = NUMBERS[name]
     try:
         found = tuple(float(v) for v in (value if count > 1 else (value,)))
@@ -343,7 +348,7 @@ def _numbers(name: str, value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A view of a terrain: what a method selects for, and what surfaces are drawn by.
+    """A view of a terrain: what methods select for and surfaces are drawn with.
 
     Attributes:
         view: where from.
@@ -351,7 +356,7 @@ class Camera:
         exaggeration: heights are stretched by this on the way to the screen.
 
     Raises:
-        UsageError: the exaggeration is no factor.
+        UsageError: the exaggeration is not a positive number.
     """
 
     view: View
@@ -361,16 +366,16 @@ class Camera:
     def __post_init__(self) -> None:
         factor: Any = self.exaggeration
         if not (isinstance(factor, Real) and 0 < float(factor) < math.inf):
-            raise UsageError(f"The exaggeration is a factor greater than 0, not {factor!r}.")
+            raise UsageError(f"The exaggeration must be greater than 0, not {factor!r}.")
 
     @classmethod
     def over(cls, grid: Grid, view: View, exaggeration: float = 1.0) -> Self:
-        """The camera of a view over flat terrain."""
+        """The camera for a view of flat terrain."""
         return cls(view, AffineChart(grid), exaggeration)
 
     @property
     def affine(self) -> AffineChart:
-        """The chart, for what draws flat terrain only.
+        """The chart, for code that draws flat terrain only.
 
         Raises:
             UsageError: it is curved.

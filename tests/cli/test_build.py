@@ -177,7 +177,7 @@ def test_kinds_of_errors(tmp_path):
     ]
     assert [json.loads(ran.stdout)["errors"] for ran in told] == [["exact"], ["exact", "wedgie"], []]
     ran = CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / "d"), "--errors", "best"], obj={"quiet": True})
-    assert ran.exit_code == 2 and "'best' is none of exact, wedgie, midpoint, none" in ran.output
+    assert ran.exit_code == 2 and "'best' is not one of exact, wedgie, midpoint, none" in ran.output
 
 
 def test_what_methods_need_is_stored_ahead(tmp_path):

@@ -112,7 +112,7 @@ def test_all_that_can_reach_a_budget(run, hilly):
     told = json.loads(said)
     able = [name for name in METHODS if name not in ("raycast", "hybrid")]
     assert code == 0 and list(told["methods"]) == [*able, "soar,error=wedgie"]
-    assert "raycast cannot aim at triangles and is left out" in err
+    assert "raycast does not support the goal triangles and is left out" in err
 
 
 def test_a_flight(run, hilly, tmp_path):
@@ -198,8 +198,8 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
         (of("sore"), 2, ("sore", "soar")),
         (of("soar,metric=euclid"), 2, ("euclid",)),
         ((*of("soar", "threshold-spheres,metric=wedgie"), "--views", "none.json"), 2, ("not 'wedgie'",)),
-        ((*of("raycast"), "--triangles", 9), 2, ("cannot aim at triangles", "tolerance")),
-        ((*of("soar,error=midpoint"), "--conservative"), 2, ("no promise", "orograph methods soar")),
+        ((*of("raycast"), "--triangles", 9), 2, ("does not support the goal triangles", "tolerance")),
+        ((*of("soar,error=midpoint"), "--conservative"), 2, ("not guaranteed", "orograph methods soar")),
         (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
         (("--judged", 3), 2, ("--flight",)),
         (("--flight", "none.json"), 3, ("none.json",)),

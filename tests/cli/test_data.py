@@ -64,7 +64,7 @@ def test_an_uncertainty_belongs_to_the_data_before_it(run, files, monkeypatch):
         (("--data", "nix.tif"), "no such file"),
         (("--data", "rain.tif,stile=cells"), "style"),
         (("--data", "rain.tif,band=9"), "1 to 5"),
-        (("--data", "rain.tif", "--uncertainty", "spread", "--uncertainty", "ci90"), "Each --data has one"),
+        (("--data", "rain.tif", "--uncertainty", "spread", "--uncertainty", "ci90"), "Each --data may have one"),
         (("--data", "rain.tif,band=1", "--uncertainty", "spread"), "members"),
         (("--priority", "T+X-"), r"T+D-U-"),
     ],

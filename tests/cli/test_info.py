@@ -310,7 +310,13 @@ def test_statistics_do_not_depend_on_blocks_or_threads(tmp_path: Path, monkeypat
 def test_text_for_people(shared_data: Path) -> None:
     result = CliRunner().invoke(cli, ["info", str(shared_data / "spearfish-sfdem-utm13" / "sfdem.tiff")])
     assert result.exit_code == 0
-    for part in ("477 rows × 634 columns", "EPSG:26713", "1066 to 1840 m", "30 × 30 m", "! It holds the number -1e+37"):
+    for part in (
+        "477 rows × 634 columns",
+        "EPSG:26713",
+        "1066 to 1840 m",
+        "30 × 30 m",
+        "! It contains the number -1e+37",
+    ):
         assert part in result.stdout
 
 

@@ -207,7 +207,7 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "slope", "--light", "1,2"), "hillshade"),
         (("--product", "hillshade", "--light", "1"), "AZ,ALT"),
         (("--product", "hillshade", "--light", "315,145"), "altitude"),
-        (("--product", "slope,aspect", "--radius", "300"), "--radius changes nothing of slope, aspect"),
+        (("--product", "slope,aspect", "--radius", "300"), "--radius has no effect on slope, aspect"),
         (("--product", "openness", "--sun", "315,45"), "hillshade, shadow"),
         (("--product", "visible-sky", "--date", "2026"), "insolation"),
         (("--product", "insolation", "--date", "2026", "--rho", "linear"), "ambient-occlusion"),
@@ -279,7 +279,7 @@ def test_a_file_that_may_not_grow(hilly, tmp_path, name):
     given = ["light", str(hilly), "--product", name, "-o", str(out), "--quiet"]
     ran = subprocess.run([sys.executable, "-c", code, *given], capture_output=True, text=True)
     assert ran.returncode == 4 and len(ran.stderr.splitlines()) == 1, ran.stderr
-    assert "out.tif" in ran.stderr and "more than 0.02 MB" in ran.stderr and "ulimit -f" in ran.stderr
+    assert "out.tif" in ran.stderr and "larger than 0.02 MB" in ran.stderr and "ulimit -f" in ran.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == []
 
 

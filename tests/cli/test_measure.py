@@ -174,19 +174,19 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
         (("area", A, B), 2, "at least 3"),
         (("los", A, B, C), 2, "2 points, not 3"),
         (("los", A, B, "--eye", "-1"), 2, "eye's height"),
-        (("viewshed", A), 2, "where to write"),
+        (("viewshed", A), 2, "Give an output"),
         (("viewshed", A, "-o", "a.png"), 2, ".tif"),
         (("viewshed", A, "-o", "a.tif", "--radius", "-5"), 2, "radius"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--heights"), 2, "contradict"),
-        (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma says"),
+        (("viewshed", A, "-o", "a.tif", "--range", "10"), 2, "--sigma gives"),
         (("viewshed", A, "-o", "a.tif", "--sigma", "-1"), 2, "standard deviation"),
-        (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--draws", "0"), 2, "1 to 65,535 draws"),
+        (("viewshed", A, "-o", "a.tif", "--sigma", "1", "--draws", "0"), 2, "1 to 65,535"),
         (("viewshed", A, "-o", "a.tif", "--draws", "50"), 2, "--draws applies to uncertain heights only"),
         (("viewshed", A, "-o", "a.tif", "--seed", "2"), 2, "--seed applies to uncertain heights only"),
-        (("slope", "-o", "a.tif"), 2, "how uncertain heights are"),
+        (("slope", "-o", "a.tif"), 2, "the uncertainty of heights"),
         (("slope", "-o", "a.tif", "--sigma", "no.tif"), 3, "no.tif"),
         (("contours", "-o", "a.tif", "--sigma", "1"), 2, "give one of the two"),
-        (("flood", A, "--level", "5"), 2, "where to write"),
+        (("flood", A, "--level", "5"), 2, "Give an output"),
         (("flood", "1,2", "--level", "5", "-o", "a.tif"), 2, "km south of hilly"),
         (("length", A, B), 2, "no measure 'length'"),
     ],
@@ -202,7 +202,7 @@ def test_the_order_is_told(run, hilly):
     code, _, err = run("measure", hilly, "profile", A, B)
     assert code == 2 and f"What to measure comes first: orograph measure profile {hilly}" in err
     code, _, err = run("measure", "--max-memory", "1GiB", "pick", hilly, A)
-    assert code == 2 and "options after it" in err
+    assert code == 2 and "then the options" in err
 
 
 def test_options_of_the_terrain_stand_anywhere_after_what_is_measured(run, hilly):

@@ -81,11 +81,11 @@ def test_a_method_that_is_added(run, hilly, tmp_path, grid):
         sizes.append(len(Tessellation.load(out).triangles))
     assert sizes[0] > 3 * sizes[1]
     code, _, err = run("tessellate", hilly, "-o", tmp_path / "b.npz", "--method", toy.NAME, "--triangles", 9, "-q")
-    assert code == 2 and "cannot aim at triangles" in err
+    assert code == 2 and "does not support the goal triangles" in err
     code, said, err = run("render", hilly, "-o", tmp_path / "a.png", "--method", toy.NAME, "--wireframe", *SMALL)
     assert code == 0 and f"{toy.NAME}: " in said, err
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.size == (160, 100)
     code, _, err = run("tessellate", hilly, "-o", tmp_path / "b.npz", "--method", toy.NAME, "--conservative", "-q")
-    assert code == 2 and "no promise" in err
+    assert code == 2 and "not guaranteed" in err
     assert not (tmp_path / "b.npz").exists() and Path(tmp_path / "2.npz").exists()

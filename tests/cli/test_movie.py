@@ -114,18 +114,18 @@ def test_what_is_said_beside_the_tour_holds(run, hilly, tour, tmp_path):
     [
         (("-o", "a.mp4"), "--tour or a kind"),
         (("-o", "a.mp4", "--orbit", "--turntable"), "two tours"),
-        (("-o", "a.mp4", "--orbit", "--height", "5"), "--height says nothing"),
+        (("-o", "a.mp4", "--orbit", "--height", "5"), "--height does not apply"),
         (("-o", "a.avi", "--orbit"), ".avi"),
         (("-o", "a.mp4", "--orbit", "--size", "161x90"), "162x90"),
         (("-o", "a.gif", "--orbit", "--crf", "20"), "--crf"),
         (("-o", "%d-%d.png", "--orbit"), "one number"),
         (("-o", "a.mp4", "--orbit", "--from", "20"), "no frame"),
         (("-o", "a.mp4", "--orbit", "--wireframe"), "--method"),
-        (("-o", "a.mp4", "--point", "-117,36"), "two places"),
+        (("-o", "a.mp4", "--point", "-117,36"), "two points"),
         (("-o", "a.mp4", "--orbit", "--seconds", "-1"), "seconds"),
         (("-o", "no/a.mp4", "--orbit"), "no folder"),
         (("-o", "a.mp4", "--around", "-117,36,500", "--distance", "900"), "--around and --distance say the same"),
-        (("-o", "a.mp4", "--around", "-117,36", "--line", "a.gpx"), "--around says nothing about --line"),
+        (("-o", "a.mp4", "--around", "-117,36", "--line", "a.gpx"), "--around does not apply to --line"),
         (("-o", "a.mp4", "--around", "-117,89"), "km beyond the terrain's north"),
         (("-o", "a.mp4", "--around", "-117"), "LON,LAT,RADIUS"),
     ],
@@ -167,7 +167,7 @@ def test_tours_are_made_and_told(run, hilly, tmp_path):
     code, said, _ = run("tour", "info", path, "--json")
     assert code == 0 and json.loads(said)["duration"] == pytest.approx(9)
     code, _, err = run("tour", "new", hilly, "-o", path)
-    assert code == 2 and "What kind" in err
+    assert code == 2 and "Which kind" in err
 
 
 def test_a_tour_in_degrees_is_told_in_the_terrains_crs(run, tmp_path):

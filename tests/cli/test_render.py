@@ -355,9 +355,9 @@ def test_rasters_of_different_bodies(run, dem, tmp_path):
         tmp_path / "moon.tif", None, Affine(30, 0, 500_000, 0, -30, 1_000_000), CRS.from_user_input(MOON).to_wkt()
     )
     options = ("-o", tmp_path / "a.png", *SMALL)
-    refused(run("render", dem, moon, *options), 3, "moon.tif", "another planet or moon")
-    refused(run("render", moon, "--crs", "EPSG:32633", *options), 2, "moon.tif", "another planet or moon", "--crs")
-    refused(run("render", dem, "--drape", moon, *options), 2, "moon.tif", "not of the same celestial body", "same body")
+    refused(run("render", dem, moon, *options), 3, "moon.tif", "a different planet or moon")
+    refused(run("render", moon, "--crs", "EPSG:32633", *options), 2, "moon.tif", "a different planet or moon", "--crs")
+    refused(run("render", dem, "--drape", moon, *options), 2, "moon.tif", "different celestial bodies", "same body")
     assert run("render", moon, *options)[0] == 0
 
 
@@ -414,7 +414,7 @@ def test_nothing_in_view_advises_what_applies(run, tmp_path, monkeypatch, azimut
     from orograph.errors import NothingInViewError
 
     def fail(scene, progress):
-        raise NothingInViewError("Nothing.", path="x", remedy="Leave the camera options away to see all of it.")
+        raise NothingInViewError("Nothing.", path="x", remedy="Leave out the camera options to see all of it.")
 
     monkeypatch.setattr("orograph.rendering.cpu.draw.draw", fail)
     options = () if azimuth is None else ("--from", azimuth)

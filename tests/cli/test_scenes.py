@@ -84,10 +84,10 @@ def test_details_go_into_the_value_they_are_of() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--wireframe"], "`wireframe` is about the mesh"),
+        (["--wireframe"], "`wireframe` applies to the mesh"),
         (["--method", "soar", "--triangles", "9", "--tolerance", "1"], "`tolerance` or `triangles`"),
-        (["--light-at", "1,2,3,4"], "knows no `lamps`"),
-        (["--disc", "1,2,3", "--light", "ao"], "knows no `discs`"),
+        (["--light-at", "1,2,3,4"], "does not support `lamps`"),
+        (["--disc", "1,2,3", "--light", "ao"], "does not support `discs`"),
     ],
 )
 def test_contradictions_are_found_before_there_is_a_terrain(words: list[str], said: str) -> None:

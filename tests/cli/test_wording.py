@@ -120,8 +120,8 @@ def test_the_same_error_in_python_and_on_the_command_line(run, nowhere, tmp_path
     cases = [
         ({}, (), '`assume_crs="EPSG:4326"`', "--assume-crs EPSG:4326"),
         ({"wireframe": True}, ("--wireframe",), '`method="soar"`', "--method soar"),
-        ({"lamps": [(8, 47, 1, 1)]}, ("--light-at", "8,47,1,1"), "knows no `lamps`", "knows no --light-at"),
-        ({"discs": [(1, 2, 3)]}, ("--disc", "1,2,3"), "knows no `discs`", "knows no --disc"),
+        ({"lamps": [(8, 47, 1, 1)]}, ("--light-at", "8,47,1,1"), "not support `lamps`", "not support --light-at"),
+        ({"discs": [(1, 2, 3)]}, ("--disc", "1,2,3"), "does not support `discs`", "does not support --disc"),
         (
             {"method": "soar", "triangles": 9, "tolerance": 1.0},
             ("--method", "soar", "--triangles", "9", "--tolerance", "1"),

@@ -96,7 +96,9 @@ def test_degrees_without_a_crs(y: str, x: str) -> None:
     if y == "row":
         assert array.orograph.to_dem().grid.crs is None
         return
-    with pytest.warns(UserWarning, match=f"hill has no CRS; its coordinates {x}, {y} are taken for degrees of WGS 84"):
+    with pytest.warns(
+        UserWarning, match=f"hill has no CRS; its coordinates {x}, {y} are assumed to be degrees of WGS 84"
+    ):
         dem = array.orograph.to_dem()
     assert dem.grid.crs is not None and dem.grid.crs.to_epsg() == 4326
     with pytest.warns(UserWarning):

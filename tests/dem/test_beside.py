@@ -37,11 +37,11 @@ def crs(code: int) -> str:
 
 @pytest.mark.parametrize(
     ("note", "said"),
-    [(crs(32612), "the CRS WGS 84 / UTM zone 12N where the file itself says WGS 84 / UTM zone 11N"),
-     ("<GeoTransform>600000,30,0,4000000,0,-30</GeoTransform>", "lies at 600000, 4000000 where the file itself says"),
+    [(crs(32612), "the CRS WGS 84 / UTM zone 12N, but the file itself says WGS 84 / UTM zone 11N"),
+     ("<GeoTransform>600000,30,0,4000000,0,-30</GeoTransform>", "lies at 600000, 4000000, but the file itself says"),
      ("<GeoTransform>500000,60,0,4000000,0,-60</GeoTransform>", "that it lies at"),
-     (BAND.format("<NoDataValue>7</NoDataValue>"), "that 7.0 is missing where the file itself says -9999.0"),
-     (BAND.format("<UnitType>m</UnitType>"), "in 'm' where the file itself says 'ft'"),
+     (BAND.format("<NoDataValue>7</NoDataValue>"), "that 7.0 is missing, but the file itself says -9999.0"),
+     (BAND.format("<UnitType>m</UnitType>"), "in 'm', but the file itself says 'ft'"),
      (BAND.format("<Scale>20</Scale>"), "a scale and offset of 20,"),
      (BAND.format("<Offset>9</Offset>"), "a scale and offset of")],
 )  # fmt: skip

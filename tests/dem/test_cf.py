@@ -69,7 +69,7 @@ def test_axes_that_float32_has_rounded_are_even(tmp_path: Path) -> None:
     lon, lat = (170 + np.arange(COLS) / 3600).astype(np.float32), (46 - np.arange(ROWS) / 3600).astype(np.float32)
     assert np.abs(np.diff(lon) * 3600 - 1).max() > 0.04
     given = array(lon, lat, DEGREES, ("lat", "lon"))
-    with pytest.warns(UserWarning, match="taken for degrees"):
+    with pytest.warns(UserWarning, match="assumed to be degrees"):
         from_xarray(given)
     np.testing.assert_array_equal(read(file_of(given, tmp_path / "a.nc")).heights, HEIGHTS)
 

@@ -120,7 +120,7 @@ def test_far_apart(tmp_path, monkeypatch):
     assert Mosaic.open(files[0]).void == 0 and Mosaic.open(files[0]).warnings == []
     monkeypatch.setattr("orograph.dem.void.HUGE", 100_000)
     for way in (orograph.build, lambda source, url, **how: orograph.build(Mosaic.open(source), url, **how)):
-        with pytest.raises(UsageError, match=r"If it is meant, .* `resolution=30`"):
+        with pytest.raises(UsageError, match=r"If this is intended, .* `resolution=30`"):
             way(files, tmp_path / "a.oro", progress=False)
     assert orograph.build(files, tmp_path / "a.oro", resolution=30, progress=False).valid_fraction < 0.01
 

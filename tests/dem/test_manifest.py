@@ -194,7 +194,7 @@ def test_patterns_and_folders(tiles: list[Path], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("", "lists no file"), ("{}\n", "Line 1 .* no JSON object with a path"), ('{"path": "a"}\n[1]\n', "Line 2"),
+    [("", "lists no file"), ("{}\n", "Line 1 .* not a JSON object with a path"), ('{"path": "a"}\n[1]\n', "Line 2"),
      ('{"path": 3}', "Line 1"), ("not json", "Line 1")],
 )  # fmt: skip
 def test_what_is_no_manifest_is_refused(text: str, words: str, tmp_path: Path) -> None:
@@ -205,11 +205,11 @@ def test_what_is_no_manifest_is_refused(text: str, words: str, tmp_path: Path) -
 
 
 def test_names_and_options_are_checked(tiles: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"ends in \.manifest\.geojsonl"):
+    with pytest.raises(UsageError, match=r"must end in \.manifest\.geojsonl"):
         manifest(tiles, tmp_path / "all.json", progress=False)
-    with pytest.raises(UsageError, match="`resolution` cannot be said of single files"):
+    with pytest.raises(UsageError, match="`resolution` cannot be given for single files"):
         manifest(tiles, tmp_path / "all.manifest.geojsonl", resolution=3, progress=False)
-    with pytest.raises(OrographError, match="one raster is wanted"):
+    with pytest.raises(OrographError, match="one raster is needed"):
         Source.open(tmp_path / "all.manifest.geojsonl")
 
 

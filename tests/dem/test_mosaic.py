@@ -397,7 +397,7 @@ def test_voids_keep_their_size() -> None:
 def test_without_crs() -> None:
     grid = Affine(2, 0, 1000, 0, -2, 5000)
     m = Mosaic([held(hills(30, 40), grid, None)])
-    assert m.lossless and m.grid.crs is None and any("taken to be metres" in w for w in m.warnings)
+    assert m.lossless and m.grid.crs is None and any("assumed to be metres" in w for w in m.warnings)
     local = Mosaic([held(hills(30, 40), Affine(0.5, 0, 0, 0, -0.5, 0), None)], options={"spacing": 0.5})
     assert local.grid.spacing == (0.5, 0.5) and not local.warnings
     with pytest.raises(ReadError, match="`spacing=30`"):

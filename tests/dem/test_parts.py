@@ -265,7 +265,7 @@ def test_a_part_of_another_size_than_the_vrt_says(tmp_path: Path, properties: st
         profile = {**file.profile, "height": 150}
     with rasterio.open(tmp_path / "part.tif", "w", **profile) as file:
         file.write(some, 1)
-    with pytest.raises(ReadError, match=r"150 × 200 samples where the VRT .* 200 × 200"):
+    with pytest.raises(ReadError, match=r"150 × 200 samples, but the VRT .* 200 × 200"):
         read(area)
 
 

@@ -50,12 +50,12 @@ def rasters(draw: st.DrawFn) -> dict[str, Any]:
             numbers[draw(hnp.arrays(bool, shape))] = np.asarray(nodata).astype(dtype)
     x, y = draw(st.floats(-1e6, 1e6)), draw(st.floats(-1e6, 1e6))
     dx, dy = draw(st.floats(0.001, 1000)), draw(st.floats(0.001, 1000))
-    kind = draw(st.sampled_from(["north-up", "south-up", "east-first", "turned round", "rotated"]))
+    kind = draw(st.sampled_from(["north-up", "south-up", "east-first", "reversed", "rotated"]))
     transform = {
         "north-up": Affine(dx, 0, x, 0, -dy, y),
         "south-up": Affine(dx, 0, x, 0, dy, y),
         "east-first": Affine(-dx, 0, x, 0, -dy, y),
-        "turned round": Affine(-dx, 0, x, 0, dy, y),
+        "reversed": Affine(-dx, 0, x, 0, dy, y),
         "rotated": compose(Affine.translation(x, y), Affine.rotation(draw(st.floats(5, 85))), Affine.scale(dx, -dy)),
     }[kind]
     return {

@@ -189,8 +189,8 @@ def test_points_at_one_place_become_one(tmp_path):
         ({"x": [1.0], "y": [2.0], "z": [3.0]}, UsageError, "needs three points; it has 1"),
         ({"x": [1, 1, 1, 1], "y": [2, 2, 2, 2], "z": [3, 3, 3, 3]}, UsageError, "it has 1 at different places"),
         ({"x": [1, 2, 3, 4], "y": [2, 4, 6, 8], "z": [3, 1, 2, 3]}, UsageError, "lie on one line"),
-        ({"x": [1, 2, 3], "y": [2, 4, 7], "z": ["nan", "", "none"]}, ReadError, "no column of numbers for the heights"),
-        ({"x": ["", "", 3], "y": [2, 4, 7], "z": [1, 2, "nan"]}, ReadError, "None of its 3 points has a place"),
+        ({"x": [1, 2, 3], "y": [2, 4, 7], "z": ["nan", "", "none"]}, ReadError, "no column with numbers"),
+        ({"x": ["", "", 3], "y": [2, 4, 7], "z": [1, 2, "nan"]}, ReadError, "None of its 3 points has both a position"),
         ({"a": [1, 2, 3], "b": [2, 4, 7], "z": [1, 2, 3]}, ReadError, "do not say where the points lie; they"),
         ({"x": [1, 2, 3], "y": [2, 4, 7], "p": [1, 2, 3], "q": [3, 4, 5]}, UsageError, "holds the heights: p, q"),
     ],
@@ -205,8 +205,8 @@ def test_points_without_a_height_are_left_out_and_told(tmp_path):
     x, y, z = cloud(30)
     z = [*z[:20], *["nan"] * 10]
     points = read_scattered(table(tmp_path / "p.csv", {"x": x, "y": y, "z": z}, ";"))
-    assert len(points) == 20 and "Of its 30 points 10 without a place or a height" in points.warnings[0]
-    with pytest.raises(UsageError, match="There is no column 'Z2' of numbers; there are z"):
+    assert len(points) == 20 and "Of its 30 points 10 lack a position or a height" in points.warnings[0]
+    with pytest.raises(UsageError, match="There is no column 'Z2' with numbers; there are z"):
         read_scattered(tmp_path / "p.csv", height_column="Z2")
 
 
@@ -280,9 +280,9 @@ def test_a_store_keeps_its_points(tmp_path):
              for jobs in (1, 3)]  # fmt: skip
     assert files[0] == files[1]
     assert all((tmp_path / "1.oro" / p).read_bytes() == (tmp_path / "3.oro" / p).read_bytes() for p in files[0])
-    with pytest.raises(UsageError, match="cannot be put together"):
+    with pytest.raises(UsageError, match="cannot be combined"):
         orograph.terrain([str(path), str(path)], progress=False)
-    with pytest.raises(UsageError, match="`band` cannot be said of points"):
+    with pytest.raises(UsageError, match="`band` cannot be used with points"):
         orograph.terrain(str(path), progress=False, band=2)
 
 
@@ -308,7 +308,7 @@ def test_facts_of_points(tmp_path):
     assert "861" in told and "400 m × 200 m" in told and "9.64 × 9.64 m" in told
     with pytest.raises(UsageError, match="not clear which of its columns"):
         orograph.info(path, progress=False)
-    with pytest.raises(UsageError, match="`band` cannot be said of points"):
+    with pytest.raises(UsageError, match="`band` cannot be used with points"):
         orograph.info(path, progress=False, height_column="depth", band=2)
 
 
@@ -316,7 +316,7 @@ def test_facts_of_points_all_over_the_earth(tmp_path):
     path = table(tmp_path / "p.csv", {"lon": [-170, 170, 0, 20.0], "lat": [-60, 60, 0, 10.0], "z": [1, 2, 3, 4.0]})
     found = orograph.info(str(path), progress=False)
     assert found["spacing_m"] == [None, None] and found["bounds"] == [-170, -60, 170, 60]
-    assert any("too wide to be shown flat" in text for text in found["warnings"]) and "unknown" in str(found)
+    assert any("too large for a flat projection" in text for text in found["warnings"]) and "unknown" in str(found)
 
 
 def test_facts_of_points_in_degrees_and_of_an_area(tmp_path):
@@ -344,8 +344,8 @@ def test_decimal_commas_between_semicolons(tmp_path):
     ("text", "says"),
     [
         ("500000,4000000,3\n500001,4000000,3\n", "first line holds numbers"),
-        ("x,y,z\n", "no points below its line of names"),
-        ("x,y,z\n1,2,a\n", "no column of numbers for the heights"),
+        ("x,y,z\n", "no points below its header line"),
+        ("x,y,z\n1,2,a\n", "no column with numbers for the heights"),
     ],
 )
 def test_tables_without_names_points_or_heights(tmp_path, text, says):

@@ -27,13 +27,13 @@ def commas(row: tuple[float, ...], mark: str) -> str:
     ("names", "rows", "says"),
     [
         ("x,y,z", [commas(p, ",") for p in PLACES], "Line 2 has 6 fields.*semicolons"),
-        ("x;y;z", [f"{x};{y};1,{int(z) % 1000:03}" for x, y, z in PLACES], "part thousands"),
+        ("x;y;z", [f"{x};{y};1,{int(z) % 1000:03}" for x, y, z in PLACES], "thousands separators"),
         ("x,y,z", [f"{x},{y},{z},7" for x, y, z in PLACES], "Line 2 has 4 fields"),
-        ("x,y,z,z", [f"{x},{y},{z},7" for x, y, z in PLACES], "called 'z'"),
+        ("x,y,z,z", [f"{x},{y},{z},7" for x, y, z in PLACES], "named 'z'"),
         ("x,y,elevation,z", [f"{x},{y},{z},7" for x, y, z in PLACES], "z, elevation.*height_column"),
         ("x,longitude,y,z", [f"{x},7,{y},{z}" for x, y, z in PLACES], "x and longitude"),
         ("x,latitude,z", [f"{x},{y},{z}" for x, y, z in PLACES], "do not say where"),
-        ("x,y,z", [f"{x},{y},1_000" for x, y, z in PLACES], "no column of numbers"),
+        ("x,y,z", [f"{x},{y},1_000" for x, y, z in PLACES], "no column with numbers"),
         ("x,y,z", ['"500000,4000000,3', "500100,4000000,4", '500100,4000100,5",1,2'], "quotation mark"),
         ("x,y,z", ['500000,4000000,3', '"500100,4000000,4', "500100,4000100,5"], "cannot be read"),
     ],
@@ -68,7 +68,7 @@ def test_heights_that_are_none(tmp_path: Path) -> None:
     points = read_scattered(written(tmp_path / "p.csv", "x,y,z", rows))
     assert len(points) == 4
     assert any("1 are -9999" in text for text in points.warnings)
-    assert any("1 without a place or a height" in text for text in points.warnings)
+    assert any("1 lack a position or a height" in text for text in points.warnings)
 
 
 def test_degrees_stay_degrees_whatever_is_assumed(tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_degrees_stay_degrees_whatever_is_assumed(tmp_path: Path) -> None:
     ("at", "kind", "value", "says"),
     [
         (247, "<Q", 40, "behind its 40 points"),
-        (247, "<Q", 90, "speaks of 90 points"),
+        (247, "<Q", 90, "declares 90 points"),
         (147, "<d", 1.0, "header has z between"),
         (147, "<d", -0.01, "header has z between"),
         (155, "<d", 0.0, "header has x between"),

@@ -334,7 +334,7 @@ def test_a_truncated_file_names_the_block_and_is_never_zeros(tmp_path: Path) -> 
         np.testing.assert_array_equal(source.read(0, 128, 0, 512), numbers[:128])
         with pytest.raises(ReadError, match=r"a\.tif: The block of rows 384–511, columns \d+–\d+ cannot be read"):
             source.read(0, 512, 0, 512)
-    with pytest.raises(ReadError, match="cut short"):
+    with pytest.raises(ReadError, match="truncated"):
         read(path)
 
 

@@ -33,7 +33,7 @@ def test_a_token_that_is_no_number(tmp_path: Path, name: str, token: str) -> Non
     with pytest.raises(ReadError) as caught:
         read(path)
     line = FORMATS[name].count("\n") + 2
-    assert f"Line {line}, column 3: {token!r} is no number." in str(caught.value) and name in str(caught.value)
+    assert f"Line {line}, column 3: {token!r} is not a number." in str(caught.value) and name in str(caught.value)
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -182,7 +182,7 @@ def test_what_cannot_be_converted_is_refused(tmp_path: Path, shared_data: Path, 
     refused(UsageError, "navd does|of 'NAVD88", [geoidal, navd], **up)
     refused(UsageError, "`assume_vertical='EGM96'`", none, **up)
     refused(UsageError, "`assume_vertical='ellipsoidal'`", none, **down)
-    refused(UsageError, "not a vertical datum", none, **up, assume_vertical="sea")
+    refused(UsageError, "not a known vertical datum", none, **up, assume_vertical="sea")
     refused(UsageError, "NAVD88 height", none, **up, assume_vertical="EPSG:5703")
     refused(ReadError, "no CRS", local, **up, assume_vertical="EGM96")
     refused(ReadError, "another body", moon, **up, assume_vertical="EGM96")

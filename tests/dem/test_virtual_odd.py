@@ -82,7 +82,7 @@ def test_units_that_it_does_not_repeat(tmp_path: Path) -> None:
     mixed = source("m.tif", width=4) + source("ft.tif", take=4, left=4, width=5)
     for body in (source("ft.tif"), mixed):
         path = virtual(tmp_path, body)
-        assert "a unit of 0.3048 m, and it says 1 m" in warnings_of(path)
+        assert "a unit of 0.3048 m, but it declares 1 m" in warnings_of(path)
         assert warnings_of(path, vertical_unit="ft") == ""
     assert "a unit of 0.304800" in warnings_of(virtual(tmp_path, source("crs.tif")))
     assert warnings_of(virtual(tmp_path, "<UnitType>ft</UnitType>" + source("ft.tif"))) == ""
@@ -123,7 +123,7 @@ def test_gaps(tmp_path: Path) -> None:
     twice = source("a.tif", width=5) + source("a.tif", width=5)
     assert warnings_of(virtual(tmp_path, halves)) == ""
     for body in (gap, twice, ""):
-        assert "Not all of it is covered" in warnings_of(virtual(tmp_path, body))
+        assert "do not cover all of it" in warnings_of(virtual(tmp_path, body))
         assert warnings_of(virtual(tmp_path, NODATA.format(-1) + body)) == ""
 
 
@@ -178,7 +178,7 @@ def test_parts_are_judged_as_they_would_be_alone(tmp_path: Path) -> None:
     alone = warnings_of(tmp_path / "b.tif")
     assert "cannot occur in uint16" in alone
     assert alone in warnings_of(virtual(tmp_path, source("b.tif"), "UInt16"))
-    assert "'none at all') is no number" in warnings_of(virtual(tmp_path, source("c.tif")))
+    assert "'none at all') is not a number" in warnings_of(virtual(tmp_path, source("c.tif")))
     said = warnings_of(virtual(tmp_path, source("a.tif", width=4) + source("d.tif", take=4, left=4, width=5)))
     assert f"Of its part {tmp_path / 'd.tif'}: d.tfw beside it says" in said
     assert warnings_of(virtual(tmp_path, source("a.tif"))) == ""

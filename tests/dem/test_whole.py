@@ -356,7 +356,7 @@ def test_a_grid_exchange_file_holds_all_its_numbers(tmp_path: Path) -> None:
     path.write_text(head + rows + "\n")
     np.testing.assert_array_equal(read(path).heights, hill())
     path.write_text(head + rows.replace("\n", "\nx1 ", 1) + "\n")
-    with pytest.raises(ReadError, match="no number"):
+    with pytest.raises(ReadError, match="not a number"):
         read(path)
     path.write_text(head + rows.rpartition(" ")[0] + "\n")
     with pytest.raises(ReadError, match="promises"):

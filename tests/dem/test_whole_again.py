@@ -58,7 +58,7 @@ def test_bytes_that_lack_before_a_strip_that_is_filled_up(tmp_path: Path) -> Non
     np.testing.assert_array_equal(read(path).heights, hill_of_tiff())
     data = path.read_bytes()
     path.write_bytes(data[:3000] + data[3003:])
-    refused(path, "3 bytes before its last part")
+    refused(path, "3 bytes before the end of its last part")
     unfilled = len(data) - (64 - ROWS) * COLS * 2
     path.write_bytes(data[:unfilled])  # as writers do that leave the filling out
     np.testing.assert_array_equal(read(path).heights, hill_of_tiff())
@@ -281,11 +281,11 @@ def floating(folder: Path, header: str, kind: str = "<f4") -> Path:
 def test_a_header_that_does_not_call_its_numbers_floating(tmp_path: Path) -> None:
     said = f"NROWS {ROWS}\nNCOLS {COLS}\nNBITS 32\nBYTEORDER I\nULXMAP 15\nULYMAP 15\nXDIM 30\nYDIM 30\n"
     np.testing.assert_array_equal(read(floating(tmp_path, said + "PIXELTYPE FLOAT\n")).heights, hill())
-    refused(floating(tmp_path, said), "floating")
+    refused(floating(tmp_path, said), "floats")
     np.testing.assert_array_equal(read(floating(tmp_path, said, "<i4")).heights, hill())
     turned = said.replace("BYTEORDER I", "BYTEORDER M") + "PIXELTYPE FLOAT\n"
     np.testing.assert_array_equal(read(floating(tmp_path, turned, ">f4")).heights, hill())
-    refused(floating(tmp_path, turned), "order of bytes")
+    refused(floating(tmp_path, turned), "byte order")
 
 
 @pytest.mark.parametrize("name", ["int16.tif", "byte_bigtiff_invalid_slong8_for_stripoffsets.tif"])
@@ -296,7 +296,7 @@ def test_a_byte_put_into_a_tiff_whose_last_part_is_odd(tmp_path: Path, shared_da
     path.write_bytes(data)
     assert read(path).heights.shape == (20, 20)
     path.write_bytes(data[:-60] + b"\7" + data[-60:])
-    refused(path, "behind its last part")
+    refused(path, "after its last part")
 
 
 def test_a_store_whose_root_is_nested_too_deep(tmp_path: Path) -> None:
@@ -406,7 +406,7 @@ def test_the_steps_of_a_usgs_dem(tmp_path: Path) -> None:
     path = usgs(tmp_path)
     data = path.read_bytes()
     path.write_bytes(data[:688] + b"07" + data[688:])
-    refused(path, "apart")
+    refused(path, "spacing")
 
 
 @pytest.mark.parametrize(("driver", "name"), [("EHdr", "a.bil"), ("BT", "a.bt"), ("SAGA", "a.sdat")])

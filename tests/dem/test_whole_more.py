@@ -133,8 +133,8 @@ def entry(path: Path, tag: int) -> int:
 
 CHANGED = {
     "twice": (262, 0, struct.pack("<H", 259), "twice"),
-    "more strips than the size asks for": (257, 8, struct.pack("<H", 30), "asks for"),
-    "strips of fewer rows": (278, 8, struct.pack("<H", 14), r"asks for|bytes"),
+    "more strips than the size asks for": (257, 8, struct.pack("<H", 30), "requires"),
+    "strips of fewer rows": (278, 8, struct.pack("<H", 14), r"requires|bytes"),
 }
 
 
@@ -160,7 +160,7 @@ def test_a_predictor_that_libtiff_passes_over(tmp_path: Path, at: int, put: byte
     place = entry(path, 317) + at
     data = path.read_bytes()
     path.write_bytes(data[:place] + put + data[place + len(put) :])
-    with pytest.raises(ReadError, match="cannot have"):
+    with pytest.raises(ReadError, match="invalid type"):
         read(path)
 
 

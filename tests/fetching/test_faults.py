@@ -226,7 +226,7 @@ def test_what_is_kept_is_whole_wherever_the_disk_ends(tmp_path):
         try:
             kept.put_part(header, 0, 0, heights)
         except OutputError as error:
-            assert "What was read cannot be kept" in str(error)
+            assert "What was read cannot be cached" in str(error)
             assert "OROGRAPH_CACHE" in str(error)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

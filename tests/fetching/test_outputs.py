@@ -155,13 +155,13 @@ def test_a_table_of_a_users_own(california, tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="no field 'colour'"):
         products(tmp_path / "mine.json")
     (tmp_path / "mine.json").write_text("{")
-    with pytest.raises(ReadError, match="not what its ending says"):
+    with pytest.raises(ReadError, match="does not match its file ending"):
         products(tmp_path / "mine.json")
-    with pytest.raises(UsageError, match="no product 'nothing'; there are copernicus-30"):
+    with pytest.raises(UsageError, match="no product 'nothing'; the products are copernicus-30"):
         orograph.fetch(BOX, "nothing")
     with pytest.raises(UsageError, match="lacks"):
         register("other", base="http://x")
-    with pytest.raises(UsageError, match="URL of http"):
+    with pytest.raises(UsageError, match="an http or https URL"):
         register("copernicus-90", base="ftp://x")
     with pytest.raises(UsageError, match="degrees, web-mercator, one"):
         register("copernicus-90", tiling="hexagons")
@@ -171,8 +171,8 @@ def test_a_table_of_a_users_own(california, tmp_path, monkeypatch):
     ("area", "radius", "said"),
     [
         ((1, 2, 3), None, "not 3 numbers"), ((0, 0), None, "needs a radius"), ((0, 0), -5, "needs a radius"),
-        ((0, 0, 1, 1), 5, "goes with a place"), ((0, 5, 1, 4), None, "empty"), ((0, 0, 1, 95), None, "no degrees"),
-        ((0, 89.9), 50_000, "holds a pole"), ("Zermatt", None, "four numbers"), ({"type": "Point"}, None, "no coord"),
+        ((0, 0, 1, 1), 5, "needs a place"), ((0, 5, 1, 4), None, "empty"), ((0, 0, 1, 95), None, "not degrees"),
+        ((0, 89.9), 50_000, "a pole"), ("Zermatt", None, "four numbers"), ({"type": "Point"}, None, "no coord"),
         ({"type": "Point", "coordinates": ["a", "b"]}, None, "pairs of numbers"),
         ((float("nan"), 0, 1, 1), None, "finite"),
     ],
@@ -193,7 +193,7 @@ def test_geometries_on_both_sides_of_the_180th_meridian_are_one_small_box():
 def test_options_that_do_not_go_together(web, tmp_path):
     out = tmp_path / "a.tif"
     assert "Give one of --bbox" in fetch("-o", out, code=2)
-    assert "--radius goes with --at" in fetch("--bbox", "0,0,1,1", "--radius", "5", "-o", out, code=2)
+    assert "--radius needs --at" in fetch("--bbox", "0,0,1,1", "--radius", "5", "-o", out, code=2)
     assert "Missing option" in fetch("--bbox", "0,0,1,1", code=2)
     with pytest.raises(UsageError, match=r"more than 10 MiB"):
         fetch("--bbox", "0,0,1,1", "-o", out, "--most", "10MiB")
@@ -233,7 +233,7 @@ def test_large_pictures_name_the_makers(tmp_path, kind):
 
 def test_heights_of_no_one_datum_are_not_converted_and_that_is_said_first(web, shared_data):
     geoid = shared_data / "swiss-alps-geoids" / "us_nga_egm2008_1_clipAlps.tif"
-    with pytest.raises(UsageError, match="no one datum"):
+    with pytest.raises(UsageError, match="no single datum"):
         orograph.fetch((7.3, 46.3, 7.5, 46.5), "skadi", to_vertical="ellipsoidal", geoid=geoid)
     with pytest.raises(UsageError, match="EGM96 height"):
         orograph.fetch((7.3, 46.3, 7.5, 46.5), "srtm-3", to_vertical="ellipsoidal", geoid=geoid)

@@ -191,8 +191,8 @@ def test_names_of_the_catalogue() -> None:
     assert "{z}" in found.url and "{y}/{x}" in found.url and "Esri" in found.attribution
     assert Basemap.of("xyz:openstreetmap mapnik").name == "OpenStreetMap.Mapnik"
     assert "apikey=abc" in Basemap.of("xyz:Thunderforest.Outdoors?apikey=abc").url
-    for name, words in (("Thunderforest.Outdoors", "asks for a token"), ("OpenTopMap", "Did you mean OpenTopoMap"),
-                        ("http://a.b/{z}/{x}.png", "has {z}, {x} and {y}"),
-                        ("OpenTopoMap?key=1", "asks for no 'key'")):  # fmt: skip
+    for name, words in (("Thunderforest.Outdoors", "needs a token"), ("OpenTopMap", "Did you mean OpenTopoMap"),
+                        ("http://a.b/{z}/{x}.png", "have {z}, {x} and {y}"),
+                        ("OpenTopoMap?key=1", "has no parameter 'key'")):  # fmt: skip
         with pytest.raises(UsageError, match=re.escape(words)):
             orograph.basemap(name)

@@ -174,5 +174,5 @@ def test_what_cannot_be_done_is_said(tmp_path) -> None:
         with memory.open(driver="GTiff", width=10, height=10, count=1, dtype="uint8", crs="EPSG:32611",
                          transform=TRANSFORM) as file:  # fmt: skip
             file.write(np.ones((1, 10, 10), np.uint8))
-        with pytest.raises(UsageError, match="told from another image"):
+        with pytest.raises(UsageError, match="changed image"):
             store_colors(path, memory.name)

@@ -110,7 +110,7 @@ def test_maps_of_matplotlib(ground: orograph.Terrain) -> None:
         assert np.abs(found.astype(int) - wanted).max() <= 6
     with pytest.raises(UsageError, match="vmin and vmax"):
         orograph.Layer(values, colormap="viridis", norm=Normalize())
-    with pytest.raises(UsageError, match="norm is a colour map's"):
+    with pytest.raises(UsageError, match="norm needs a colour map"):
         orograph.Layer(values, norm=Normalize(0, 1))
 
 
@@ -140,7 +140,7 @@ def test_the_tint_of_heights_is_a_map_of_matplotlib() -> None:
     "given", [np.zeros(5), np.zeros((2, 2, 7, 2)), np.zeros((5, 5), complex), 3, np.array([["a"]])]
 )
 def test_what_is_no_layer(ground: orograph.Terrain, given: Any) -> None:
-    with pytest.raises(UsageError, match="A layer is a path"):
+    with pytest.raises(UsageError, match="A layer must be a path"):
         picture(ground, given)
 
 

@@ -221,7 +221,7 @@ def test_a_full_disk_is_told_without_advice_that_bake_has_not(tmp_path, monkeypa
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
-        with pytest.raises(OutputError, match=r"cannot be kept: No space left on device.*the disk has room") as told:
+        with pytest.raises(OutputError, match=r"cannot be kept: No space left on device.*the disk has space") as told:
             bake(folder, ["sky-view-factor"], FEW)
     assert "resume" not in str(told.value)
 

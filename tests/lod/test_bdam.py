@@ -330,7 +330,7 @@ def test_what_cannot_be_is_refused():
         chosen("bdam,legs=5")
     with pytest.raises(UsageError, match="error"):
         chosen("bdam,error=wedgie")
-    with pytest.raises(UsageError, match="`tins` is one of"):
+    with pytest.raises(UsageError, match="`tins` must be one of"):
         build(Dem(t.heights, t.grid), "nowhere.oro", tins=7, progress=False)
 
 

@@ -397,5 +397,5 @@ def test_what_the_referee_finds(shared_data, name):
 def test_sizes_that_make_no_sense_are_refused():
     t = plain.terrain(plain.rough(np.random.default_rng(7), (33, 33)))
     for sizes in ((7, 0), (32, -1.0), (32, float("nan")), 32, (32,)):
-        with pytest.raises(UsageError, match="'chunked' is cells"):
+        with pytest.raises(UsageError, match="'chunked' must be cells"):
             build(Dem(t.heights, t.grid), "nowhere.oro", chunked=sizes, progress=False)

@@ -128,7 +128,7 @@ def test_options_that_make_no_sense(options, message):
         ({"tolerance": "1"}, "pixels.*'1'"),
         ({"triangles": 2.5}, "whole number"),
         ({"triangles": "9"}, "whole number"),
-        ({"seconds": "1"}, "in seconds"),
+        ({"seconds": "1"}, "0 seconds"),
     ],
 )
 def test_goals_that_make_no_sense(goal, message):
@@ -202,7 +202,7 @@ def test_what_a_store_lacks_is_made_and_said(tmp_path):
             "the store has no exact errors", "the store has no wedgie errors",
             "the store has no errors of such patches",
         ]  # fmt: skip
-        with pytest.raises(UsageError, match="no midpoint errors, and to make them in memory"):
+        with pytest.raises(UsageError, match="no midpoint errors, and making them in memory"):
             chosen("soar,error=midpoint").make(store, Resources(max_memory=1000))
 
 

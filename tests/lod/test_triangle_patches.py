@@ -515,9 +515,9 @@ def test_what_is_refused():
     assert np.array_equal(method.patches(view, 1.0).instances, before) and method.exaggeration == 1.0
     with pytest.raises(UsageError, match="exaggeration"):
         method.patches(view, 1.0, exaggeration=0.0)
-    with pytest.raises(UsageError, match="pixels, 0 or more"):
+    with pytest.raises(UsageError, match="0 or more pixels"):
         method.patches(view, -1.0)
-    with pytest.raises(UsageError, match="tiles are ready"):
+    with pytest.raises(UsageError, match="Readiness of tiles"):
         method.patches(view, 1.0, resident=[np.zeros((1, 2), np.uint8)])
     with pytest.raises(UsageError, match="at most 6 planes"):
         method.patches(view, 1.0, frustum=np.zeros((7, 4)))

@@ -125,8 +125,8 @@ def test_check_points_of_files(tmp_path):
 def test_what_are_no_check_points_is_refused(tmp_path):
     terrain = land(hole=True)
     x, y = terrain.grid.xy(6.0, 6.0)
-    for wrong, words in ((np.zeros((3, 2)), "array"), (np.array([[0.0, 0.0, 1.0]]), "on ground"),
-                         (np.array([[x, y, 1.0]]), "on ground")):  # fmt: skip
+    for wrong, words in ((np.zeros((3, 2)), "array"), (np.array([[0.0, 0.0, 1.0]]), "on the ground"),
+                         (np.array([[x, y, 1.0]]), "on the ground")):  # fmt: skip
         with pytest.raises((UsageError, ReadError), match=words):
             ErrorField(terrain, HeightError(1.0, checks=wrong))
     many = checks_on(land(), np.random.default_rng(0).uniform(0, 38, (MOST + 1, 2)), np.zeros(MOST + 1))
@@ -134,7 +134,7 @@ def test_what_are_no_check_points_is_refused(tmp_path):
         ErrorField(land(), HeightError(1.0, checks=many))
     file = tmp_path / "c.csv"
     file.write_text("x,y,a,b\n1,2,3,4\n")
-    with pytest.raises(UsageError, match="one column"):
+    with pytest.raises(UsageError, match="which column"):
         read_checks(str(file), 0.0, terrain)
     with pytest.raises(UsageError, match="check points"):
         HeightError(1.0, check_sigma=-1.0)

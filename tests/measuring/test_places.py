@@ -116,7 +116,7 @@ def test_degrees_given_as_metres_are_recognised():
     inside = np.stack(places.grid.xy(20.0, 15.0))
     with pytest.raises(UsageError) as refused:
         places.points(places.lonlat(inside[None])[0])
-    assert refused.value.remedy.startswith("As longitude, latitude it lies there: say so with")
+    assert refused.value.remedy.startswith("As longitude, latitude it would lie there: give it so with")
     for elsewhere in [(10.0, 50.0), (200.0, 95.0)]:
         with pytest.raises(UsageError) as refused:
             places.points(elsewhere)

@@ -120,10 +120,10 @@ def test_a_raster_of_deviations(tmp_path):
     expected = np.where(hole, np.nan, sigma[1:-1, 1:-1])
     np.testing.assert_allclose(field.sigma, expected, atol=2e-3)
     written(np.where(np.arange(52) < 30, sigma, -9))
-    with pytest.raises(ReadError, match="samples of the terrain whose height is known"):
+    with pytest.raises(ReadError, match="samples of the terrain that have a height"):
         ErrorField(terrain, HeightError(path))
     written(sigma - 1)
-    with pytest.raises(ReadError, match="never negative"):
+    with pytest.raises(ReadError, match="cannot be negative"):
         ErrorField(terrain, HeightError(path))
 
 
@@ -349,7 +349,7 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
     [
         (lambda t: HeightError(-1.0), "standard deviation"),
         (lambda t: HeightError(1.0, math.nan), "range of errors"),
-        (lambda t: probable_slope(t, HeightError(1.0), draws=1), "2 to 65,535 draws, not 1"),
+        (lambda t: probable_slope(t, HeightError(1.0), draws=1), "from 2 to 65,535, not 1"),
         (lambda t: probable_slope(t, HeightError(1.0), [95.0]), "0 to 90"),
         (lambda t: probable_contours(t, HeightError(1.0)), "give one of the two"),
         (lambda t: probable_contours(t, HeightError(1.0), interval=0.0), "above 0"),
@@ -357,7 +357,7 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
         (lambda t: flood(t, 1.0, [t.grid.xy(13, 13)]), "in a hole"),
         (lambda t: flood(t, 1.0, [(0.0, 0.0)]), "south"),
         (lambda t: ErrorField(t, HeightError(1.0), -1), "seed"),
-        (lambda t: probable_slope(t, 3.0), "is a HeightError"),
+        (lambda t: probable_slope(t, 3.0), "must be a HeightError"),
     ],
 )
 def test_what_is_wrong_is_said(call, says):

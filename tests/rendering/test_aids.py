@@ -288,7 +288,7 @@ def test_heights_of_what_cannot_float_are_refused():
         Dataset({"x": [0]}, height="z", above="z")
     with pytest.raises(UsageError, match="height=NAME"):
         Scene.of(terrain, view, data=balloons((100, 100, 5), above=None, height="altitude"))
-    with pytest.raises(UsageError, match="these are none"):
+    with pytest.raises(UsageError, match="these are not points"):
         Scene.of(terrain, view, data=Dataset(np.zeros((61, 83), np.float32), height="z"))
 
 

@@ -86,5 +86,5 @@ def test_what_makes_no_sense_is_refused(text):
 
 
 def test_it_contradicts_a_priority(ground, data):
-    with pytest.raises(UsageError, match="so does `priority`"):
+    with pytest.raises(UsageError, match="`flight` and `priority`"):
         orograph.render(ground, size=SIZE, data=data, flight="auto", priority="T+D+U+", progress=False)

@@ -139,7 +139,7 @@ def test_the_gpu_blends_the_same(ground, data, plain):
 
 
 def test_a_focus_that_shows_nowhere_is_told(ground, data, plain):
-    with pytest.warns(UserWarning, match="The focus shows nowhere .* nearest ground is [0-9,]+ m"):
+    with pytest.warns(UserWarning, match="The focus is not visible .* nearest ground is [0-9,]+ m"):
         made = orograph.render(ground, size=SIZE, data=data, priority=OUT, focus="near,distance=1")
     np.testing.assert_array_equal(made.pixels, plain[OUT].pixels)
 
@@ -154,15 +154,15 @@ def test_steps_are_smooth():
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Focus.parse("lens,radius=0"), "above 0"),
+        (lambda: Focus.parse("lens,radius=0"), "more than 0"),
         (lambda: Focus.parse("lens,at=2:0"), "from 0 to 1"),
         (lambda: Focus.parse("lens,at=0.5"), "X:Y"),
         (lambda: Focus.parse("lens,raduis=3"), "radius"),
         (lambda: Focus.parse("near"), "needs a distance"),
-        (lambda: Focus("lens", distance=5.0), "what is near"),
+        (lambda: Focus("lens", distance=5.0), "the focus near"),
         (lambda: Focus("lens", "X+"), "priority"),
         (lambda: Focus("lens", at=0.5), "two parts of the picture"),
-        (lambda: Focus("lens", blend=math.nan), "blended"),
+        (lambda: Focus("lens", blend=math.nan), "blend of a focus"),
     ],
 )
 def test_what_makes_no_sense_is_refused(make, says):
@@ -175,7 +175,7 @@ def test_shapes_that_are_no_region_are_refused(ground, data, tmp_path):
     line = shape(ground, "LineString", [(10, 45), (110, 45)])
     with pytest.raises(UsageError, match="needs a width"):
         drawn(ground, data, Focus(line))
-    with pytest.raises(UsageError, match="no inside"):
+    with pytest.raises(UsageError, match="no area"):
         drawn(ground, data, Focus({"type": "Point", "coordinates": [-2.9, 50.5]}))
     with pytest.raises(UsageError, match="lens, near, or a file"):
         drawn(ground, data, Focus("heights.tif"))

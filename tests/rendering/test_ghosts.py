@@ -104,5 +104,5 @@ def test_surfaces_that_do_not_belong_are_refused(ground):
     with pytest.raises(UsageError, match="no heights over the terrain"):
         orograph.render(ground, size=SIZE, ghosts=away, progress=False)
     other = orograph.terrain(np.zeros((9, 9), np.float32), transform=PLACE, crs="EPSG:32631", progress=False)
-    with pytest.raises(UsageError, match="another CRS"):
+    with pytest.raises(UsageError, match="a different CRS"):
         orograph.render(ground, size=SIZE, ghosts=other, progress=False)

@@ -223,5 +223,5 @@ def test_what_is_not_drawn_so(tmp_path):
     scene = Scene.of(land, camera.whole(land, SIZE), method="soar", wireframe=True)
     with pytest.raises(UsageError, match="wireframe"):
         sort_last.draw_by_parts(scene, tmp_path / "a.png", workers=2)
-    with pytest.raises(UsageError, match="is for workers"):
+    with pytest.raises(UsageError, match="needs workers"):
         sort_last.draw_by_parts(Scene.of(land, camera.whole(land, SIZE)), tmp_path / "a.png")

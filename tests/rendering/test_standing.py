@@ -148,7 +148,7 @@ def test_tracks_have_their_heights_as_values_and_their_legend():
         Scene.of(terrain, view, data=Dataset(flat, variable="z", style="tubes"))
     with pytest.raises(UsageError, match="no style bars of lines"):
         Scene.of(terrain, view, data=Dataset(flat, style="bars"))
-    with pytest.raises(ReadError, match="No two samples of a track"):
+    with pytest.raises(ReadError, match="No two consecutive samples of a track"):
         Scene.of(terrain, view, data=Dataset({"x": [500_100.0], "y": [5_599_700.0], "v": [1.0]}, style="tubes"))
 
 

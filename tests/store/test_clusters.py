@@ -84,7 +84,7 @@ def test_workers_grid_points_as_one_process_does(tmp_path, client, area):
 
 
 def test_files_that_workers_cannot_have(tmp_path, client):
-    with pytest.raises(UsageError, match="in no files"):
+    with pytest.raises(UsageError, match="not in files"):
         store.build(source(rough((200, 200), 1)), tmp_path / "s", dask=client, **SIZES)
 
 

@@ -182,7 +182,7 @@ def test_data_whose_steps_are_not_everywhere(tmp_path):
 
     terrain = store.build(source(heights), tmp_path / "s", max_error="auto", errors=(), progress=Heard())
     assert terrain.record.coding.largest == 0.25
-    assert len(warned) == 1 and "steps of 1 m, but others do not" in warned[0]
+    assert len(warned) == 1 and "steps of 1 m, but others are not" in warned[0]
 
 
 def test_what_is_resampled_has_a_tenth_of_its_source_s_step(tmp_path):
@@ -208,9 +208,9 @@ def test_what_cannot_be_kept_is_refused(tmp_path):
             store.build(source(HEIGHTS), tmp_path / "s", max_error=wrong)
     with pytest.raises(UsageError, match="codec"):
         store.build(source(HEIGHTS), tmp_path / "s", codec="zip")
-    with pytest.raises(UsageError, match=r"compact keeps whole numbers of steps, not float32.*auto"):
+    with pytest.raises(UsageError, match=r"compact stores whole numbers of steps, not float32.*auto"):
         store.build(source(HEIGHTS), tmp_path / "s", codec="compact")
-    with pytest.raises(UsageError, match=r"1e\+09 m cannot be kept.*larger error"):
+    with pytest.raises(UsageError, match=r"1e\+09 m cannot be stored.*larger error"):
         store.build(source(HEIGHTS + np.float32(1e9)), tmp_path / "s", max_error=0.1)
 
 
@@ -286,4 +286,4 @@ def test_command_line(tmp_path):
     ran = CliRunner().invoke(cli, [*line, "much"], catch_exceptions=False)
     assert ran.exit_code == 2 and "neither lossless, auto nor a number of metres" in ran.output
     ran = CliRunner().invoke(cli, ["build", "-o", area, "--repair", "--max-error", "1"])
-    assert "--repair does not go with --max-error" in str(ran.exception or ran.output)
+    assert "--repair cannot be combined with --max-error" in str(ran.exception or ran.output)

@@ -73,8 +73,8 @@ def test_an_array_of_the_other_byte_order_and_a_list_of_rows() -> None:
 @pytest.mark.parametrize(
     ("array", "words"),
     [
-        (np.zeros((4, 5), complex), "complex128.*heights are real.*\\.real"),
-        (np.zeros((4, 5), bool), "bool: truth values"),
+        (np.zeros((4, 5), complex), "complex128.*heights must be real.*\\.real"),
+        (np.zeros((4, 5), bool), "bool: booleans"),
         (np.full((4, 5), "a"), "<U1"),
         (np.zeros((4, 5), "M8[s]"), "datetime64"),
         (np.zeros(7), "rows and columns.*shape \\(7,\\)"),
@@ -156,7 +156,7 @@ def test_rasterio(dataset: Any, path: Path) -> None:
         check(orograph.terrain((dataset, given)), values()[3:13, 5:25], dataset.window_transform(window))
     with pytest.raises(UsageError, match="not inside"):
         orograph.terrain((dataset, Window(45, 0, 20, 10)))
-    with pytest.raises(UsageError, match="A window is"):
+    with pytest.raises(UsageError, match="A window must be"):
         orograph.terrain((dataset, 7))
 
 
@@ -279,7 +279,7 @@ def test_functions_that_take_a_terrain_take_them_all(path: Path, dataset: Any, t
     check(built, values())
     check(orograph.terrain(built.url), values())
     assert orograph.terrain(built) is built
-    with pytest.raises(UsageError, match="`crs` cannot be said of a Terrain"):
+    with pytest.raises(UsageError, match="`crs` cannot be used with a Terrain"):
         orograph.terrain(built, crs=CRS)
 
 

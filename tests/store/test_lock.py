@@ -105,7 +105,7 @@ def test_parts_of_one_build_share_it(tmp_path):
     place = FolderStorage(tmp_path / "s")
     with alone(place, "building a part", "plan A of 2"):
         other = held_by_another(tmp_path / "s", repr("plan A of 2"))
-        with pytest.raises(StoreError, match=r"building.*plan is another"), alone(place, "building", "plan B of 2"):
+        with pytest.raises(StoreError, match=r"building.*plan is different"), alone(place, "building", "plan B of 2"):
             pass
         with pytest.raises(StoreError, match="Another process"), alone(place, "building"):
             pass

@@ -108,7 +108,7 @@ def test_levels_are_mended_without_the_source(made, area):
     repair(area)
     assert files(area) == whole
     damage(area, "heights/0/height/c/0/0", "mean/1/height/c/0/0")
-    with pytest.raises(StoreError, match=r"heights/0/height/c/0/0.*could not be mended.*heights in memory"):
+    with pytest.raises(StoreError, match=r"heights/0/height/c/0/0.*could not be repaired.*heights in memory"):
         repair(area)
     repair(area, source(HEIGHTS))
     assert files(area) == whole
@@ -154,7 +154,7 @@ def test_a_source_that_is_gone_or_another_is_said(made, area, tmp_path):
     other = HEIGHTS.copy()
     other[3, 3] += 1
     write(tmp_path / "dem.tif", other)
-    with pytest.raises(StoreError, match=r"dem\.tif was changed.*not what was in it"):
+    with pytest.raises(StoreError, match=r"dem\.tif was changed.*other data than it held"):
         repair(area)
     assert files(area).keys() == whole.keys() and store.open(area).check()[0].startswith("heights/0/height/c/0/0")
     write(tmp_path / "dem.tif")  # touched, and the same
@@ -199,7 +199,7 @@ def test_on_the_command_line(made, area):
     assert "nothing was damaged" in run("build", made / "dem.tif", "-o", area, "--repair").output
     for more in (["--overwrite"], ["--resume"], ["--bake", "visible-sky"], ["--crs", "EPSG:32612"]):
         told = run("build", "-o", area, "--repair", *more)
-        assert isinstance(told.exception, UsageError) and f"does not go with {more[0]}" in str(told.exception)
+        assert isinstance(told.exception, UsageError) and f"cannot be combined with {more[0]}" in str(told.exception)
     assert run("build", "-o", area).exit_code == 2
 
 

@@ -120,7 +120,7 @@ def test_a_folder_that_is_gone_is_no_damage(tmp_path):
     store.build(source(HEIGHTS), path, **SIZES).close()
     with store.open(path) as terrain:
         path.rename(away)
-        with pytest.raises(StoreError, match=r"not there any more.*where it is now") as told:
+        with pytest.raises(StoreError, match=r"no longer exists.*where it is now") as told:
             check(terrain)
         assert not isinstance(told.value, DamagedChunkError)
         away.rename(path)

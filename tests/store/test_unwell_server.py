@@ -54,7 +54,7 @@ def test_a_server_that_ignores_ranges_is_named_and_not_the_store_called_damaged(
         lambda: store.open(f"{web.url}/area.oro", **NEVER).read(0, 0, 100, 0, 100),
         lambda: terrain.read(0, 0, 100, 0, 100),
     ):
-        with pytest.raises(StoreError, match="whole files where parts") as told:
+        with pytest.raises(StoreError, match="whole files when parts") as told:
             read()
         assert not isinstance(told.value, DamagedChunkError)
         assert "ranges" in told.value.remedy

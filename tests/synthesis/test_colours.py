@@ -94,7 +94,7 @@ def test_what_makes_no_sense_is_refused(photo: Path, lidar: orograph.Dem, tmp_pa
     over, out = ground(20, 20, 40, 7), tmp_path / "a.tif"
     wider = ground(99, 110, 10, 1)
     for given, words in (
-        ({"ground": lidar}, "Colours by example take"), ({"over": over}, "Colours by example take"),
+        ({"ground": lidar}, "Colours by example need"), ({"over": over}, "Colours by example need"),
         ({"over": over, "ground": wider}, "covers 97"), ({"over": over, "ground": lidar, "relief": 3}, "relief"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):

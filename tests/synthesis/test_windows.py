@@ -155,7 +155,7 @@ def test_similar_places_look_alike_and_lie_apart(exemplar: Exemplar) -> None:
     ("heights", "words"),
     [
         (np.zeros((20, 90), np.float32), "at least 32"),
-        (np.zeros((40, 90), np.float32), "level ground"),
+        (np.zeros((40, 90), np.float32), "Level ground"),
         (np.where(np.eye(40), np.nan, ground(40, 40)), "40 of its 1,600"),
         (np.zeros((3000, 3000), np.float32), "at most"),
     ],

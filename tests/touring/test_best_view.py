@@ -246,7 +246,7 @@ def test_heights_above_the_ground() -> None:
 def test_it_says_what_is_wrong(tmp_path: Path) -> None:
     ground = hills()
     here = [place(ground, 48, 48)]
-    with pytest.raises(UsageError, match="Nothing of the target lies on"):
+    with pytest.raises(UsageError, match="No part of the target lies on"):
         orograph.best_view(ground, [(0.0, 0.0)], progress=False)
     with pytest.raises(UsageError, match="above the ground"):
         orograph.best_view(ground, here, pitches=[-60.0], distances=[300.0], progress=False)

@@ -141,11 +141,11 @@ def test_along_a_line():
         assert view.eye[2] - ground(LAND, *view.eye[:2], default=math.nan) >= 75
         along = np.subtract(view.target, view.eye)[:2] @ (line[-1] - line[0])
         assert along > 0  # it looks ahead
-    with pytest.raises(UsageError, match="beside the terrain"):
+    with pytest.raises(UsageError, match="outside the terrain"):
         make.flyover(LAND, SIZE, line + 1e6)
     with pytest.raises(UsageError, match="far beyond the terrain"):  # a slip: half the Earth would be flown over
         make.flyover(LAND, SIZE, np.concatenate([line, line[-1:] + 1e7]))
-    with pytest.raises(UsageError, match="two places"):
+    with pytest.raises(UsageError, match="two points"):
         make.flyover(LAND, SIZE, line[:1])
 
 

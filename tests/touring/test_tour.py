@@ -245,7 +245,7 @@ def test_a_day_passes():
     tour = Tour((Key(look((0, 0, 900)), 0.0, sun=Moment(start)), Key(look((9, 0, 900)), 10.0, sun=Moment(end))))
     noon = tour.sun(5.0)
     assert isinstance(noon, Moment) and noon.when == datetime.datetime.fromisoformat("2026-06-21T12:00+02:00")
-    with pytest.raises(UsageError, match="directions or moments"):
+    with pytest.raises(UsageError, match="directions or all times"):
         Tour((Key(look((0, 0, 900)), 0.0, sun=Moment(start)), Key(look((9, 0, 900)), 10.0, sun=Placed(0, 10))))
 
 
@@ -350,7 +350,7 @@ NEXT = {"time": 1, "eye": [9, 0, 10], "target": [5, 5, 0]}
     [
         ({}, 'lacks "keys"'),
         ({"keys": []}, "is empty"),
-        ({"keys": "no"}, "is a list"),
+        ({"keys": "no"}, "must be a list"),
         ({"keys": [KEY], "velocity": 3}, "velocity"),
         ({"keys": [KEY, 5]}, "Key 1"),
         ({"keys": [KEY, {**NEXT, "roll": 2}]}, "Key 1: There is no 'roll'"),
@@ -364,8 +364,8 @@ NEXT = {"time": 1, "eye": [9, 0, 10], "target": [5, 5, 0]}
         ({"keys": [KEY], "fps": 0}, "fps"),
         ({"keys": [KEY], "seconds": 1e9}, "million"),
         ({"keys": [KEY, NEXT], "loop": True}, 'loop needs "seconds"'),
-        ({"keys": [KEY, NEXT], "loop": True, "seconds": 1}, "no way back"),
-        ({"keys": [KEY, NEXT], "loop": 1}, '"loop" is true or false'),
+        ({"keys": [KEY, NEXT], "loop": True, "seconds": 1}, "for the way back"),
+        ({"keys": [KEY, NEXT], "loop": 1}, '"loop" must be true or false'),
         ({"keys": [KEY, NEXT], "speed": 10}, 'Key 0 has a "time"'),
         ({"keys": [{**KEY, "time": None}] * 2, "speed": 10}, "does not move from key 0"),
         ({"keys": [KEY, NEXT], "speed": -1}, "speed"),

@@ -136,7 +136,7 @@ def test_the_command_line_says_what_it_did(dem, tmp_path):
         ({"interval": -1}, "more than 0 metres"),
         ({"simplify": -1}, "`simplify`"),
         ({"levels": "high"}, "`levels`"),
-        ({"output": "lines.dxf"}, "not written as .dxf"),
+        ({"output": "lines.dxf"}, "cannot be written as .dxf"),
         ({"output": "lines"}, "a file without ending"),
     ],
 )

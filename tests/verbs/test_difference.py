@@ -189,7 +189,9 @@ def test_vertical_datums(tmp_path):
         raster(flat, place, vertical=datum, name=name)
         for datum, name in (("EGM96 height", "sea"), ("ellipsoidal height", "gps"), (None, "silent"))
     )
-    with pytest.raises(UsageError, match="those of gps above ellipsoidal height, so their difference is not one"):
+    with pytest.raises(
+        UsageError, match="those of gps above ellipsoidal height, so their difference is not a difference"
+    ):
         orograph.difference(sea, ellipsoid)
     assert orograph.difference(sea, ellipsoid, any_vertical=True).statistics.mean == 0
     with pytest.warns(UserWarning, match="silent does not say above which datum"):
@@ -220,10 +222,10 @@ def test_units_that_may_be_wrong(pair):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"onto": "coarser"}, "`onto` is one of first, second, finer"),
+        ({"onto": "coarser"}, "`onto` must be one of first, second, finer"),
         ({"resampling": "lanczos"}, "The resampling"),
-        ({"quantiles": "0.5,2"}, "`quantiles` are numbers from 0 to 1"),
-        ({"output": "d.gpkg"}, "not written as .gpkg"),
+        ({"quantiles": "0.5,2"}, "`quantiles` must be numbers from 0 to 1"),
+        ({"output": "d.gpkg"}, "cannot be written as .gpkg"),
         ({"output": ["d.tif", "d"]}, "a file without ending"),
         ({"geoid": "x.gtx"}, "not what to convert to"),
         ({"spaccing": 3}, "no option 'spaccing'"),
@@ -237,11 +239,11 @@ def test_what_cannot_be_meant(pair, options, said):
 def test_two_places(pair):
     place = pair[0].grid.transform
     far = raster(pair[0].heights, Affine(30, 0, 700_000, 0, -40, 4_000_000), name="far")
-    with pytest.raises(UsageError, match=r"first and far share no ground.*Name two rasters of one place"):
+    with pytest.raises(UsageError, match=r"first and far do not overlap.*Give two rasters of the same place"):
         orograph.difference(pair[0], far)
-    with pytest.raises(UsageError, match="nowhere has no CRS and the other has one"):
+    with pytest.raises(UsageError, match="nowhere has no CRS but the other has one"):
         orograph.difference(pair[0], raster(pair[0].heights, place, None, name="nowhere"))
-    with pytest.raises(UsageError, match="two planets or moons"):
+    with pytest.raises(UsageError, match="different planets or moons"):
         orograph.difference(pair[0], raster(pair[0].heights, place, "IAU_2015:49910", name="mars"))
 
 

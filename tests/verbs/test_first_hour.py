@@ -59,7 +59,7 @@ def test_options_of_other_libraries(dem, option, there):
 def test_suns_and_points_that_are_given_otherwise(dem):
     with pytest.raises(UsageError, match=r"sun=\(315, 45\)"):
         orograph.light(dem, "hillshade", azimuth=315)
-    with pytest.raises(UsageError, match=r"It is profile\(terrain, polyline, lonlat\)"):
+    with pytest.raises(UsageError, match=r"Its signature is profile\(terrain, polyline, lonlat\)"):
         orograph.measure.profile(dem, (500_100, 3_999_000), (500_900, 3_999_500))
 
 
@@ -140,7 +140,7 @@ def test_areas_and_pictures_that_are_given_otherwise(dem, tmp_path):
     with pytest.raises(UsageError, match=r"picture\.save\('relief\.png'\)"):
         orograph.render(dem, "relief.png")
     assert len(orograph.contours(dem, "20", simplify="0")) == len(orograph.contours(dem, 20))
-    with pytest.raises(UsageError, match="`interval` is a number, or several, not '20m'"):
+    with pytest.raises(UsageError, match="`interval` must be one or several numbers, not '20m'"):
         orograph.contours(dem, "20m")
     mesh = orograph.tessellate(dem, tolerance=2, progress=False)
     assert mesh.save(tmp_path / "mesh.npz").exists() and len(mesh.positions()) == len(mesh.vertices)
@@ -149,7 +149,7 @@ def test_areas_and_pictures_that_are_given_otherwise(dem, tmp_path):
             kind("a.tif", cmap="viridis")
         with pytest.raises(UsageError, match=r"Did you mean opacity"):
             kind("a.tif", opacty=1)
-    with pytest.raises(UsageError, match=r"This writes an \.npz\. .*`output`"):
+    with pytest.raises(UsageError, match=r"This writes \.npz files only\. .*`output`"):
         mesh.save("mesh.ply", dem.grid)
     assert repr(orograph.View((1 / 3, 0, 9), (0, 0, 1))).startswith("View(eye=(0.333, 0.0, 9.0), target=")
 

@@ -127,7 +127,7 @@ def test_what_texts_mean():
     for wrong in (0, -1, True, 1.5, "0", "many", [1]):
         with pytest.raises(UsageError, match="`max_memory`"):
             bytes_of(wrong)
-    with pytest.raises(UsageError, match="`heights` is a number"):
+    with pytest.raises(UsageError, match="`heights` must be one or several numbers"):
         numbers("high", "heights")
 
 

@@ -214,7 +214,7 @@ def test_tour_and_movie(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
         assert one.read_bytes() == (tmp_path / one.name.replace("f", "g")).read_bytes()
     for wrong, words in (
         ({"orbit": True, "line": "a.gpx"}, "two tours"), ({"tour": made, "orbit": True}, "not both"),
-        ({"height": 100}, "says nothing"), ({"ligt": "ao"}, "light"),
+        ({"height": 100}, "does not apply"), ({"ligt": "ao"}, "light"),
         ({"speed": 1.0, "seconds": 2.0, "line": "a.gpx"}, "twice"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):
@@ -293,10 +293,11 @@ def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Pat
     (tmp_path / "v.json").write_text(json.dumps(wanted.view.to_dict()))
     np.testing.assert_array_equal(orograph.render(dem, tmp_path / "v.json", **plain), wanted)
     for call, words in (
-        (lambda: orograph.render(dem, 5), "A view is .*camera"), (lambda: orograph.render(dem, size=300), "A size is"),
-        (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size is"),
-        (lambda: orograph.open(dem), "A store is .*build"), (lambda: orograph.bake(dem, "aperture"), "A store is"),
-        (lambda: orograph.check(dem), "A store is"), (lambda: orograph.read(dem), "orograph.terrain"),
+        (lambda: orograph.render(dem, 5), "A view must be .*camera"),
+        (lambda: orograph.render(dem, size=300), "A size must be"),
+        (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size must be"),
+        (lambda: orograph.open(dem), "A store must .*build"), (lambda: orograph.bake(dem, "aperture"), "A store must"),
+        (lambda: orograph.check(dem), "A store must"), (lambda: orograph.read(dem), "orograph.terrain"),
         (lambda: orograph.bake(tmp_path / "a.oro", "aperture", raduis=3), "Did you mean radius"),
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):

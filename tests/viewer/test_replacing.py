@@ -63,7 +63,7 @@ def said(window: Window) -> str:
 def taken(window: Window, hand: Hand, before: Any) -> None:
     hand.until(lambda: window.session.terrain is not before)
     hand.rest()
-    assert "The store was replaced; it was opened again" in said(window)
+    assert "The store was replaced, and the new one was opened" in said(window)
     assert not [m.text for m in window.session.messages.shown if m.error]
     assert hand.frames(2)[:, : int(window.area[2])].std() > 10
 

@@ -83,7 +83,7 @@ def test_edits_keep_times_in_order(session, touring):
 
 def test_what_makes_no_sense_is_told_and_not_done(session, touring):
     touring.play()
-    assert "keep some cameras" in session.messages.shown[-1].text
+    assert "add some cameras" in session.messages.shown[-1].text
     three(session, touring)
     touring.change(0, turns=2)  # of a spline
     assert "turns" in session.messages.shown[-1].text
@@ -167,7 +167,7 @@ def test_light_and_exaggeration_go_along(session, touring):
     light.mode, light.azimuth, light.altitude = "placed", 200.0, 30.0
     touring.add()  # the others go by time
     assert touring.stops[-1].key.sun is None
-    assert "left to the others" in session.messages.shown[-1].text
+    assert "follows the others" in session.messages.shown[-1].text
     assert touring.tour is not None
     touring.clear()
     touring.add()

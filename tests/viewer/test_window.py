@@ -201,7 +201,7 @@ def test_panels_go_on_while_the_renderer_is_made_on_a_new_device(dem, monkeypatc
     told = [m.text for m in session.messages.shown]
     shown = hand.frames(3)
     assert len(made) == 1 and window.drawing.coming and not window.drawing.done
-    assert any("made ready for a new device" in text for text in told)
+    assert any("prepared for a new device" in text for text in told)
     panels = shown[:, int(window.area[0] + window.area[2]) + 2 :]
     assert panels.std() > 10 and np.median(shown[100:400, 50:300]) < 40  # panels are drawn, the ground is not yet
     held.set()
@@ -209,7 +209,7 @@ def test_panels_go_on_while_the_renderer_is_made_on_a_new_device(dem, monkeypatc
     assert len(made) == 2 and not window.drawing.coming
     ground = hand.frames(2)
     assert ground[:, : int(window.area[2])].std() > 15 and np.median(ground[100:400, 50:300]) > 60
-    assert not any("made ready" in m.text for m in session.messages.shown)
+    assert not any("prepared" in m.text for m in session.messages.shown)
     window.canvas.close()
     window.gui.close()
 
@@ -237,7 +237,7 @@ def test_no_new_device_is_told_and_tried_again(dem, monkeypatch):
     first.handle.destroy()
     hand.key("n")
     hand.until(lambda: len(tried) > 1)
-    assert any("not to be had again: There is no GPU." in m.text for m in session.messages.shown)
+    assert any("cannot be opened again: There is no GPU." in m.text for m in session.messages.shown)
     hand.until(lambda: window.device is not first)
     hand.rest()
     assert hand.frames(2)[:, : int(window.area[2])].std() > 15

@@ -185,4 +185,4 @@ def test_how_probably_values_are_above_one(window):
     panel.exceed(window, None)
     assert shown.at(x, y)[0].name == "warmth"
     panel.exceed(window, float("nan"))
-    assert shown.exceeds is None and any("to exceed is a number" in m.text for m in window.session.messages.shown)
+    assert shown.exceeds is None and any("to exceed must be a number" in m.text for m in window.session.messages.shown)

@@ -293,7 +293,7 @@ def test_a_tour_is_made_played_and_drawn_in_the_plan(window, hand, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     touring = window.touring
     hand.key("l")
-    assert "keep some cameras" in window.session.messages.shown[-1].text
+    assert "add some cameras" in window.session.messages.shown[-1].text
     home = window.session.view
     window.session.nav.view = replace(
         home, eye=(413_000.0, 4_980_500.0, 3000.0), target=(415_000.0, 4_983_000.0, 500.0)

@@ -26,25 +26,25 @@ VERBS = {
     "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
-    "check": "Read all of a store, and list what is damaged.",
+    "check": "Read all of a store and list what is damaged.",
     "publish": "Copy a finished store into a bucket.",
     "export": "Write heights, or data on the ground, for other tools.",
     "contours": "Write contour lines as vectors.",
-    "difference": "Take the difference of two DEMs of one place.",
+    "difference": "Compute the difference of two DEMs of the same place.",
     "bake": "Bake light into a store: sky, occlusion, apertures.",
-    "info": "Describe a DEM or a store, and what is suspicious about it.",
-    "manifest": "List what many DEM files are, once, for the other verbs.",
+    "info": "Describe a DEM or a store, and point out what looks suspicious.",
+    "manifest": "Describe many DEM files once, for the other verbs.",
     "movie": "Film a tour of a DEM or a store.",
     "tour": "Make a tour: key frames for a movie.",
     "render": "Draw a relief picture of a DEM or a store.",
     "view": "Explore a DEM or a store in a window.",
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
-    "measure": "Measure heights, lengths, areas and what is seen.",
+    "measure": "Measure heights, lengths, areas and visibility.",
     "tessellate": "Triangulate a DEM or a store for a view.",
     "tin": "Triangulate a DEM or a store within an error in metres (TIN).",
     "compare": "Measure methods side by side.",
     "methods": "List the methods, and what their options mean.",
-    "doctor": "Report what this machine can draw with, and what to add.",
+    "doctor": "Report what this machine can draw with, and what is missing.",
     "synth": "Make a fractal terrain of any size.",
 }
 
@@ -55,7 +55,7 @@ Exit codes: 0 done · 1 a fault of Orograph itself, or a bound that compare find
 
 
 class Verbs(click.Group):
-    """Imports a verb's module only when it is needed: ``orograph info`` need not wait for the renderer."""
+    """Imports a verb's module only when it is needed: ``orograph info`` does not wait for the renderer."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted(VERBS)
@@ -84,13 +84,13 @@ class Verbs(click.Group):
 
 
 _LONGEST = 2000
-"""Characters of a message that are shown: what is wrong may be as long as any argument."""
+"""How many characters of a message are shown; an argument quoted in it may be of any length."""
 
 _SYSTEM = {
     **dict.fromkeys((errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EIO), 3),
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS), 4),
 }
-"""Exit codes of what a system says of a file."""
+"""Exit codes for the operating system's errors about files."""
 
 SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -132,7 +132,7 @@ def main(argv: list[str] | None = None) -> None:
         code = code if isinstance(code, int) else 0
         if argv is None:
             _compile_rest(quiet="--quiet" in args or "-q" in args)
-            _leave(code)  # taking the interpreter and its libraries down in order takes a quarter of a second
+            _leave(code)  # shutting down the interpreter and its libraries in order takes a quarter of a second
         sys.exit(code)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
@@ -140,18 +140,18 @@ def main(argv: list[str] | None = None) -> None:
         click.echo("\norograph: interrupted", err=True)
         _leave(143 if isinstance(error.__cause__ or error, stopping.Stopped) else 130)
     except Exception as error:
-        if stopping.asked():  # which a library has made an error of its own
+        if stopping.asked():  # which a library turned into an error of its own
             stopping.end(stopping.asked())
         _fail(error, debug)
 
 
 def _wording() -> Any:
-    """The module ``cli.wording``, which a verb's start need not wait for."""
+    """The module ``cli.wording``, loaded only when needed to keep start-up short."""
     return importlib.import_module("orograph.cli.wording")
 
 
 def _fail(failure: Exception, debug: bool) -> NoReturn:
-    """Say what failed, and exit with its code."""
+    """Print what failed and exit with its code."""
     try:
         raise failure
     except click.ClickException as error:
@@ -185,26 +185,27 @@ def _fail(failure: Exception, debug: bool) -> NoReturn:
 
 
 def _users(error: Exception) -> tuple[int, str]:
-    """Exit code and words for what a user or the system is the cause of, and nothing nearer to it has put into words;
-    1 and "" for any other error."""
+    """Exit code and message for errors caused by the user or the system that no nearer code has described; 1 and "" for
+    any other error."""
     if isinstance(error, OSError) and error.filename is not None and error.errno in _SYSTEM:
         return _SYSTEM[error.errno], f"{error.filename}: {error.strerror}."
     if isinstance(error, UnicodeEncodeError) and error.reason == "surrogates not allowed":
-        return 2, f"{error.object!a} holds bytes that are no text in UTF-8."
+        return 2, f"{error.object!a} holds bytes that are not UTF-8 text."
     return 1, ""
 
 
 def _shortened(text: str) -> str:
-    """A message without the middle of what it repeats, where that is very long."""
+    """A message, with the middle of very long quoted parts removed."""
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} […] {text[-_LONGEST // 2 :]}"
 
 
 def _spare_imports(args: list[str]) -> None:
-    """Keep two libraries from loading what this process does not use: half a second of a two-second command.
+    """Keep two libraries from loading what this process does not use, which costs half a second of a two-second
+    command.
 
-    Numba loads SciPy's linear algebra with its first kernel, for products of matrices that no kernel here has, and YAML
-    for a file of settings; rasterio loads boto3, if it is installed, to sign requests to S3. They take its absence as
-    an answer. Only the command line does this, never the library: the process is ours alone.
+    Numba loads SciPy's linear algebra with its first kernel, for matrix products that no kernel here has, and YAML for
+    a settings file; rasterio loads boto3, if it is installed, to sign requests to S3. They cope with its absence. Only
+    the command line does this, never the library: the process is ours alone.
     """
     hidden = ["scipy"]
     if not Path(".numba_config.yaml").exists():
@@ -222,7 +223,7 @@ def _spare_imports(args: list[str]) -> None:
 
 
 def _asked_by(*packages: str) -> bool:
-    """Whether the import under way was written in one of ``packages``."""
+    """Whether the current import statement is in one of ``packages``."""
     frame = sys._getframe(2)
     while frame is not None and frame.f_globals.get("__name__", "").startswith(("importlib", "_frozen_importlib")):
         frame = frame.f_back  # type: ignore[assignment]
@@ -230,12 +231,12 @@ def _asked_by(*packages: str) -> bool:
 
 
 def _compile_rest(quiet: bool) -> None:
-    """After a machine's first run at a terminal: have the kernels of the other verbs compiled in the background."""
+    """After a machine's first run at a terminal, compile the other verbs' kernels in the background."""
     compiling = sys.modules.get("orograph.compiling")
     if compiling is None or not sys.stderr.isatty():
         return
     if compiling.compile_rest("orograph.verbs.ahead") and not quiet:
-        click.echo("The other verbs' kernels are being compiled in the background, once on this machine.", err=True)
+        click.echo("The other verbs' kernels are being compiled in the background, once for this machine.", err=True)
 
 
 def _leave(code: int) -> NoReturn:

@@ -1,4 +1,4 @@
-"""``orograph bake``: light products into a store, as layers at all its levels."""
+"""``orograph bake``: store light products as layers of a store, at all its levels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from orograph.store.stored import StoredTerrain
 
 
-@click.command("bake", short_help="Put light into a store: sky, occlusion, apertures, at all levels.")
+@click.command("bake", short_help="Bake light into a store: sky, occlusion, apertures, at all levels.")
 @click.argument("store", metavar="STORE")
 @click.option(
     "--products",
@@ -36,31 +36,34 @@ if TYPE_CHECKING:
     required=True,
     multiple=True,
     metavar="NAMES",
-    help="What to bake (see above), with commas between or given again.",
+    help="What to bake (see above); separate with commas, or repeat.",
 )
 @horizon_options
 @ray_options(
     ["horizon", "rays"],
-    method="Of ambient occlusion and apertures.  [default: horizon]",
+    method="Method for ambient occlusion and apertures.  [default: horizon]",
     rays="With --by rays: rays per sample.",
 )
 @insolation_options
 @click.option(
     "--bits",
     type=click.Choice(["8", "16"]),
-    help="Of a value in the store.  [default: 16 of apertures and insolation, else 8]",
+    help="Bits per value in the store.  [default: 16 for apertures and insolation, else 8]",
 )
-@click.option("--overwrite", is_flag=True, help="Bake also what is there already; begin an interrupted bake anew.")
+@click.option("--overwrite", is_flag=True, help="Bake existing layers again; restart an interrupted bake.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @memory_option
 @jobs_option
 @cluster_options("Bake", ", which share --max-memory")
+@click.option("--part", metavar="I/N", help="Bake only this part (for job arrays), such as 3/64.")
+@click.option("--finish", is_flag=True, help="Make the rest of a bake whose parts are all there.")
 @click.pass_context
 def command(
     ctx: click.Context, /, store: str, products: tuple[tuple[str, ...], ...], bits: str | None, overwrite: bool,
-    as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
+    as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, part: str | None,
+    finish: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """Put light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
+    """Bake light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
 
     \b
     sky-view-factor, sky-view-horizontal, visible-sky   what is seen of the sky
@@ -69,13 +72,15 @@ def command(
     openness, openness-negative, horizon, insolation (--date)
 
     render --light ao and --light aperture use what is baked. A layer of the same name is replaced when the new one is
-    complete. A bake that is interrupted goes on when the same command is run again.
+    complete. An interrupted bake continues when the same command is run again.
 
     \b
     Examples:
       orograph bake area.oro --products sky-view-factor,aperture
       orograph bake area.oro --products ambient-occlusion --radius 600 --rho linear
       orograph bake area.oro --products sky-view-factor --workers 4 --max-memory 4GiB
+      orograph bake area.oro --products sky-view-factor --radius 5000 --part 3/64
+      orograph bake area.oro --products sky-view-factor --radius 5000 --finish
     """
     from orograph.lighting.context import Options
 
@@ -85,9 +90,13 @@ def command(
     chosen = Options(more=more_of(options), **options)
     terrain = run(
         store, wanted, progress_of(ctx), chosen, bits=None if bits is None else int(bits), overwrite=overwrite,
-        max_memory=max_memory, jobs=jobs, workers=workers, dask=dask,
+        max_memory=max_memory, jobs=jobs, workers=workers, dask=dask, part=part, finish=finish,
     )  # fmt: skip
     seconds = time.perf_counter() - began
+    if terrain is None:
+        said = {"path": store, "part": part, "seconds": round(seconds, 3)}
+        click.echo(json.dumps(said) if as_json else f"{store}: part {part} is baked  {seconds:.1f} s")
+        return
     if as_json:
         from orograph.cli.memory import peak_memory
         from orograph.store.layers import LAYERS
@@ -108,18 +117,19 @@ def command(
 
 
 def run(
-    store: str, names: Sequence[str], progress: Progress, options: Options | None = None, **how: Any
-) -> StoredTerrain:
-    """``lighting.bake.bake``, which says after Ctrl-C, and on a full disk, how it goes on."""
+    store: str, names: Sequence[str], progress: Progress, options: Options | None = None, *, part: str | None = None,
+    **how: Any,
+) -> StoredTerrain | None:  # fmt: skip
+    """As ``lighting.bake.bake``, but after Ctrl-C or on a full disk says how to continue."""
     from orograph.lighting.bake import bake
 
-    resumes = "what has been swept is kept" if "://" not in store else "it begins anew"
-    again = f"orograph bake {store} again with the same products to finish ({resumes})."
+    resumes = "finished sweeps are kept" if "://" not in store else "it starts from the beginning"
+    again = f"orograph bake {store} again with the same {'part' if part else 'products'} to finish ({resumes})."
     try:
-        return bake(store, names, options, progress=progress, **how)
+        return bake(store, names, options, progress=progress, part=part, **how)
     except KeyboardInterrupt:
         click.echo(f"\n{store} is as it was; run {again}", err=True)
         raise
     except OutputError as error:
-        error.remedy = f"See that the disk has room and the folder is yours to write in, then run {again}"
+        error.remedy = f"Check that the disk has room and that you may write to the folder, then run {again}"
         raise

@@ -29,7 +29,7 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
 
 @click.command("best-view")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
-@click.option("--target", required=True, type=FILE, metavar="FILE.geojson", help="Points, lines, areas to be seen.")
+@click.option("--target", required=True, type=FILE, metavar="FILE.geojson", help="Points, lines, areas to show.")
 @click.option(
     "--output",
     "-o",
@@ -62,7 +62,7 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
     type=FloatRange(0),
     multiple=True,
     metavar="M",
-    help="Above the ground that cameras may stand on; may be repeated.  [default: by --pitch]",
+    help="Heights of cameras above the ground; may be repeated.  [default: by --pitch]",
 )
 @click.option(
     "--distance",
@@ -70,8 +70,8 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
     type=FloatRange(0, min_open=True),
     multiple=True,
     metavar="M",
-    help="Over the ground, from the target's middle; may be repeated.  "
-    "[default: 0.75 to 3 times that from which all of it is in view]",
+    help="Distances of cameras over the ground, from the target's middle; may be repeated.  [default: 0.75 to 3 "
+    "times the distance from which all of it is in view]",
 )
 @click.option(
     "--fov",
@@ -88,7 +88,7 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
     default=2.0,
     show_default=True,
     metavar="M",
-    help="Every eye is at least so far above the ground.",
+    help="Minimum height of every eye above the ground.",
 )
 @click.option(
     "--target-height",
@@ -96,32 +96,34 @@ OWN = ("target", "k", "size", "azimuths", "pitches", "heights", "distances", "fo
     default=0.0,
     show_default=True,
     metavar="M",
-    help="Above the ground, of what is to be seen.",
+    help="Height of the target above the ground.",
 )
-@click.option("--sun", metavar="AZIMUTH,ALTITUDE|TIME", help="Prefer what this sun lights.")
+@click.option("--sun", metavar="AZIMUTH,ALTITUDE|TIME", help="Prefer ground that this sun lights.")
 @click.option(
     "--apart",
     type=FloatRange(0, 180),
     default=20.0,
     show_default=True,
     metavar="DEG",
-    help="Between the directions of any two views, seen from the target.",
+    help="Minimum angle between any two views, seen from the target.",
 )
 @click.option(
     "--pieces",
     type=click.IntRange(1, 1_000_000),
     default=1000,
     show_default=True,
-    help="About how many pieces the target is judged by.",
+    help="About how many pieces the target is divided into for scoring.",
 )
-@click.option("--tour", "tour_path", type=FILE, metavar="TOUR.json", help="Also a tour through the views, to film.")
+@click.option(
+    "--tour", "tour_path", type=FILE, metavar="TOUR.json", help="Also write a tour through the views, to film."
+)
 @click.option(
     "--seconds",
     type=Float(),
     default=6.0,
     show_default=True,
     metavar="S",
-    help="Of the tour, from one view to the next.",
+    help="Time from one view of the tour to the next.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the views as JSON.")
 @grid_options("draw")
@@ -133,7 +135,7 @@ def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, tour_path: str | None, seconds: float, as_json: bool,
     max_memory: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
-    """Find the views that show most of a target, and differ from each other.
+    """Find the views that show most of a target and differ from each other.
 
     \b
     Examples:
@@ -143,7 +145,7 @@ def command(
     """
     progress = progress_of(ctx)
     if not seconds > 0:
-        raise UsageError(f"`seconds` is the time from view to view, more than 0, not {seconds:g}.")
+        raise UsageError(f"`seconds`, the time from view to view, must be more than 0, not {seconds:g}.")
     source = source_of(options, OWN)
     own = {name: options[name] for name in OWN if name != "pitches"}
     with progress.task("Loading Orograph"):

@@ -1,4 +1,4 @@
-"""``orograph build``: from DEM files to a store."""
+"""``orograph build``: build a store from DEM files."""
 
 from __future__ import annotations
 
@@ -46,86 +46,85 @@ if TYPE_CHECKING:
     type=click.Choice(["nearest", "bilinear", "cubic"]),
     default="bilinear",
     show_default=True,
-    help="How samples are found where they have to be brought to another grid.",
+    help="How samples are interpolated if they must be resampled to another grid.",
 )
 @click.option(
     "--errors",
     type=ErrorKinds(),
     default="exact",
     show_default=True,
-    help="Which errors of its diamonds are stored: some of exact,wedgie,midpoint, or none.",
+    help="Which diamond errors are stored: some of exact,wedgie,midpoint, or none.",
 )
 @click.option(
     "--tins",
     type=click.Choice(["4", "8", "16", "32"]),
-    help="Store also TINs of patches for bdam: segments along a finest patch's leg (bdam's own: 16).",
+    help="Also store TINs of patches for bdam: segments along the leg of a finest patch (bdam's default: 16).",
 )
 @click.option(
     "--for",
     "methods",
     multiple=True,
     metavar="NAME[,key=value…]",
-    help="Store also what a method needs with these options (see orograph methods); can be given several times.",
+    help="Also store what a method needs with these options (see orograph methods); may be repeated.",
 )
 @click.option(
     "--color-errors",
     is_flag=True,
-    help="Store also how much coarser triangles change colours (for --color-tolerance), of --drape or the tint, lit.",
+    help="Also store how much coarser triangles change the lit colours of --drape or the tint (for --color-tolerance).",
 )
 @click.option("--drape", type=FILE, metavar="IMAGE", help="With --color-errors: the image laid over the terrain.")
 @click.option(
     "--keep-source/--no-keep-source",
     default=True,
     show_default=True,
-    help="Of files that are brought to another grid, keep the samples as they are, for the heights of places.",
+    help="If files are resampled to another grid, also keep their original samples, for the heights of places.",
 )
 @click.option(
     "--codec",
     type=click.Choice(["portable", "compact", "smallest", "progressive"]),
     default="portable",
     show_default=True,
-    help="How heights in steps are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 of "
-    "the size, and smallest, smaller still and slower, are read by Orograph (and zarr-python beside it); "
-    "progressive, the smallest of all, stores each level by what it differs by from the one above it.",
+    help="How quantised heights are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 "
+    "of the size, and smallest, smaller still and slower, are read by Orograph (and by zarr-python where it is "
+    "installed); progressive, the smallest of all, stores each level as its difference from the level above.",
 )
 @click.option(
     "--max-error",
     type=MaxError(),
     default="lossless",
     show_default=True,
-    help="How far heights may be from the files', in metres; auto: in the data's own steps; lossless: as float32.",
+    help="How far heights may differ from the files', in metres; auto: keep the data's own steps; lossless: float32.",
 )
 @source_options
 @click.option(
     "--skip-damaged",
     is_flag=True,
     default=None,
-    help="Leave out files that cannot be opened; they are named.",
+    help="Leave out files that cannot be opened, and name them.",
 )
 @vertical_options
 @memory_option
 @jobs_option
-@click.option(
-    "--overwrite", is_flag=True, help="Replace a store that is there; it stays until the new one is complete."
-)
+@click.option("--overwrite", is_flag=True, help="Replace an existing store; it stays until the new one is complete.")
 @click.option(
     "--bake",
     "products",
     type=Names(),
     metavar="NAMES",
-    help="Put light into it as well: sky-view-factor,aperture… (see orograph bake --help, which has options for it).",
+    help="Also bake light: sky-view-factor,aperture… (orograph bake has options for it).",
 )
 @click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
 @click.option(
     "--update",
     is_flag=True,
-    help="Make again only what follows of files that were added, changed or removed; begins a build if there is none.",
+    help="Rebuild only what depends on files that were added, changed or removed, in a folder or a bucket; builds the "
+    "store if there is none.",
 )
 @click.option(
     "--keep",
     type=click.IntRange(min=1),
     metavar="N",
-    help="With --update: versions that are left, with the new one; STORE@2 opens the second.  [default: 2]",
+    help="With --update: versions to keep, including the new one; STORE@2 opens the second.  [default: 2]",
 )
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
@@ -133,7 +132,7 @@ if TYPE_CHECKING:
 @click.option(
     "--repair",
     is_flag=True,
-    help="Make again what orograph check finds damaged; DEM may be left out where the store knows its files.",
+    help="Rebuild what orograph check finds damaged; DEM may be left out if the store records its files.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
@@ -168,16 +167,15 @@ def command(
     """Build a terrain store from DEM files: one raster at all its resolutions, read tile by tile.
 
     Many files become one terrain; degrees become metres (the UTM zone, unless --crs says otherwise); a projected raster
-    is kept sample for sample. The samples of what is brought to another grid are kept as well: the surface is drawn
-    from the grid, the height of a place comes from the samples. The store is a Zarr v3
-    hierarchy that other tools read as well.
+    is kept sample for sample. The original samples of resampled files are kept as well: the surface is drawn from the
+    grid, the height of a place comes from the samples. The store is a Zarr v3 hierarchy that other tools read as well.
 
     A file of points (CSV with x, y, z or longitude, latitude, height; LAS, LAZ; GeoPackage, GeoJSON and what else OGR
     reads) is gridded by linear interpolation over its Delaunay triangulation, and the points are kept: --resolution is
-    how far samples are apart (by default as far as the points are on average), --max-edge leaves long triangles out.
+    the distance between samples (by default the points' mean distance), --max-edge leaves long triangles out.
 
-    A build that is interrupted (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the
-    same bytes. Nothing that is incomplete opens as a store.
+    An interrupted build (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the same
+    bytes. An incomplete store does not open.
 
     \b
     Examples:
@@ -185,6 +183,7 @@ def command(
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
       orograph build tiles/*.tif -o area.oro --update --keep 5
+      orograph build tiles/*.tif -o s3://bucket/area.oro --update
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
@@ -196,7 +195,7 @@ def command(
       orograph build points.laz -o area.oro --resolution 1 --max-edge 50
       orograph build -o area.oro --repair
     """
-    # (One function, though long: most of it is its options and its help.)
+    # (One function, though long: most of it is its options and their help.)
     if repair:
         _repair(ctx, dem, store, max_memory, jobs, as_json, options)
         return
@@ -206,7 +205,7 @@ def command(
     from orograph.store.given import source_of
 
     if drape is not None and not color_errors:
-        raise UsageError("--drape is looked at for --color-errors.", remedy="Give --color-errors, too.")
+        raise UsageError("--drape is only used with --color-errors.", remedy="Give --color-errors too.")
     if products:
         from orograph.lighting.bake import check
 
@@ -256,6 +255,7 @@ def command(
 
         terrain.close()
         terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs, workers=workers, dask=dask)
+        assert terrain is not None
     if color_errors:
         from orograph.geovis.color_store import store_colors
 
@@ -323,7 +323,7 @@ def _repair(
     ctx: click.Context, dem: tuple[str, ...], store: str, max_memory: int, jobs: int | None, as_json: bool,
     options: dict[str, Any],
 ) -> None:  # fmt: skip
-    """Repair a store, and print what was repaired."""
+    """Repair a store and print what was repaired."""
     from orograph.store.given import source_of
     from orograph.store.repair import repair
 
@@ -350,8 +350,8 @@ def _repair(
         name = str(option.name)
         if name in others and ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             raise UsageError(
-                f"--repair does not go with {option.opts[0]}.",
-                remedy="It makes the store what it was, of the files and options it was built with.",
+                f"--repair cannot be combined with {option.opts[0]}.",
+                remedy="It restores the store from the files and options that it was built with.",
             )
     progress = progress_of(ctx)
     source = source_of(dem, progress, **options) if dem else None
@@ -365,7 +365,7 @@ def _repair(
 
 
 def crs_name(crs: CRS | None) -> str | None:
-    """The authority's code of a CRS, its WKT where it has none."""
+    """The authority's code of a CRS; its WKT if it has none."""
     if crs is None:
         return None
     authority = crs.to_authority(min_confidence=100)

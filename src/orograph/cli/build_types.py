@@ -1,4 +1,4 @@
-"""What ``orograph build`` takes that is no plain number or word."""
+"""Parameter types of ``orograph build`` that are not plain numbers or words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import click
 
 
 class ErrorKinds(click.ParamType[tuple[str, ...]]):
-    """Kinds of errors with commas between, or "none"; a tuple of their names."""
+    """Kinds of errors separated by commas, or "none"; converted to a tuple of names."""
 
     name = "KINDS"
 
@@ -20,7 +20,7 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
         wanted = () if value == "none" else tuple(word.strip() for word in value.split(","))
         for word in wanted:
             if word not in KINDS:
-                self.fail(f"{word!r} is none of {', '.join(KINDS)}, none.", param, ctx)
+                self.fail(f"{word!r} is not one of {', '.join(KINDS)}, none.", param, ctx)
         return wanted
 
 

@@ -1,8 +1,9 @@
-"""The camera on the command line: the options that say where to look from, what of them contradicts, and the view.
+"""The camera on the command line: its options, their contradictions, and the view that they describe.
 
 ``@camera_options`` gives a verb ``azimuth``, ``pitch``, ``distance``, ``lonlat``, ``look_at``, ``view_path``, ``fov``,
-``projection`` and ``size`` (``CAMERA``); ``check_camera`` refuses what contradicts, before any work; ``camera_view``
-makes the view once the terrain is known. Verbs that use them have ``exaggeration``, and may have ``furniture``.
+``projection`` and ``size`` (``CAMERA``); ``check_camera`` refuses contradictions before any work is done;
+``camera_view`` makes the view once the terrain is known. Verbs that use them have ``exaggeration``, and may have
+``furniture``.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ if TYPE_CHECKING:
     from orograph.viewpoint import View
 
 PLACES = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov")
-"""What moves the camera away from the view of the whole terrain."""
+"""Options that move the camera away from the view of the whole terrain."""
 
 CAMERA = (*PLACES, "projection", "size")
-"""All that ``camera_options`` gives."""
+"""All parameters that ``camera_options`` adds."""
 
 
-SIZES = ": pixels, or on paper 20x15cm, 8x6in@150 (dots per inch, else 300), which the file says"
-"""What the help of every ``--size`` says of it."""
+SIZES = ": pixels, or on paper 20x15cm, 8x6in@150 (dots per inch, else 300), which the file records"
+"""The text about sizes in the help of every ``--size``."""
 
 
 class Size(ParamType):
-    """Pixels, WIDTHxHEIGHT, or a size on paper, as ``Pixels``."""
+    """Pixels, WIDTHxHEIGHT, or a size on paper; converted to ``Pixels``."""
 
     name = "WIDTHxHEIGHT[UNIT][@DPI]"
 
@@ -70,12 +71,12 @@ def camera_options(function: F) -> F:
             "--distance",
             type=Float(),
             metavar="M",
-            help="Metres from the ground in the terrain's middle.  [default: such that all of it is in view]",
+            help="Metres from the ground in the terrain's middle.  [default: far enough to see all of it]",
         ),
         click.option(
             "--lonlat",
             type=Numbers("LON,LAT,HEIGHT"),
-            help="Stand here, HEIGHT metres above the heights' own zero.",
+            help="Stand here, HEIGHT metres above the zero of the heights.",
         ),
         click.option(
             "--look-at",
@@ -102,15 +103,15 @@ def camera_options(function: F) -> F:
             type=click.Choice(["perspective", "plan"]),
             default="perspective",
             show_default=True,
-            help="plan: a map, straight down with parallel rays; --from says which side is at its foot.",
+            help="plan: a map, straight down with parallel rays; --from says which side is at the bottom.",
         ),
         click.option("--size", type=Size(), help=f"The picture's size{SIZES}.  [default: 1280x720, or the view's]"),
     )
 
 
 def check_camera(options: Mapping[str, Any]) -> None:
-    """Raise UsageError where the camera options contradict each other, or --view's file holds no camera (ReadError: it
-    cannot be read): before a terrain is read, which may take long."""
+    """Raise UsageError if the camera options contradict each other, or if --view's file holds no camera (ReadError if
+    it cannot be read): before a terrain is read, which may take long."""
     from orograph.errors import UsageError
 
     oblique = [f"--{k}" for k in ("from", "pitch", "distance") if options["azimuth" if k == "from" else k] is not None]
@@ -122,7 +123,8 @@ def check_camera(options: Mapping[str, Any]) -> None:
         wrong = [o for o in oblique if o != "--from"] + (["--lonlat"] if options["lonlat"] is not None else [])
         if wrong:
             raise UsageError(
-                f"{wrong[0]} and --projection plan contradict each other: a plan is the whole terrain, straight down.",
+                f"{wrong[0]} and --projection plan contradict each other: a plan shows the whole terrain, straight "
+                "down.",
                 remedy="Turn it with --from, or choose another extent with --view.",
             )
     if options["view_path"] is not None:
@@ -131,7 +133,7 @@ def check_camera(options: Mapping[str, Any]) -> None:
 
         values = load_object(options["view_path"], "view", "eye, target, fov_y, width and height")
         with naming(options["view_path"]):
-            View.from_dict({**values, "crs": None})  # (whether the CRS is one is known when the terrain's is)
+            View.from_dict({**values, "crs": None})  # (its CRS is checked once the terrain's is known)
 
 
 def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:

@@ -1,4 +1,4 @@
-"""``orograph check``: whether a store is sound, to the last byte."""
+"""``orograph check``: verify every byte of a store."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from orograph.cli.options import jobs_option, progress_of
 from orograph.errors import StoreError
 
 SHOWN = 20
-"""Damages that are told one by one; --json tells all."""
+"""How many damages are listed one by one; --json lists all."""
 
 
-@click.command("check", short_help="Read all of a store, and list what is damaged.")
+@click.command("check", short_help="Read all of a store and list what is damaged.")
 @click.argument("store", metavar="STORE")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @jobs_option
 @click.pass_context
 def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) -> None:
-    """Read every byte of a store, and list what is damaged, missing or not in its place.
+    """Read every byte of a store and list what is damaged, missing or out of place.
 
     Heights of all levels, means, tables, errors, layers, coordinates and metadata are compared with what the store's
-    root lists. The exit code is 0 if all is sound and 4 if not; orograph build --repair mends what can be mended.
-    Of a damaged store it also lists which of the files it was built from are gone or changed.
+    root lists. The exit code is 0 if all is sound and 4 if not; orograph build --repair repairs what can be repaired.
+    For a damaged store it also lists which of its source files are gone or changed.
 
     \b
     Examples:
@@ -61,5 +61,5 @@ def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) 
     raise StoreError(
         f"{objects} of its objects {'is' if objects == 1 else 'are'} damaged.",
         path=store,
-        remedy=f"Mend it: orograph build -o {store} --repair",
+        remedy=f"Repair it: orograph build -o {store} --repair",
     )

@@ -29,18 +29,19 @@ if TYPE_CHECKING:
     "--views",
     type=FILE,
     metavar="FILE",
-    help="A JSON list of views (as VIEW.json, each with a name if you like).  "
-    "[default: an overview, a low oblique view, straight down]",
+    help="A JSON list of views (like VIEW.json, each with an optional name).  [default: an overview, a low oblique "
+    "view, straight down]",
 )
 @click.option(
     "--flight",
     type=FILE,
     metavar="FILE",
-    help='Frame by frame instead: {"fps": 60, "seconds": 5, "keys": [{"time": 0, "eye": …, "target": …}, …]}.',
+    help='Compare frame by frame along a flight instead: {"fps": 60, "seconds": 5, "keys": [{"time": 0, "eye": …, '
+    '"target": …}, …]}.',
 )
-@refining.method_option("Which; can be given several times.", multiple=True)
+@refining.method_option("Which method to compare; may be repeated.", multiple=True)
 @click.option(
-    "--methods", "every", type=click.Choice(["all"]), help="All methods, besides those of --method.  [default]"
+    "--methods", "every", type=click.Choice(["all"]), help="All methods, in addition to those of --method.  [default]"
 )
 @refining.goal_options
 @click.option("--size", type=Size(), help=f"The views' size{SIZES}.  [default: 1280x720, or the files']")
@@ -48,11 +49,9 @@ if TYPE_CHECKING:
     "--judged",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Frames of a flight that the referee sees, evenly spread.  [default: 12]",
+    help="Frames of a flight that the referee judges, evenly spread.  [default: 12]",
 )
-@click.option(
-    "--json", "json_path", metavar="OUT|-", help="Write the table as JSON; - is stdout, in place of the text."
-)
+@click.option("--json", "json_path", metavar="OUT|-", help="Write the table as JSON; - prints it instead of the text.")
 @click.option("--picture", type=FILE, metavar="OUT.png", help="Draw the first view's meshes side by side.")
 @refining.terrain_options("work")
 @click.pass_context
@@ -64,12 +63,12 @@ def command(
     """Measure methods side by side on a DEM (one file or many) or a store.
 
     For each: triangles, milliseconds to select them (the median), millions of triangles per second, errors in pixels as
-    the referee finds them, tiles read, and whether the tolerance is a promise; on a flight also the part of the mesh
+    the referee finds them, tiles read, and whether the tolerance is guaranteed; on a flight also the part of the mesh
     that changes from frame to frame.
 
     A mesh is judged at every full-resolution sample in view, and on all of the surface between them. Rays are judged by
-    the depth of the picture: how far from the surface a pixel's point is, and how many pixels show ground where there
-    is none, or none where there is some.
+    the depth of the picture: how far a pixel's point is from the surface, and how many pixels wrongly show ground or
+    wrongly show none.
 
     \b
     Examples:
@@ -103,16 +102,16 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
     else:
         _table(told, found)
-    # Where nothing was promised, what is wrong with a mesh is in the table.
+    # Without a promise, the table says what is wrong with a mesh.
     if found.broken:
         raise OrographError(
-            f"What {' and '.join(found.broken)} promised does not hold.",
+            f"{' and '.join(found.broken)} broke the guaranteed tolerance.",
             remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
         )
 
 
 def _told(found: Comparison) -> dict[str, Any]:
-    """What the JSON says of the methods and what they were measured on."""
+    """The methods and what they were measured on, for the JSON."""
     terrain, goal = found.terrain, found.goal
     return {
         "terrain": terrain.name, "shape": list(terrain.grid.shape), goal.name: getattr(goal, goal.name),
@@ -123,7 +122,7 @@ def _told(found: Comparison) -> dict[str, Any]:
 
 
 def _table(told: dict[str, Any], found: Comparison) -> None:
-    """Print the table; plain text on a pipe."""
+    """Print the table; as plain text on a pipe."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -168,7 +167,7 @@ def _px(value: float | None) -> str:
 
 
 def _promise(m: Measurement) -> tuple[str, str]:
-    """What the last column says of a method, and its style."""
+    """The last column for a method, and its style."""
     if m.conservative and not m.judged:
         return "yes, not judged", "default"
     if m.kept is None:

@@ -1,4 +1,4 @@
-"""``orograph contours``: contour lines as vectors, in a file."""
+"""``orograph contours``: write contour lines to a vector file."""
 
 from __future__ import annotations
 
@@ -30,19 +30,24 @@ OWN = ("interval", "levels", "base", "index", "simplify")
 @click.option("--output", "-o", required=True, type=FILE, help="The lines: .gpkg, .geojson, .shp, .parquet or .fgb.")
 @click.option(
     "--interval", type=FloatRange(min=0, min_open=True), metavar="METRES",
-    help="From level to level.  [default: a round number that makes about twenty levels]",
+    help="Distance between levels.  [default: a round number that gives about twenty levels]",
 )  # fmt: skip
 @click.option("--levels", metavar="M[,M…]", help="Instead: these heights, in metres.")
 @click.option(
-    "--base", type=Float(), default=0.0, show_default=True, metavar="METRES", help="The height that levels count from."
+    "--base",
+    type=Float(),
+    default=0.0,
+    show_default=True,
+    metavar="METRES",
+    help="The height that levels are counted from.",
 )
 @click.option(
     "--index", type=click.IntRange(min=0), default=5, show_default=True, metavar="N",
-    help="Every how many levels an index contour lies (`is_index`); 0: none.",
+    help="Every how many levels there is an index contour (`is_index`); 0: none.",
 )  # fmt: skip
 @click.option(
     "--simplify", type=FloatRange(min=0), default=0.0, show_default=True, metavar="METRES",
-    help="By how much a line may be off in place.",
+    help="How far a line may be displaced.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @grid_options("trace")

@@ -1,4 +1,4 @@
-"""``orograph demo``: the whole way from a file in degrees to a picture, on the sample that comes with matplotlib."""
+"""``orograph demo``: from a file in degrees to a picture, with the sample that comes with matplotlib."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from orograph.cli.options import progress_of
     type=click.Path(file_okay=False, path_type=Path),
     default="orograph-demo",
     show_default=True,
-    help="Folder for the sample and its picture; made if it is not there.",
+    help="Folder for the sample and its picture; created if needed.",
 )
 @click.pass_context
 def command(ctx: click.Context, /, output: Path) -> None:
-    """Draw the built-in sample (Jacksboro fault, Tennessee), say how long each step took and what to try next.
+    """Draw the built-in sample (Jacksboro fault, Tennessee), report how long each step took and what to try next.
 
     The sample is real: 344 × 403 heights of the Shuttle Radar Topography Mission in degrees, which matplotlib ships.
     The first run compiles Orograph's kernels, once for this machine.
@@ -58,7 +58,7 @@ def command(ctx: click.Context, /, output: Path) -> None:
     terrain = prepare([str(dem)], progress=progress)
     rows, cols = terrain.grid.shape
     crs = terrain.grid.crs
-    step(f"read and brought to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
+    step(f"read and projected to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
     view = whole(terrain, (1280, 720), azimuth=160, pitch=38)
     scene = Scene.of(terrain, view, sun=Sun(315, 35), furniture=True, title="Jacksboro fault, Tennessee")
     with progress.task("Drawing"):
@@ -67,15 +67,11 @@ def command(ctx: click.Context, /, output: Path) -> None:
     out = picture.save(output / "jacksboro.png")
     step("written")
     click.echo(f"\nThe picture: {out}\n")
-    # Where it was installed into a virtual environment that is not active, its plain name would not be found.
+    # The plain name is not found if Orograph is installed in a virtual environment that is not active.
     beside = Path(sys.executable).with_name("orograph")
     called = "orograph" if shutil.which("orograph") or not beside.exists() else os.path.relpath(beside)
     click.echo(
-        "Try next:\n"
-        f"  {called} info {dem}\n"
-        f"  {called} render {dem} -o map.png --projection plan --furniture\n"
-        f"  {called} render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky "
-        "--exaggeration 1.5\n"
-        f"  {called} build {dem} -o jacksboro.oro\n"
-        "and the same with your own DEM in its place."
+        f"Try next:\n  {called} info {dem}\n  {called} render {dem} -o map.png --projection plan --furniture\n  "
+        f"{called} render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky --exaggeration "
+        f"1.5\n  {called} build {dem} -o jacksboro.oro\nand the same with your own DEM."
     )

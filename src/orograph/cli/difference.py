@@ -29,7 +29,7 @@ OWN = ("onto", "resampling", "quantiles", "limit", "any_vertical")
 @click.argument("b")
 @click.option(
     "--output", "-o", type=FILE, multiple=True,
-    help="Where to write it: .tif, in metres; .png, .jpg or .webp, a picture. Give it again for both.",
+    help="The output: .tif, in metres; .png, .jpg or .webp, a picture. Repeat it for both.",
 )  # fmt: skip
 @click.option(
     "--onto", type=click.Choice(["first", "second", "finer"]), default="first", show_default=True,
@@ -41,14 +41,16 @@ OWN = ("onto", "resampling", "quantiles", "limit", "any_vertical")
 )  # fmt: skip
 @click.option(
     "--quantiles", metavar="Q[,Q…]", default="0.05,0.25,0.75,0.95", show_default=True,
-    help="Which quantiles of the difference are printed.",
+    help="Which quantiles of the difference to print.",
 )  # fmt: skip
 @click.option(
     "--limit", type=FloatRange(min=0, min_open=True), metavar="METRES",
-    help="Of a picture: the difference at both ends of the colours.  [default: a round number that 98 % lie within]",
+    help="For a picture: the difference at both ends of the colours.  [default: a round number that covers 98 %]",
 )  # fmt: skip
 @click.option(
-    "--any-vertical", is_flag=True, help="Take heights above two vertical datums as they are, instead of refusing them."
+    "--any-vertical",
+    is_flag=True,
+    help="Accept heights above two vertical datums as they are, instead of refusing them.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the statistics as JSON.")
 @grid_options("compare")
@@ -61,11 +63,12 @@ def command(
     ctx: click.Context, /, a: str, b: str, output: tuple[str, ...], as_json: bool, max_memory: int, jobs: int | None,
     **options: Any,
 ) -> None:  # fmt: skip
-    """Take the difference A − B of two DEMs of one place: after and before, a surface and the ground, two products.
+    """Compute the difference A − B of two DEMs of the same place: after and before, a surface and the ground, two
+    products.
 
-    A and B are files, stores, manifests or quoted patterns ("tiles/*.tif"). Where A is higher it is a gain (blue),
-    where it is lower a loss (red). What is printed: mean, median, rms, NMAD (robust standard deviation), quantiles, and
-    the volumes of gain and loss by the true area of each cell.
+    A and B are files, stores, manifests or quoted patterns ("tiles/*.tif"). Where A is higher there is a gain (blue),
+    where it is lower a loss (red). It prints mean, median, rms, NMAD (robust standard deviation), quantiles, and the
+    volumes of gain and loss by the true area of each cell.
 
     \b
     Examples:

@@ -15,8 +15,8 @@ def command(as_json: bool) -> None:
     """Report what this machine can draw with, and what to install.
 
     Lists the GPU adapters and computes something on the one that would be used, the optional libraries, processors and
-    memory, the screen, and the folder where stores are kept. The exit code is 0 also where something is missing: only
-    the CPU is needed for pictures.
+    memory, the screen, and the folder where stores are kept. The exit code is 0 even if something is missing: pictures
+    need only the CPU.
     """
     from orograph.verbs.doctor import doctor
 

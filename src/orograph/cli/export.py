@@ -1,4 +1,4 @@
-"""``orograph export``: heights of a store or a DEM, or data as they lie on it, for other tools."""
+"""``orograph export``: write heights of a store or a DEM, or data as they lie on it, for other tools."""
 
 from __future__ import annotations
 
@@ -29,7 +29,11 @@ DATA = (
 @click.command("export")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
-    "-o", "--output", required=True, type=FILE, help="The file to write: .tif; of data also .nc, .csv, .geojson, .gpkg."
+    "-o",
+    "--output",
+    required=True,
+    type=FILE,
+    help="The file to write: .tif; for data also .nc, .csv, .geojson, .gpkg.",
 )
 @scene_option("data", help=DATA)
 @uncertainty_option
@@ -46,9 +50,9 @@ def command(
 ) -> None:  # fmt: skip
     """Write the heights of a store, or of DEM files as Orograph reads them, as a Cloud Optimized GeoTIFF.
 
-    Heights are metres at full resolution, on the terrain's own grid, NaN where there is none; the file's CRS has the
-    vertical datum, too, where one is known. With --data these are written instead: values and uncertainty of rasters
-    at the terrain's samples, or points with the height of the ground.
+    Heights are metres at full resolution, on the terrain's own grid, NaN where there is none; the file's CRS includes
+    the vertical datum if it is known. With --data, the data are written instead: values and uncertainty of rasters at
+    the terrain's samples, or points with the height of the ground.
 
     \b
     Examples:

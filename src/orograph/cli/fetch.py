@@ -1,4 +1,4 @@
-"""``orograph fetch``: open elevation models by place."""
+"""``orograph fetch``: fetch open elevation models by place."""
 
 from __future__ import annotations
 
@@ -50,16 +50,20 @@ def _options(function: Any) -> Any:
         ),
         click.option("--at", type=Numbers("LON,LAT"), help="The middle of the area, with --radius."),
         click.option("--radius", type=FloatRange(min=0, min_open=True), metavar="METRES", help="Around --at."),
-        click.option("--geojson", type=FILE, help="A file of GeoJSON: the box around it."),
+        click.option("--geojson", type=FILE, help="A GeoJSON file: the box around it."),
         click.option(
-            "--product", default="copernicus-30", show_default=True, metavar="NAME", help="Which heights (--products)."
+            "--product",
+            default="copernicus-30",
+            show_default=True,
+            metavar="NAME",
+            help="Which elevation model (see --products).",
         ),
         click.option("-o", "--output", type=click.Path(), help="What to write: a GeoTIFF (.tif) or a store (.oro)."),
-        click.option("--zoom", type=click.IntRange(0), help="Of tiles z/x/y.  [default: the product's]"),
+        click.option("--zoom", type=click.IntRange(0), help="Zoom level of tiles z/x/y.  [default: the product's]"),
         click.option(
             "--absent",
             type=click.Choice(["sea", "missing"]),
-            help="What tiles are that are not there: 0 m, or missing.  [default: as the product says]",
+            help="What absent tiles stand for: 0 m, or missing.  [default: as the product says]",
         ),
         click.option(
             "--table",
@@ -68,11 +72,11 @@ def _options(function: Any) -> Any:
             show_envvar=True,
             help="A file of more products, or of changes to these (TOML, JSON).",
         ),
-        click.option("--products", "list_products", is_flag=True, help="List the products, and exit."),
+        click.option("--products", "list_products", is_flag=True, help="List the products and exit."),
         click.option(
             "--try-products",
             is_flag=True,
-            help="Ask the server of every product (or of --product) for a tile it must have, and end.",
+            help="Ask the server of every product (or of --product) for a tile that it must have, and exit.",
         ),
         click.option(
             "--most",
@@ -80,13 +84,13 @@ def _options(function: Any) -> Any:
             default="1GiB",
             show_default=True,
             metavar="SIZE|none",
-            help="Heights to read at most.",
+            help="Maximum amount of heights to read.",
         ),
-        click.option("--yes", is_flag=True, help="Read whatever it comes to: as --most none."),
+        click.option("--yes", is_flag=True, help="Read however much it is: same as --most none."),
         click.option(
-            "--connections", type=click.IntRange(1, 16), default=4, show_default=True, help="Requests at once."
+            "--connections", type=click.IntRange(1, 16), default=4, show_default=True, help="Simultaneous requests."
         ),
-        click.option("--overwrite", is_flag=True, help="Replace what is there."),
+        click.option("--overwrite", is_flag=True, help="Replace an existing file or store."),
         click.option("--resume", is_flag=True, help="Finish an interrupted store."),
         click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
     )
@@ -104,9 +108,9 @@ def command(
 ) -> None:  # fmt: skip
     """Fetch open elevation models by place: Copernicus, SRTM, 3DEP, Mars, the Moon…
 
-    Reads only what the area needs, of tiles in public storage. What was read is kept in the cache folder: a run that
-    was interrupted goes on, and the same area needs no network. Whom to name goes into the file, and from there into
-    pictures.
+    Reads only what the area needs, from tiles in public storage. What was read is kept in the cache folder: an
+    interrupted run can be continued, and the same area needs no network again. The credit goes into the file, and from
+    there into pictures.
 
     \b
     Examples:
@@ -127,9 +131,11 @@ def command(
         raise click.UsageError("Missing option '--output' / '-o'.", ctx)
     suffix = Path(output).suffix.lower()
     if suffix not in (".tif", ".tiff", ".oro"):
-        raise UsageError("What is fetched is written as a GeoTIFF or a store.", path=output, remedy="Use .tif or .oro.")
+        raise UsageError(
+            "The result can only be written as a GeoTIFF or a store.", path=output, remedy="Use .tif or .oro."
+        )
     if resume and suffix != ".oro":
-        raise UsageError("--resume is for stores: what is read is kept anyway.", remedy="Leave it away.")
+        raise UsageError("--resume is for stores: what was read is kept anyway.", remedy="Leave it out.")
     from orograph.output import check_folder
 
     check_folder(Path(output))
@@ -150,18 +156,18 @@ def command(
         else:
             request.write(Path(output), overwrite)
     except KeyboardInterrupt:
-        click.echo("\nWhat was read is kept: the same command goes on from there.", err=True)
+        click.echo("\nWhat was read is kept: run the same command to go on from there.", err=True)
         raise
     _tell(request, output, time.perf_counter() - began, as_json)
 
 
 def _area(ctx: click.Context, options: dict[str, Any]) -> tuple[Any, float | None]:
-    """The area that is asked for, and the radius around it."""
+    """The requested area, and the radius around it."""
     given = [name for name in ("bbox", "at", "geojson") if options[name] is not None]
     if len(given) != 1:
         raise click.UsageError("Give one of --bbox, --at (with --radius) and --geojson.", ctx)
     if options["at"] is None and options["radius"] is not None:
-        raise click.UsageError("--radius goes with --at.", ctx)
+        raise click.UsageError("--radius needs --at.", ctx)
     if given == ["geojson"]:
         from orograph.documents import load_object
 
@@ -170,7 +176,7 @@ def _area(ctx: click.Context, options: dict[str, Any]) -> tuple[Any, float | Non
 
 
 def _tell(request: Request, output: str, seconds: float, as_json: bool) -> None:
-    """Tell what was fetched."""
+    """Report what was fetched."""
     product, grid = request.product, request.plan.layout.grid
     if as_json:
         told = {
@@ -200,7 +206,7 @@ def _list(table: str | None, as_json: bool) -> None:
         click.echo(click.style(f"{name:<14}", bold=True) + f"{one.title}: {_spacing(one)}, {one.model} model")
         datum = one.datum or "heights above several datums"
         absent = f"absent tiles are {one.absent}" + (f", missing where {one.witness} has them" if one.witness else "")
-        click.echo(f"{'':<14}{datum}; measured {one.years or 'at times not said'}; {absent}")
+        click.echo(f"{'':<14}{datum}; measured {one.years or 'at unknown times'}; {absent}")
         click.echo(f"{'':<14}{one.licence}")
         if one.account:
             click.echo(f"{'':<14}needs an account: {one.account}, in ~/.netrc as machine {one.machine}")
@@ -217,7 +223,7 @@ def _spacing(product: Product) -> str:
 
 
 def _try(table: str | None, name: str | None, as_json: bool) -> bool:
-    """Ask the servers, and print their answers; whether all are good."""
+    """Ask the servers and print their answers; returns whether all are good."""
     from orograph.fetching.trying import tried
 
     told = []

@@ -1,7 +1,7 @@
-"""Whether a verb may write where it was told to: said before any work, lest a result replace what it is made of.
+"""Whether a verb may write its outputs: checked before any work, so that no result replaces its own input.
 
-Paths are compared as the file system sees them (links, ``..`` and the case of letters included), so another spelling of
-an input is that input.
+Paths are compared as the file system sees them (including links, ``..`` and the case of letters), so another spelling
+of an input is still that input.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ TIFF = (".tif", ".tiff")
 
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Mapping[str, Sequence[str | None]]) -> None:
-    """Raise UsageError where an output would replace an input, lie in a store that is read, or be another output.
+    """Raise UsageError if an output would replace an input, lie in a store that is read, or be the same as another
+    output.
 
     Args:
         outputs: the option's name → its path, or None.
@@ -34,11 +35,13 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Mapping[str, Sequen
                     _check_within(option, path, what, file)
         for other, another in written[:i]:
             if same_file(path, another):
-                raise UsageError(f"{other} and {option} are the same file.", path=path, remedy="Give them two names.")
+                raise UsageError(
+                    f"{other} and {option} are the same file.", path=path, remedy="Give them different names."
+                )
 
 
 def _check_within(option: str, path: str, what: str, folder: str) -> None:
-    """Raise UsageError where an output in a folder that is read would damage a store, or be read the next time."""
+    """Raise UsageError if an output in a folder that is read would damage a store, or be read the next time."""
     from orograph.dem.folders import RASTERS, is_folder
 
     if not is_folder(folder):
@@ -57,14 +60,14 @@ def check_ending(option: str, path: str, endings: Sequence[str] = TIFF) -> None:
     suffix = Path(path).suffix
     if suffix.lower() not in endings:
         raise UsageError(
-            f"{option} is a GeoTIFF, which is not written as {suffix or 'a file without ending'}.",
+            f"{option} is a GeoTIFF, which cannot be written as {suffix or 'a file without ending'}.",
             path=path,
             remedy=f"Use {endings[0]}.",
         )
 
 
 def same_file(a: str, b: str) -> bool:
-    """Whether two paths are one file, or will be once both exist."""
+    """Whether two paths are the same file, or will be once both exist."""
     try:
         return Path(a).samefile(b)
     except (OSError, ValueError):

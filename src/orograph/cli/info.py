@@ -1,4 +1,4 @@
-"""``orograph info``: what a DEM, a file of points or a store is, and what is suspicious about it (``verbs.info``)."""
+"""``orograph info``: describe a DEM, a file of points or a store, and what looks suspicious in it (``verbs.info``)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orograph.cli.wording import spoken
 @click.command("info")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object (a list for several paths).")
-@click.option("--exact", is_flag=True, help="Read every sample of a raster however large it is.")
+@click.option("--exact", is_flag=True, help="Read every sample of a raster, however large.")
 @area_options
 @file_options
 @point_file_options
@@ -23,11 +23,11 @@ from orograph.cli.wording import spoken
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], as_json: bool, exact: bool, jobs: int | None, **options: Any
 ) -> None:
-    """Describe a DEM, a file of points or a store, and what is suspicious about it.
+    """Describe a DEM, a file of points or a store, and point out what looks suspicious.
 
     PATH is anything GDAL reads (also inside .zip and .gz, or a URL), a folder of rasters, which are one terrain, a file
-    of points, or a terrain store. Heights are in metres, after scale, offset and unit. --bbox and --clip describe one
-    area of it.
+    of points, or a terrain store. Heights are in metres, after scale, offset and unit. --bbox and --clip restrict the
+    description to an area.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""``orograph light``: maps of light on a terrain, as GeoTIFFs."""
+"""``orograph light``: make maps of light on a terrain, as GeoTIFFs."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
     "method", "cones", "date", "step", "turbidity", "byte",
 )  # fmt: skip
-"""What is said about the light; all other options are about reading."""
+"""The options about light; all other options are about reading."""
 
 AT_ONCE = ("normal", "slope", "aspect", "hillshade")
-"""Products of which nothing is worth keeping."""
+"""Products that are too quick to keep partial results of."""
 
 
 @click.command("light", cls=Verb, short_help="Make maps of light: slope, hillshade, horizons, sky, openness…")
@@ -62,9 +62,11 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
     required=True,
     multiple=True,
     metavar="NAME",
-    help="What to make (see above); several, with commas or given again, become bands of one file.",
+    help="What to make (see above); several (with commas, or repeated) become bands of one file.",
 )
-@click.option("--output", "-o", required=True, type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
+@click.option(
+    "--output", "-o", required=True, type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF to write."
+)
 @horizon_options
 @scene_option("sun")
 @click.option(
@@ -72,23 +74,25 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
     "lights",
     type=Numbers("AZ,ALT,WEIGHT", 1),
     multiple=True,
-    help="A light of a hillshade with several, in place of --sun: degrees, and its share in the mean (1 if left out); "
-    "give it again for each.",
+    help="One of several lights of a hillshade, in place of --sun: degrees, and its weight in the mean (default 1); "
+    "repeat it for each.",
 )
 @scene_option("exaggeration", help="Stretch heights, for hillshade only.")
 @ray_options(
     ["horizon", "rays", "shadow-maps", "cone-tracing"],
-    method="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",
+    method="Method for ambient occlusion (the last two on the GPU) and apertures (the first two).  [default: horizon]",
     rays="Rays per sample by Monte Carlo; directions of shadow maps.",
 )
-@click.option("--cones", type=click.IntRange(min=3), help="Of cone tracing: about how many per sample.  [default: 64]")
+@click.option(
+    "--cones", type=click.IntRange(min=3), help="For cone tracing: about how many cones per sample.  [default: 64]"
+)
 @insolation_options
-@click.option("--byte", is_flag=True, help="8-bit values for looking at, instead of float32 in physical units.")
+@click.option("--byte", is_flag=True, help="Write 8-bit values for display, instead of float32 in physical units.")
 @grid_options("work")
 @click.option(
     "--resume",
     is_flag=True,
-    help="Keep what has been swept or cast in OUT.tif.partial, and go on from there if it is interrupted.",
+    help="Keep finished work in OUT.tif.partial, and go on from there after an interruption.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @source_options
@@ -118,7 +122,7 @@ def command(
     insolation           energy of sun and sky, Wh/m² (--date)
 
     A large DEM is built into a store first, which is kept. Memory stays within --max-memory, whatever the size; what
-    does not fit is in a scratch file in the temporary folder. The result does not depend on it, nor on --jobs.
+    does not fit goes to a scratch file in the temporary folder. The result depends neither on it nor on --jobs.
 
     \b
     Examples:
@@ -143,7 +147,7 @@ def command(
         from orograph.output import check_folder
         from orograph.store.prepare import prepare
 
-    # What is wrong with the command line is said before any work is done.
+    # Report errors of the command line before any work is done.
     check_folder(Path(output))
     wanted = once(options["products"])
     products = [product(name) for name in wanted]
@@ -162,7 +166,7 @@ def command(
         )
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
     if resume and set(wanted) <= set(AT_ONCE):
-        progress.warn(f"--resume keeps nothing of {', '.join(wanted)}: such maps are made in one go, in seconds.")
+        progress.warn(f"--resume does not apply to {', '.join(wanted)}: such maps are made in one go, in seconds.")
     bands = _bands(products, chosen)
     plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
     with _kept(output, plan) if resume else nullcontext() as kept:
@@ -189,7 +193,7 @@ def command(
 
 @contextmanager
 def _kept(output: str, plan: dict[str, Any]) -> Iterator[Checkpoint]:
-    """What has been done of a map, kept until it is complete; one process at a time makes it."""
+    """The partial results of a map, kept until it is complete; only one process at a time makes it."""
     from orograph.lighting.raster_resume import Checkpoint
     from orograph.store.lock import alone
     from orograph.store.storage import FolderStorage
@@ -205,7 +209,7 @@ def _kept(output: str, plan: dict[str, Any]) -> Iterator[Checkpoint]:
 
 
 def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, int, int, Values]]:
-    """The blocks of all products with their first band; those that sweep alike share a sweep."""
+    """The blocks of all products with their first band; products with the same sweep share it."""
     from orograph.lighting.gather import produce
 
     counts = [len(each.bands(context.options)) for each in products]
@@ -214,7 +218,7 @@ def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, in
 
 
 def _bands(products: list[Product], options: Options) -> list[Band]:
-    """The bands of a file; of several products each says whose it is."""
+    """The bands of a file; with several products, each name includes its product."""
     from dataclasses import replace
 
     found: list[Band] = []
@@ -226,7 +230,7 @@ def _bands(products: list[Product], options: Options) -> list[Band]:
 
 
 def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
-    """What a file says about how it was made: the options that change its products."""
+    """What a file records about how it was made: the options that affect its products."""
     options, more = context.options, context.options.more
     lights = options.lights or ((*options.sun, 1.0),)
     method, rays = more.get("method", "horizon"), ("rays", "shadow-maps")

@@ -1,4 +1,4 @@
-"""``orograph manifest``: what many files are, found once (``verbs.manifest``)."""
+"""``orograph manifest``: describe many files once (``verbs.manifest``)."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import click
 from orograph.cli.options import FILE, file_options, jobs_option, progress_of
 
 
-@click.command("manifest", short_help="List what many DEM files are, once, for the other verbs.")
+@click.command("manifest", short_help="Describe many DEM files once, for the other verbs.")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option(
-    "-o", "--output", required=True, type=FILE, help="The manifest to write or to bring up to date: "
-    "NAME.manifest.geojsonl.",
+    "-o", "--output", required=True, type=FILE, help="The manifest to write or update: NAME.manifest.geojsonl.",
 )  # fmt: skip
 @click.option(
-    "--skip-damaged", is_flag=True, help="Files that cannot be opened are no error; they are listed all the same."
+    "--skip-damaged", is_flag=True, help="Do not fail on files that cannot be opened; they are listed all the same."
 )
 @file_options
 @jobs_option
@@ -27,11 +26,11 @@ def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, skip_damaged: bool, jobs: int | None, as_json: bool,
     **options: Any,
 ) -> None:  # fmt: skip
-    """List what DEM files are, so that build, info, render and the others need not open all of them to know.
+    """Describe DEM files in a list, so that build, info, render and the other verbs need not open all of them.
 
-    PATH is a file, a URL, a folder (all in it), a pattern or another manifest. The manifest is GeoJSON, a file a line,
-    and is named in place of the files. Made again, it opens only what is new or changed, and goes on where it was
-    broken off. A file that changes later is opened anew by whoever reads the manifest.
+    PATH is a file, a URL, a folder (all in it), a pattern or another manifest. The manifest is GeoJSON, one file per
+    line, and is given in place of the files. Running the command again opens only new or changed files, and continues
+    an interrupted run. Readers of the manifest open a file that has changed since.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""``orograph measure``: pick, profile, area, line of sight, viewshed and what is probable, on the true surface."""
+"""``orograph measure``: pick, profile, area, line of sight, viewshed and probabilities, on the true surface."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from orograph.errors import UsageError
 
 
 class Measures(click.Group):
-    """The measures, in the order of their use, and what to say where one is not found."""
+    """The measures in the order of their use, and the error message for an unknown one."""
 
     command_class = Measure
 
@@ -44,11 +44,11 @@ class Measures(click.Group):
         if args[0] not in self.commands:
             known, first = ", ".join(self.commands), args[0]
             if args[0].startswith("-"):
-                ctx.fail(f"Say what to measure first, options after it: one of {known}.")
+                ctx.fail(f"First name what to measure, then the options: one of {known}.")
             turned = next((name for name in args[1:] if name in self.commands), None)
             if turned is not None:
                 ctx.fail(f"What to measure comes first: orograph measure {turned} {first} …")
-            ctx.fail(f"There is no measure {first!r}; there are {known}.")
+            ctx.fail(f"There is no measure {first!r}; the measures are {known}.")
         return super().resolve_command(ctx, args)
 
 
@@ -57,8 +57,8 @@ def command() -> None:
     """Measure on the surface of a DEM or a store: at full resolution, in true metres.
 
     Points are E,N (easting, northing in the terrain's CRS, metres) or, with --lonlat, LON,LAT in degrees. Lengths and
-    areas are corrected for what the map projection stretches and for the height above the ellipsoid; their values on
-    the grid are shown beside them.
+    areas are corrected for the distortion of the map projection and for the height above the ellipsoid; their values on
+    the grid are also shown.
 
     \b
     Examples:
@@ -72,7 +72,7 @@ def command() -> None:
     """
 
 
-@command.command("pick", context_settings=POINTS, short_help="Height, coordinates, slope and aspect of places.")
+@command.command("pick", context_settings=POINTS, short_help="Height, coordinates, slope and aspect of points.")
 @of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="[POINT]...")
 @click.option("--pixel", "pixels", type=Point(), multiple=True, metavar="X,Y",
@@ -80,7 +80,7 @@ def command() -> None:
               "left corner.")  # fmt: skip
 @without("lonlat", "look_at")
 @camera_options
-@scene_option("exaggeration", help="That of the picture.")
+@scene_option("exaggeration", help="Size of the picture.")
 @points_option
 @click.pass_context
 def pick(
@@ -89,9 +89,9 @@ def pick(
 ) -> None:  # fmt: skip
     """Height, coordinates, slope and aspect of the ground at points, or under pixels of a picture.
 
-    Slope and aspect (in which the ground falls, clockwise from north) are those of the ground between its samples,
-    as in orograph light. A pixel's ray is cast against the full-resolution surface. Of a picture with --furniture the
-    camera is the view that render --json tells: save it as VIEW.json.
+    Slope and aspect (the azimuth in which the ground falls, clockwise from north) are those of the ground between its
+    samples, as in orograph light. A pixel's ray is cast against the full-resolution surface. For a picture with
+    --furniture the camera is the view that render --json prints: save it as VIEW.json.
     """
     if not points and not pixels:
         raise UsageError("Give a point, or a pixel with --pixel.")
@@ -119,8 +119,10 @@ def pick(
 @of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The line in a GeoJSON file, instead of points.")
-@click.option("--every", type=Float(), metavar="M", help="Rows of the table this far apart.  [default: at every edge]")
-@output_option("A table (.csv) or a plot (.png, .svg, .pdf); may be given several times.")
+@click.option(
+    "--every", type=Float(), metavar="M", help="Distance between rows of the table.  [default: a row at every edge]"
+)
+@output_option("A table (.csv) or a plot (.png, .svg, .pdf); may be repeated.")
 @points_option
 @click.pass_context
 def profile(
@@ -134,7 +136,7 @@ def profile(
         raise UsageError("Give the line as points or with --geojson, not both.")
     kinds(outputs, True)
     if every is not None and not every > 0:
-        raise UsageError(f"--every is a positive number of metres, not {every:g}.")
+        raise UsageError(f"--every must be a positive number of metres, not {every:g}.")
     terrain = opened(ctx, outputs)
     from orograph import measuring
 
@@ -162,7 +164,7 @@ def profile(
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The polygon in a GeoJSON file; it may have holes.")
 @click.option(
-    "--level", type=Float(), metavar="M", help="Also the volumes of ground above and space below this height."
+    "--level", type=Float(), metavar="M", help="Also measure the volumes of ground above and space below this height."
 )
 @points_option
 @click.pass_context
@@ -200,7 +202,7 @@ def los(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], eye: float, target: float, flat: bool,
     refraction: float, outputs: tuple[str, ...], degrees: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Whether one point is seen from another, and what is in the way."""
+    """Whether one point is visible from another, and what is in the way."""
     check_points(points, 2, "A line of sight", 2)
     kinds(outputs, True)
     terrain = opened(ctx, outputs)
@@ -221,17 +223,19 @@ def los(
     tell(ctx, terrain, found.to_dict(), [found], as_json, outputs)
 
 
-@command.command("viewshed", context_settings=POINTS, short_help="What is seen of the terrain from a point.")
+@command.command("viewshed", context_settings=POINTS, short_help="What part of the terrain is visible from a point.")
 @of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT")
 @sight_options
 @click.option(
     "--radius", type=Float(), metavar="M", help="How far to look, true metres.  [default: all of the terrain]"
 )
-@click.option("--heights", is_flag=True, help="How high a target must be to be seen, instead of 1 (seen) and 0.")
+@click.option(
+    "--heights", is_flag=True, help="Write how high a target must be to be visible, instead of 1 (visible) and 0."
+)
 @error_options
-@click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
-@click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the seen ground painted.")
+@click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF to write.")
+@click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the visible ground painted.")
 @without("lonlat", "look_at")
 @camera_options
 @points_option
@@ -242,11 +246,11 @@ def viewshed(
     checks: str | None, check_sigma: float, draws: int, seed: int, output: str | None, picture: str | None,
     degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
-    """What is seen of the terrain from a point, sample by sample; as a raster, or painted on a picture.
+    """What part of the terrain is visible from a point, sample by sample; as a raster, or painted on a picture.
 
     Each sample has its own line of sight over the full-resolution surface. What does not fit in a third of --max-memory
-    is in a scratch file in the temporary folder. With --sigma (or --horizontal) heights are uncertain, and the result
-    is how probable it is that a sample is seen.
+    goes to a scratch file in the temporary folder. With --sigma (or --horizontal) heights are uncertain, and the result
+    is the probability that a sample is visible.
     """
     check_points(points, 1, "A viewshed", 1)
     camera = check_files(output, picture, camera)

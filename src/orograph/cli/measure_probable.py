@@ -1,4 +1,4 @@
-"""``orograph measure slope``, ``contours`` and ``flood``, and viewsheds of uncertain heights: what is probable."""
+"""``orograph measure slope``, ``contours``, ``flood`` and uncertain viewsheds: probabilities."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ MARK = "#d55e00"
 
 
 def error_options(function: F) -> F:
-    """How uncertain heights are, and how many terrains are drawn."""
+    """The error of heights, and how many terrains are drawn."""
     return with_options(
         function,
-        click.option("--sigma", metavar="M|FILE", help="Standard deviation of heights, metres; or a raster of such."),
+        click.option("--sigma", metavar="M|FILE", help="Standard deviation of heights, metres; or a raster of "
+                                                       "standard deviations."),
         click.option("--range", "reach", type=Float(), default=0.0, metavar="M",
-                     help="Distance at which 5 % of the errors' correlation is left.  [default: 0, independent]"),
+                     help="Distance at which the errors' correlation has dropped to 5 %.  [default: 0, independent]"),
         click.option("--horizontal", type=Float(), default=0.0, metavar="M",
-                     help="Standard deviation of places; adds (M · tan slope)² to the variance."),
+                     help="Horizontal standard deviation; adds (M · tan slope)² to the variance."),
         click.option("--check-points", "checks", metavar="FILE[,KEY=VALUE…]",
-                     help="Points with measured heights, with which draws agree (CSV, GeoJSON, what OGR reads). Keys: "
-                          "variable (of the heights), layer."),
+                     help="Points with measured heights that all draws agree with (CSV, GeoJSON, or what OGR reads). "
+                          "Keys: variable (of the heights), layer."),
         click.option("--check-sigma", type=Float(), default=0.0, metavar="M",
                      help="Standard deviation of the check points' heights, metres."),
         click.option("--draws", type=int, default=200, show_default=True, metavar="N",
-                     help="Terrains that are drawn; a probability is uncertain by at most 1 / (2 √N)."),
-        click.option("--seed", type=int, default=1, show_default=True, metavar="N", help="Of the draws."),
+                     help="Number of terrains to draw; a probability is uncertain by at most 1 / (2 √N)."),
+        click.option("--seed", type=int, default=1, show_default=True, metavar="N", help="Seed of the draws."),
     )  # fmt: skip
 
 
@@ -48,7 +49,7 @@ def outputs_options(function: F) -> F:
     function = without("lonlat", "look_at")(camera_options(function))
     return with_options(
         function,
-        click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF."),
+        click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF to write."),
         click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the last band on it."),
     )
 
@@ -66,9 +67,9 @@ def height_error(
                 raise UsageError(f"--{name} applies to uncertain heights only.", remedy="Give --sigma or --horizontal.")
     if sigma is None:
         if reach:
-            raise UsageError("--range is that of errors, whose size --sigma says.")
+            raise UsageError("--range applies to errors, whose size --sigma gives.")
         if checks is not None and not horizontal:
-            raise UsageError("--check-points are heard by uncertain heights only.", remedy="Give --sigma.")
+            raise UsageError("--check-points apply to uncertain heights only.", remedy="Give --sigma.")
         return HeightError(0.0, 0.0, horizontal, _checks(checks), check_sigma)
     try:
         value: Any = float(sigma)
@@ -78,7 +79,7 @@ def height_error(
 
 
 def _checks(text: str | None) -> Any:
-    """Check points as they are told."""
+    """Check points, as text for people."""
     if text is None:
         return None
     from orograph.geovis.data.dataset import Dataset
@@ -87,9 +88,9 @@ def _checks(text: str | None) -> Any:
 
 
 def check_files(output: str | None, picture: str | None, camera: dict[str, Any]) -> dict[str, Any]:
-    """Raise UsageError unless something is to be written, with endings that fit; the camera without a place."""
+    """Raise UsageError unless there is something to write, with endings that fit, and the camera options agree."""
     if output is None and picture is None:
-        raise UsageError("Say where to write: --output out.tif, --picture out.png, or both.")
+        raise UsageError("Give an output: --output out.tif, --picture out.png, or both.")
     camera = {**camera, "lonlat": None, "look_at": None, "exaggeration": 1.0}
     check_camera({k: camera[k] for k in CAMERA})
     if output is not None:
@@ -105,7 +106,7 @@ def written(
     ctx: click.Context, terrain: Terrain, found: Probable, output: str | None, picture: str | None,
     camera: dict[str, Any], marks: dict[str, Any] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write what is wanted, and tell what it comes to.
+    """Write the requested files, and print a summary.
 
     Args:
         marks: places that the picture shows too, a name and columns x and y.
@@ -133,7 +134,7 @@ def written(
 
 
 def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """What is told of it, for people."""
+    """The summary, for people."""
     rows = [(name, f"{mean:.4g}{band.unit}", " on average")
             for band, (name, mean) in zip(found.bands, told["means"].items())]  # fmt: skip
     if "expected_grid_m2" in told:
@@ -148,7 +149,7 @@ def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]
 @of_terrain
 @error_options
 @click.option("--exceeds", type=Float(), multiple=True, metavar="DEG",
-              help="Also how probable it is that the slope is more; may be given several times.")  # fmt: skip
+              help="Also the probability that the slope exceeds this; may be repeated.")  # fmt: skip
 @outputs_options
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
@@ -157,9 +158,10 @@ def slope(
     check_sigma: float, draws: int, seed: int,
     exceeds: tuple[float, ...], output: str | None, picture: str | None, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
-    """Mean and standard deviation of the slope, degrees, of heights that are uncertain.
+    """Mean and standard deviation of the slope of uncertain heights, degrees.
 
-    A raster with a band for each, and one for each --exceeds. Errors are drawn --draws times, correlated over --range.
+    The result is a raster with a band for each, and one for each --exceeds. Errors are drawn --draws times, correlated
+    over --range.
     """
     camera = check_files(output, picture, camera)
     error = _needed(sigma, reach, horizontal, checks, check_sigma)
@@ -171,13 +173,13 @@ def slope(
 
 
 @click.command(
-    "contours", cls=Measure, context_settings=POINTS, short_help="How probable a contour line is, cell by cell."
+    "contours", cls=Measure, context_settings=POINTS, short_help="The probability of a contour line, cell by cell."
 )
 @of_terrain
 @error_options
 @click.option("--level", "levels", type=Float(), multiple=True, metavar="M",
-              help="Height of a line; may be given several times.")  # fmt: skip
-@click.option("--interval", type=Float(), metavar="M", help="Or the height between lines.")
+              help="Height of a line; may be repeated.")  # fmt: skip
+@click.option("--interval", type=Float(), metavar="M", help="Instead: the height between lines.")
 @outputs_options
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
@@ -187,7 +189,7 @@ def contours(
     levels: tuple[float, ...], interval: float | None, output: str | None, picture: str | None, as_json: bool,
     **camera: Any,
 ) -> None:  # fmt: skip
-    """How probable it is that a contour line passes through a cell, of heights that are uncertain.
+    """The probability that a contour line passes through a cell, given uncertain heights.
 
     The result has a value for each cell, between the samples.
     """
@@ -203,11 +205,14 @@ def contours(
 
 
 @click.command(
-    "flood", cls=Measure, context_settings=POINTS, short_help="What lies below a water level, joined to a source."
+    "flood",
+    cls=Measure,
+    context_settings=POINTS,
+    short_help="What lies below a water level and is connected to a source.",
 )
 @of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="[SOURCE]...")
-@click.option("--level", type=Float(), required=True, metavar="M", help="Of the water, in the terrain's heights.")
+@click.option("--level", type=Float(), required=True, metavar="M", help="Level of the water, in the terrain's heights.")
 @error_options
 @outputs_options
 @points_option
@@ -217,7 +222,7 @@ def flood(
     horizontal: float, checks: str | None, check_sigma: float, draws: int, seed: int, output: str | None,
     picture: str | None, degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
-    """Which ground is below a water level, and joined to a source along ground that is.
+    """Which ground is below a water level and connected to a source along such ground.
 
     Without a source all ground below the level counts. With --sigma the result is a probability; without it 1 or 0.
     """
@@ -236,7 +241,7 @@ def viewshed(
     ctx: click.Context, terrain: Terrain, place: Any, error: HeightError, draws: int, seed: int, output: str | None,
     picture: str | None, camera: dict[str, Any], as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """How probable it is that ground is seen (``orograph measure viewshed … --sigma``)."""
+    """The probability that ground is visible (``orograph measure viewshed … --sigma``)."""
     from orograph import measuring
 
     found = measuring.probable_viewshed(terrain, place, error, draws=draws, seed=seed, **options, **_means(ctx))
@@ -248,7 +253,7 @@ def _needed(
     sigma: str | None, reach: float, horizontal: float, checks: str | None, check_sigma: float
 ) -> HeightError:  # fmt: skip
     if sigma is None and not horizontal:
-        raise UsageError("Say how uncertain heights are: --sigma 2 (metres), or a raster of standard deviations.")
+        raise UsageError("Give the uncertainty of heights: --sigma 2 (metres), or a raster of standard deviations.")
     return height_error(sigma, reach, horizontal, checks, check_sigma)
 
 

@@ -1,4 +1,4 @@
-"""What the measures of ``orograph measure`` share: their points, options, the terrain, and how results are told."""
+"""What the measures of ``orograph measure`` share: points, options, the terrain, and how results are printed."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 POINTS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
-"""A point may begin with a minus; what begins so and is neither a point nor an option, ``Measure`` tells."""
+"""A point may begin with a minus; ``Measure`` reports what begins so and is neither a point nor an option."""
 
 
 class Point(Numbers):
-    """Two numbers with a comma between."""
+    """Two numbers separated by a comma."""
 
     def __init__(self) -> None:
         super().__init__("X,Y")
@@ -65,9 +65,9 @@ class Measure(Verb):
 
 
 def of_terrain(function: F) -> F:
-    """Give a measure the path of a terrain, and after its own options those that say how the terrain is read.
+    """Give a measure the path of a terrain and, after its own options, those that say how to read the terrain.
 
-    They go to ``ctx.obj``, where ``opened`` finds them, and not to the measure.
+    These go to ``ctx.obj``, where ``opened`` finds them, and not to the measure.
     """
 
     def run(**options: Any) -> Any:
@@ -97,25 +97,26 @@ def points_option(function: F) -> F:
 
 
 def output_option(what: str) -> Callable[[F], F]:
-    """``--output``, which may be given several times."""
+    """``--output``, which may be repeated."""
     return click.option("--output", "-o", "outputs", type=FILE, multiple=True, metavar="OUT", help=what)
 
 
 def sight_options(function: F) -> F:
-    """What line of sight and viewshed have in common."""
+    """The options that line of sight and viewshed share."""
     return with_options(
         function,
-        click.option("--eye", type=Float(), default=1.7, show_default=True, metavar="M", help="Eye above ground."),
+        click.option("--eye", type=Float(), default=1.7, show_default=True, metavar="M", help="Height of the eye "
+                                                                                              "above ground."),
         click.option("--target", type=Float(), default=0.0, show_default=True, metavar="M",
-                     help="What is looked at, above ground."),
-        click.option("--flat", is_flag=True, help="No curvature of the body and no refraction."),
+                     help="Height of the target above ground."),
+        click.option("--flat", is_flag=True, help="Ignore the curvature of the body and refraction."),
         click.option("--refraction", type=Float(), default=0.13, show_default=True, metavar="K",
-                     help="How much rays bend, relative to the ground; 0 without air."),
+                     help="Curvature of rays relative to that of the ground; 0 without air."),
     )  # fmt: skip
 
 
 def opened(ctx: click.Context, outputs: tuple[str, ...] = (), others: tuple[str | None, ...] = ()) -> Terrain:
-    """The terrain, once it is sure that nothing will be written over it."""
+    """The terrain, opened once no output can overwrite it."""
     given = {f"--output {k}" if k > 1 else "--output": path for k, path in enumerate(outputs, 1)}
     check_outputs(
         {**given, "--picture": others[0] if others else None},
@@ -148,14 +149,14 @@ def on_terrain(places: Places, points: tuple[tuple[float, ...], ...], degrees: b
 
 
 def kinds(outputs: tuple[str, ...], plots: bool) -> None:
-    """Raise UsageError for endings that are neither a table's nor a plot's; a missing matplotlib is told at once."""
+    """Raise UsageError for endings other than a table's or a plot's; a missing matplotlib is reported at once."""
     from orograph.measuring.plot import ENDINGS, check_plot
 
     for path in outputs:
         if Path(path).suffix.lower() == ".csv":
             continue
         if not plots or Path(path).suffix.lower() not in ENDINGS:
-            raise UsageError("--output is written as .csv, .png, .svg or .pdf.", path=path)
+            raise UsageError("--output must be a .csv, .png, .svg or .pdf.", path=path)
         check_plot(path)
 
 
@@ -178,7 +179,7 @@ def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], results: Se
 
 
 def without(*names: str) -> Callable[[F], F]:
-    """Take options away again that ``camera_options`` gave."""
+    """Remove options that ``camera_options`` added."""
 
     def change(function: F) -> F:
         kept = [p for p in function.__click_params__ if p.name not in names]  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""How much memory a verb took, and sizes for people."""
+"""Memory use of a verb, and sizes for people."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def peak_memory() -> int | None:
-    """The largest memory this process has had resident, in bytes; None where the system does not tell."""
+    """The process's peak resident memory, bytes; None if the system does not report it."""
     try:  # Linux: unlike getrusage, this does not count the process that started this one
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):

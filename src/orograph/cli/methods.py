@@ -1,4 +1,4 @@
-"""``orograph methods``: which methods there are, and what their options mean."""
+"""``orograph methods``: list the methods and the meaning of their options."""
 
 from __future__ import annotations
 

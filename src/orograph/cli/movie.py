@@ -1,4 +1,4 @@
-"""``orograph movie``: a tour of a DEM or a store as a film."""
+"""``orograph movie``: film a tour of a DEM or a store."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from orograph.scene.sizes import dpi_of
 from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
-"""What is said about the film; all other options are about reading."""
+"""The options about the film; all other options are about reading."""
 
 
 @click.command("movie", cls=Verb)
@@ -57,7 +57,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
     metavar="N",
     help="Constant rate factor: lower is better and larger.  [default: 18 for H.264, 28 for VP9]",
 )
-@click.option("--overwrite", is_flag=True, help="Draw pictures anew that are there already.")
+@click.option("--overwrite", is_flag=True, help="Redraw existing pictures.")
 @scene_options()
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
@@ -67,7 +67,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 @cluster_options("Draw", ", which share --max-memory")
 @sort_last_option("whole frames")
 @click.option("--part", metavar="I/N", help="Draw only this part of the frames (for job arrays), such as 3/64.")
-@click.option("--finish", is_flag=True, help="Make the film of its parts, when all are drawn.")
+@click.option("--finish", is_flag=True, help="Make the film from its parts, once all are drawn.")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, tour_path: str | None, crf: int | None,
@@ -76,8 +76,8 @@ def command(
 ) -> None:  # fmt: skip
     """Film a tour of a DEM (one file or many) or of a store, every frame with all of its detail.
 
-    What an option says of the scene (--sun, --exaggeration…) holds for the whole film, whatever the tour says. Pictures
-    (frames/%05d.png) that are there already are not drawn again: an interrupted film is taken up where it stopped.
+    Options of the scene (--sun, --exaggeration…) apply to the whole film, whatever the tour says. Existing pictures
+    (frames/%05d.png) are not drawn again: an interrupted film continues where it stopped.
 
     \b
     Examples:
@@ -97,9 +97,8 @@ def command(
     errors = check_scene(options, progress)
     if (tour_path is not None) == bool(chosen(options)):
         raise UsageError(
-            "Give a --tour or a kind of one (--orbit, --turntable, --still, --plan, --around, --line, --point), "
-            "and not both.",
-            remedy="orograph tour new writes a tour to begin with.",
+            "Give either --tour or a kind of tour (--orbit, --turntable, --still, --plan, --around, --line, --point).",
+            remedy="orograph tour new writes a tour to start from.",
         )
     check_outputs(
         {"--output": output},
@@ -116,12 +115,12 @@ def command(
         from orograph.verbs.filming import By, Shot, shoot_by
         from orograph.verbs.movie import shoot, shoot_by_parts, without
 
-    # What is wrong with the command line is said before any work is done.
+    # Report errors of the command line before any work is done.
     check_movie(output, options["size"], crf)
     by = By.of(workers, dask, part, finish)
     check_sort_last(sort_last, workers is not None or dask is not None, options["backend"])
     if overwrite and not is_numbered(output):
-        progress.warn("--overwrite is about pictures: a film takes the place of what was there, when it is whole.")
+        progress.warn("--overwrite applies to pictures: a finished film replaces an existing file anyway.")
     if tour_path is not None:
         Tour.readable(tour_path)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
@@ -161,7 +160,7 @@ def command(
     elif part is not None:
         click.echo(f"{output}: part {part} is drawn ({shot.drawn} frames)  {seconds:.1f} s")
     else:
-        there = f" ({len(film) - shot.drawn} were there)" if shot.drawn < len(film) else ""
+        there = f" ({len(film) - shot.drawn} existed)" if shot.drawn < len(film) else ""
         uneven = "" if shot.imbalance is None else f"  (busiest worker {shot.imbalance:.2f} × the mean)"
         click.echo(
             f"{output}  {len(film)} frames{there}, {size[0]} × {size[1]}, {film.tour.fps:g}/s  {seconds:.1f} s{uneven}"

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class Needed(NamedTuple):
-    """What is to be stored, as ``orograph.build`` takes it.
+    """What to store, as arguments of ``orograph.build``.
 
     Attributes:
-        errors: kinds of errors of diamonds. tins: segments of the patches whose TINs are wanted. chunked: the kind of
-            the chunks. quadtin: metres and way of splitting of a QuadTIN. None: none is wanted.
+        errors: kinds of errors of diamonds. tins: segments of the patches whose TINs are stored. chunked: the kind of
+            chunks. quadtin: error and splitting of a QuadTIN. None: not stored.
     """
 
     errors: tuple[ErrorKind, ...] = ()
@@ -32,10 +32,10 @@ def needed_by(methods: Sequence[str], progress: Progress, legs: str | None) -> N
     """What methods need.
 
     Args:
-        legs: segments of the patches whose TINs are asked for outright.
+        legs: segments of the patches whose TINs are requested directly.
 
     Raises:
-        UsageError: one of them is no method, or two need other TINs, chunks or QuadTINs.
+        UsageError: one of them is not a method, or two need different TINs, chunks or QuadTINs.
     """
     tins = {} if legs is None else {int(legs): None}
     chunked: dict[Kind, None] = {}
@@ -60,10 +60,10 @@ def needed_by(methods: Sequence[str], progress: Progress, legs: str | None) -> N
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
-            progress.note(f"{choice}: errors of colours are stored with --color-errors.")
+            progress.note(f"{choice}: store errors of colours with --color-errors.")
     if len(tins) > 1:
         raise UsageError(
-            f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
+            f"A store has TINs of one kind only, not of {' and '.join(map(str, tins))} segments.",
             remedy="Ask for those of one kind.",
         )  # fmt: skip
     if len(chunked) > 1:
@@ -71,8 +71,8 @@ def needed_by(methods: Sequence[str], progress: Progress, legs: str | None) -> N
             f"{cells} cells from {finest:g} m on{', compressed' if compressed else ''}"
             for cells, finest, compressed in chunked
         )
-        raise UsageError(f"A store has chunks of one kind, not of {sizes}.", remedy="Ask for those of one kind.")
+        raise UsageError(f"A store has chunks of one kind only, not of {sizes}.", remedy="Ask for those of one kind.")
     if len(quadtin) > 1:
         kinds = " and ".join(f"finest={finest:g},split={split}" for finest, split in quadtin)
-        raise UsageError(f"A store has one QuadTIN, not {kinds}.", remedy="Ask for one.")
+        raise UsageError(f"A store has only one QuadTIN, not {kinds}.", remedy="Ask for one.")
     return Needed(tuple(found), next(iter(tins), None), next(iter(chunked), None), next(iter(quadtin), None))

@@ -38,7 +38,7 @@ _ENCODINGS = ("mapbox", "terrarium")  # orograph.dem.encode.ENCODINGS, without i
 
 
 class Bytes(ParamType):
-    """An amount of memory on the command line."""
+    """An amount of memory."""
 
     name = "size"
 
@@ -50,12 +50,14 @@ class Bytes(ParamType):
         except ValueError as error:
             self.fail(f"{error}.", param, ctx)
         if size < LEAST_MEMORY:
-            self.fail(f"{value!r} is less than 64MiB, in which no work can be done (write it like 1GiB).", param, ctx)
+            self.fail(
+                f"{value!r} is less than 64MiB, which is too little to work with (write it like 1GiB).", param, ctx
+            )
         return size
 
 
 def grid_options(doing: str) -> Callable[[F], F]:
-    """Give a verb ``crs`` and ``resolution``, those of the grid that terrain is brought to, and the ``area_options``.
+    """Give a verb ``crs`` and ``resolution`` of the grid to bring terrain to, and the ``area_options``.
 
     Args:
         doing: what the verb does in that CRS ("draw", "measure"…).
@@ -71,33 +73,31 @@ def area_options(function: F) -> F:
     """``--bbox`` and ``--clip``: the part of the ground that is read."""
     return with_options(
         function,
-        click.option(
-            "--bbox", type=Numbers("W,S,E,N"), help="Of the ground only this area, in degrees.  [default: all of it]"
-        ),
-        click.option("--clip", type=FILE, help="Of the ground only what lies in these polygons (GeoJSON)."),
+        click.option("--bbox", type=Numbers("W,S,E,N"), help="Read only this area, in degrees.  [default: all of it]"),
+        click.option("--clip", type=FILE, help="Read only the ground in these polygons (GeoJSON)."),
     )
 
 
 MOST = 1e12
-"""The largest number that an option takes: no metres, seconds or factors of terrain reach it."""
+"""The largest number that an option accepts: no sensible metres, seconds or factors exceed it."""
 
 
 class Float(click.types.FloatParamType):
-    """A number that can be meant: not "nan", nor beyond MOST."""
+    """A finite number of at most MOST."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return _number(self, super().convert(value, param, ctx), param, ctx)
 
 
 class Length(Float):
-    """A number, or "inf": as long as may be."""
+    """A number, or "inf" for no limit."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return math.inf if value in ("inf", math.inf) else super().convert(value, param, ctx)
 
 
 class FloatRange(click.FloatRange):
-    """A number within limits, and not "nan" nor beyond MOST, which click lets pass."""
+    """A number within limits that is not "nan" nor beyond MOST, both of which click accepts."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return _number(self, super().convert(value, param, ctx), param, ctx)
@@ -121,12 +121,12 @@ class Classes(click.ParamType[tuple[int, ...]]):
             return value
         words = str(value).split(",")
         if not all(word.strip().isdigit() and int(word) < 256 for word in words):
-            self.fail(f"{value!r} are no classes: give whole numbers from 0 to 255, such as 2,9.", param, ctx)
+            self.fail(f"{value!r} are not classes: give whole numbers from 0 to 255, such as 2,9.", param, ctx)
         return tuple(map(int, words))
 
 
 class Numbers(ParamType):
-    """Numbers separated by commas, so many of them."""
+    """A fixed count of numbers separated by commas."""
 
     def __init__(self, names: str, optional: int = 0) -> None:
         self.name, self.optional = names, optional
@@ -161,18 +161,18 @@ def with_options(function: F, *options: Callable[[F], F]) -> F:
 
 
 def source_of(options: Mapping[str, Any], own: Collection[str]) -> dict[str, Any]:
-    """The options that say how files are read: those that are not a verb's own."""
+    """The options that say how files are read: all that are not the verb's own."""
     source = {name: value for name, value in options.items() if name not in own}
     return {**source, "band": None if source["band"] == 1 else source["band"]}
 
 
 def source_options(function: F) -> F:
-    """Give a verb the options that say how files of heights and of points are to be understood."""
+    """Give a verb the options that say how to interpret files of heights and of points."""
     return with_options(function, file_options, points_options)
 
 
 def file_options(function: F) -> F:
-    """Give a verb the options that say how elevation files are to be understood."""
+    """Give a verb the options that say how to interpret elevation files."""
     return with_options(
         function,
         click.option(
@@ -181,16 +181,16 @@ def file_options(function: F) -> F:
         click.option(
             "--nodata",
             type=Nodata(),
-            help="The stored number that means 'no height here', instead of the one the file declares; "
-            "'none': there is no such number.",
+            help="The stored number that means 'no height here', instead of the one that the file declares; 'none': "
+            "no number does.",
         ),
         click.option(
             "--spacing",
             type=Float(),
             metavar="METRES",
-            help="Distance between samples, for files that do not say where they lie.  [default: 1]",
+            help="Distance between samples, for files without georeferencing.  [default: 1]",
         ),
-        click.option("--assume-crs", metavar="CRS", help="The CRS of files that name none, e.g. EPSG:4326."),
+        click.option("--assume-crs", metavar="CRS", help="The CRS of files that declare none, e.g. EPSG:4326."),
         click.option(
             "--encoding",
             type=click.Choice(_ENCODINGS),
@@ -199,46 +199,45 @@ def file_options(function: F) -> F:
         click.option(
             "--vertical-unit",
             metavar="UNIT",
-            help="The unit of the heights (m, ft, us-ft, cm…), instead of the one the file declares.",
+            help="The unit of the heights (m, ft, us-ft, cm…), instead of the one that the file declares.",
         ),
         click.option(
             "--assume-vertical",
             metavar="DATUM",
-            help="The vertical datum of files that name none: EGM96, EGM2008, ellipsoidal, EPSG:5703…",
+            help="The vertical datum of files that declare none: EGM96, EGM2008, ellipsoidal, EPSG:5703…",
         ),
     )
 
 
 def points_options(function: F) -> F:
-    """Give a verb the options that say how files of points are to be understood."""
+    """Give a verb the options that say how to interpret files of points."""
     return with_options(
         point_file_options(function),
         click.option(
             "--max-edge",
             type=Length(),
             metavar="METRES",
-            help="Of points: leave triangles with a longer side out, as missing ground; inf: none, not even slivers "
-            "along the rim.  [default: only slivers]",
+            help="For points: leave out triangles with a longer side, as missing ground; inf: keep all, even slivers "
+            "along the rim.  [default: leave out slivers only]",
         ),
     )
 
 
 def point_file_options(function: F) -> F:
-    """Give a verb the options that say what of a file of points is read."""
+    """Give a verb the options that say what to read from a file of points."""
     return with_options(
         function,
         click.option(
             "--height-column",
             metavar="NAME",
-            help="Of points: the column or attribute that holds the heights.  [default: z, height, elevation…]",
+            help="For points: the column or attribute that holds the heights.  [default: z, height, elevation…]",
         ),
-        click.option("--point-layer", metavar="NAME", help="Of points: which of several layers of a file."),
+        click.option("--point-layer", metavar="NAME", help="For points: which of several layers of a file."),
         click.option(
             "--point-classes",
             type=Classes(),
             metavar="N[,N…]",
-            help="Of LAS and LAZ: the classes that are taken.  [default: 2, the ground; where there is none, "
-            "all but noise]",
+            help="For LAS and LAZ: the classes to read.  [default: 2, the ground; without any, all but noise]",
         ),
     )
 
@@ -263,10 +262,10 @@ def vertical_options(function: F) -> F:
 
 
 def memory_option(function: F) -> F:
-    """``--max-memory``: the bytes a verb may use for its own blocks and caches."""
-    return click.option(
-        "--max-memory", type=Bytes(), default=DEFAULT_MEMORY, show_default=True, help="Memory to keep within."
-    )(function)
+    """``--max-memory``: the bytes that a verb may use for its own blocks and caches."""
+    return click.option("--max-memory", type=Bytes(), default=DEFAULT_MEMORY, show_default=True, help="Memory limit.")(
+        function
+    )
 
 
 def jobs_option(function: F) -> F:
@@ -284,10 +283,10 @@ def cluster_options(doing: str, shared: str = "") -> Callable[[F], F]:
     """``--workers`` and ``--dask``: ``workers`` (int or None) and ``dask`` (an address or None).
 
     Args:
-        doing: "Build". shared: what is said of the workers' memory.
+        doing: "Build". shared: what help says about the workers' memory.
     """
     workers = click.option(
-        "--workers", type=click.IntRange(1), metavar="N", help=f"{doing} in so many processes{shared} (Dask)."
+        "--workers", type=click.IntRange(1), metavar="N", help=f"{doing} in this many processes{shared} (Dask)."
     )
     dask = click.option(
         "--dask", metavar="ADDRESS", help=f"{doing} on the workers of this Dask scheduler (tcp://HOST:8786)."
@@ -300,20 +299,21 @@ def sort_last_option(first: str) -> Callable[[F], F]:
     return click.option(
         "--sort-last",
         is_flag=True,
-        help=f"With --workers or --dask: each has a part of the terrain, not {first}; they are put together by depth.",
+        help=f"With --workers or --dask: each worker draws a part of the terrain, not {first}; the parts are "
+        "composited by depth.",
     )
 
 
 def check_sort_last(wanted: bool, together: bool, backend: str) -> None:
-    """Raise UsageError where parts of the terrain are wanted, and there are no workers or another backend."""
+    """Raise UsageError if sort-last is requested without workers, or with another backend."""
     if wanted and not together:
-        raise UsageError("--sort-last is for workers.", remedy="Give --workers or --dask.")
+        raise UsageError("--sort-last needs workers.", remedy="Give --workers or --dask.")
     if wanted and backend != "cpu":
-        raise UsageError("--sort-last is drawn by the CPU.", remedy="Leave out --backend.")
+        raise UsageError("--sort-last draws on the CPU.", remedy="Leave out --backend.")
 
 
 def progress_of(ctx: click.Context) -> LineProgress:
-    """The progress line of this run: silent with ``--quiet``; warnings are collected by the verb all the same."""
+    """The progress line of this run: silent with ``--quiet``; warnings are collected by the verb in any case."""
     from orograph.cli.progress import LineProgress
 
     return LineProgress(quiet=bool((ctx.obj or {}).get("quiet", False)))

@@ -1,4 +1,4 @@
-"""A relief picture with a viewshed painted on the terrain, and the eye marked where it stands."""
+"""A relief picture with a viewshed painted on the terrain and a mark at the eye."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def painted(
     terrain: Terrain, shed: Viewshed, camera: Mapping[str, Any], path: str, progress: Progress,
     max_memory: int | None, jobs: int | None,
 ) -> dict[str, float]:  # fmt: skip
-    """Draw the picture; tells how much is seen.
+    """Draw the picture; returns how much is visible.
 
     Raises:
         OutputError: it cannot be written. NothingInViewError: it would be empty.
@@ -45,7 +45,7 @@ def painted(
 
 
 def _marked(picture: Picture, shed: Viewshed) -> Any:
-    """The picture's pixels with a ring where the eye is; thin where ground in front of it hides it."""
+    """The picture's pixels with a ring at the eye; the ring is thin where ground in front hides it."""
     import numpy as np
     from PIL import Image, ImageDraw
 

@@ -1,4 +1,4 @@
-"""Options of the products of light, which the verbs that make them share: ``light`` into files, ``bake`` into stores.
+"""Options of light products, shared by the verbs that make them: ``light`` writes files, ``bake`` writes into stores.
 
 ``@horizon_options`` gives a verb ``azimuths``, ``radius``, ``curvature`` and ``refraction``; ``@ray_options(…)``
 ``rays``, ``rho`` and ``method``; ``@insolation_options`` ``date``, ``step`` and ``turbidity``: keyword arguments by the
@@ -16,7 +16,7 @@ from orograph.cli.options import F, Float, with_options
 from orograph.errors import UsageError
 
 MORE = ("rho", "method", "cones", "date", "step", "turbidity")
-"""Options of single products, of which only those given are passed on."""
+"""Options of single products; only those given are passed on."""
 
 
 _SKY = ("sky-view-factor", "sky-view-horizontal", "visible-sky", "openness", "openness-negative")
@@ -37,31 +37,31 @@ USERS = {
     "step": ("insolation",),
     "turbidity": ("insolation",),
 }
-"""The products that an option changes."""
+"""The products that an option affects."""
 
 
 def check_used(ctx: click.Context, wanted: Sequence[str]) -> None:
-    """Refuse options that change none of the products: they would be passed over.
+    """Refuse options that affect none of the products: they would be ignored.
 
     Raises:
-        UsageError: an option was given that none of ``wanted`` looks at.
+        UsageError: an option was given that none of ``wanted`` uses.
     """
     from orograph.errors import UsageError
 
     if ctx.params.get("refraction") is not None and not ctx.params.get("curvature"):
-        raise UsageError("--refraction is for --curvature: on a flat Earth rays are straight.")
+        raise UsageError("--refraction needs --curvature: on a flat Earth rays are straight.")
     for option in ctx.command.params:
         users = USERS.get(str(option.name))
         given = ctx.get_parameter_source(str(option.name)) is click.core.ParameterSource.COMMANDLINE
         if users is not None and given and not set(users) & set(wanted):
             raise UsageError(
-                f"{option.opts[0]} changes nothing of {', '.join(wanted)}.",
+                f"{option.opts[0]} has no effect on {', '.join(wanted)}.",
                 remedy=f"Leave it out: it is for {', '.join(users)}.",
             )
 
 
 class Names(click.ParamType["tuple[str, ...]"]):
-    """Names of products, with commas between."""
+    """Names of products separated by commas."""
 
     name = "NAME"
 
@@ -82,12 +82,12 @@ class Names(click.ParamType["tuple[str, ...]"]):
 
 
 def once(names: Sequence[tuple[str, ...]]) -> list[str]:
-    """All names of an option given several times, each once."""
+    """All names of a repeated option, each once."""
     return list(dict.fromkeys(name for some in names for name in some))
 
 
 def more_of(options: dict[str, Any]) -> dict[str, Any]:
-    """Take the options of single products out of a verb's; those that were given."""
+    """Remove the options of single products from a verb's; returns those that were given."""
     taken = {name: options.pop(name) for name in MORE if name in options}
     return {name: value for name, value in taken.items() if value is not None}
 
@@ -101,18 +101,24 @@ def horizon_options(function: F) -> F:
             type=click.IntRange(3, 720),
             default=32,
             show_default=True,
-            help="Directions in which horizons are looked for, evenly spread from north.",
+            help="Number of directions in which horizons are computed, evenly spread from north.",
         ),
         click.option(
-            "--radius", type=Float(), metavar="METRES", help="How far away ground can hide the sky.  [default: any]"
+            "--radius",
+            type=Float(),
+            metavar="METRES",
+            help="How far away ground can hide the sky.  [default: any distance]",
         ),
         click.option(
-            "--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract."
+            "--curvature",
+            is_flag=True,
+            help="Account for the curvature of the Earth (or another body) and for refraction.",
         ),
         click.option(
             "--refraction",
             type=Float(),
-            help="With --curvature: how much rays bend, relative to the ground.  [default: 0.13; 0 beyond the Earth]",
+            help="With --curvature: curvature of rays relative to that of the ground.  [default: 0.13; 0 beyond the "
+            "Earth]",
         ),
     )
 
@@ -121,7 +127,7 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
     """Give a verb the options of ambient occlusion and apertures.
 
     Args:
-        methods: those that it has. method, rays: what help says of these options.
+        methods: the available ones. method, rays: help texts of these options.
     """
 
     def give(function: F) -> F:
@@ -131,8 +137,8 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
             click.option(
                 "--rho",
                 type=click.Choice(["step", "linear"]),
-                help="Of ambient occlusion: what ground at a distance below --radius lets through: nothing (light of "
-                "the sky), or distance / radius (light that fills the air).  [default: step]",
+                help="For ambient occlusion: what ground nearer than --radius lets through: nothing (light of the "
+                "sky), or distance / radius (light that fills the air).  [default: step]",
             ),
             click.option("--by", "method", type=click.Choice(methods), help=method),
         )
@@ -147,14 +153,17 @@ def insolation_options(function: F) -> F:
         click.option(
             "--date",
             metavar="DATE",
-            help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026), in mean solar time.",
+            help="For insolation: a day, a month or a year (2026-06-21, 2026-06, 2026), in mean solar time.",
         ),
         click.option(
-            "--step", type=Float(), metavar="MINUTES", help="Of insolation: time between two suns.  [default: 10]"
+            "--step",
+            type=Float(),
+            metavar="MINUTES",
+            help="For insolation: time between two sun positions.  [default: 10]",
         ),
         click.option(
             "--turbidity",
             type=Float(),
-            help="Of insolation: Linke's, of the air: 2 clean and cold, 5 hazy, 0 none.  [default: 3]",
+            help="For insolation: Linke turbidity of the air: 2 clean and cold, 5 hazy, 0 none.  [default: 3]",
         ),
     )

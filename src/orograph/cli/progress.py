@@ -15,11 +15,11 @@ from orograph.compiling import COMPILING
 from orograph.progress import Progress, Task
 from orograph.reporting import bars
 
-COMPILING_KERNELS = "Compiling kernels, once on this machine"
+COMPILING_KERNELS = "Compiling kernels, once for this machine"
 
 
 class LineTask(Task):
-    """A task that is drawn while it runs if it lasts, and leaves one line with its time if it lasted long enough."""
+    """A task that is drawn while it runs if it takes long, and leaves a line with its time if it took long enough."""
 
     def __init__(self, owner: LineProgress, what: str, total: float | None) -> None:
         self.owner, self.what, self.total = owner, what, total
@@ -49,7 +49,7 @@ class LineTask(Task):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # What compiles within a task has a line of its own.
+        # Compiling within a task has a line of its own.
         seconds = time.perf_counter() - self.started - (COMPILING.seconds - self.compiled)
         self.owner.tell_compiled()
         if self.id is not None:
@@ -65,7 +65,7 @@ class LineTask(Task):
 
 
 class LineProgress(Progress):
-    """Progress for a terminal; on a pipe it only leaves the finished lines.
+    """Progress for a terminal; on a pipe only finished lines appear.
 
     Args:
         least: tasks shorter than this many seconds leave no line.
@@ -88,11 +88,11 @@ class LineProgress(Progress):
         return LineTask(self, what, total)
 
     def line(self, what: str, seconds: float, remark: str = "") -> None:
-        """Leave a line: something is done."""
+        """Print a line about finished work."""
         self.console.print(f"{what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False, soft_wrap=True)
 
     def tell_compiled(self) -> None:
-        """Leave a line on the kernels that were compiled since the last one, if that took its time."""
+        """Print a line about the kernels compiled since the last such line, if that took noticeable time."""
         if self._compiling is not None:
             self.bar.remove_task(self._compiling)
             self._compiling = None

@@ -1,4 +1,4 @@
-"""``orograph publish``: a finished store copied into a bucket."""
+"""``orograph publish``: copy a finished store into a bucket."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from orograph.cli.options import progress_of
 @click.command("publish", short_help="Copy a finished store into a bucket.")
 @click.argument("store", metavar="STORE")
 @click.argument("url", metavar="URL")
-@click.option("--overwrite", is_flag=True, help="Replace a store that is there; it is gone from the beginning.")
-@click.option("--jobs", type=click.IntRange(min=1), help="Objects under way at once (default: 16).")
+@click.option("--overwrite", is_flag=True, help="Replace an existing store; it is removed first.")
+@click.option("--jobs", type=click.IntRange(min=1), help="Simultaneous uploads (default: 16).")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.pass_context
 def command(ctx: click.Context, /, store: str, url: str, overwrite: bool, jobs: int | None, as_json: bool) -> None:
-    """Copy a finished store to a URL (s3://, gs://, az://…), where it opens when all of it is there.
+    """Copy a finished store to a URL (s3://, gs://, az://…), where it opens once it is complete.
 
-    Every object is compared with what the store's root says of it before it is sent, and read back by its end after.
-    The root comes last. When it is broken off, the same command goes on. Credentials are those of the environment.
+    Every object is checked against the store's root before it is sent, and its end is read back afterwards. The root
+    comes last. After an interruption the same command continues. Credentials come from the environment.
 
     \b
     Examples:

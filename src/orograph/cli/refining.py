@@ -1,7 +1,7 @@
-"""Methods on the command line: ``--method NAME[,key=value…]``, and what it is to reach.
+"""Methods on the command line: ``--method NAME[,key=value…]``, and its goal.
 
 ``@method_option(…)`` gives a verb ``method`` and ``conservative``, ``@goal_options`` ``tolerance``, ``triangles``,
-``drape`` and ``exaggeration`` (all are ``REFINE``), ``@terrain_options(…)`` what is said of the terrain.
+``drape`` and ``exaggeration`` (all are ``REFINE``), ``@terrain_options(…)`` the options about the terrain.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from orograph.lod.registry import Choice
 
 REFINE = ("tolerance", "triangles", "drape", "exaggeration", "conservative")
-"""What ``goal_options`` and ``method_option`` give besides the method."""
+"""What ``goal_options`` and ``method_option`` add besides the method."""
 
 
 class MethodText(ParamType):
-    """NAME[,key=value…]: the name is looked at at once, the options when the method is loaded."""
+    """NAME[,key=value…]: the name is checked at once, the options when the method is loaded."""
 
     name = "NAME[,key=value…]"
 
@@ -52,7 +52,7 @@ def conservative_option(function: F) -> F:
     return click.option(
         "--conservative",
         is_flag=True,
-        help="Refuse a method with which the tolerance is no promise for every sample in view.",
+        help="Refuse a method that does not guarantee the tolerance for every sample in view.",
     )(function)
 
 
@@ -67,22 +67,22 @@ def method_option(help: str, **settings: Any) -> Callable[[F], F]:
 
 
 def goal_options(function: F) -> F:
-    """Give a verb the options that say how fine a mesh is to be, and whose colours count."""
+    """Give a verb the options that say how fine a mesh should be, and whose colours count."""
     return with_options(
         function,
         click.option(
             "--tolerance",
             type=click.FloatRange(min=0),
             metavar="PX",
-            help="Pixels by which the mesh may be off on the screen.  [default: 1]",
+            help="How far the mesh may be off on the screen, pixels.  [default: 1]",
         ),
-        click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many."),
+        click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: maximum number of "
+                                                                                  "triangles."),
         click.option(
             "--drape",
             type=FILE,
             metavar="IMAGE",
-            help="The image whose colours a method's color-tolerance looks at, in any CRS.  "
-            "[default: the tint of heights]",
+            help="The image whose colours a method's color-tolerance uses, in any CRS.  [default: the tint of heights]",
         ),
         click.option(
             "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X",
@@ -92,7 +92,7 @@ def goal_options(function: F) -> F:
 
 
 def terrain_options(doing: str) -> Callable[[F], F]:
-    """Give a verb the options that say how the terrain is read, and ``max_memory`` and ``jobs``.
+    """Give a verb the options that say how to read the terrain, and ``max_memory`` and ``jobs``.
 
     Args:
         doing: as ``grid_options``.
@@ -107,7 +107,7 @@ def terrain_options(doing: str) -> Callable[[F], F]:
 def check_written(
     outputs: Mapping[str, str | None], paths: Sequence[str], options: Mapping[str, Any], **others: str | None
 ) -> None:
-    """Raise UsageError where an output would be written over what the verb reads.
+    """Raise UsageError if an output would overwrite what the verb reads.
 
     Args:
         outputs: as ``files.check_outputs``. paths: of the terrain. others: further files that are read, by what they
@@ -125,7 +125,7 @@ choice_of = goals.choice_of
 
 
 def error_kinds(choices: Sequence[Choice]) -> tuple[ErrorKind, ...]:
-    """The kinds of errors of diamonds that methods need, for ``store.prepare``."""
+    """The kinds of diamond errors that methods need, for ``store.prepare``."""
     from orograph.lod.needs import kinds_of
 
     return kinds_of(need for choice in choices for need in choice.method.needs(choice.options))

@@ -1,4 +1,4 @@
-"""``orograph render``: from any DEM or store to a relief picture."""
+"""``orograph render``: draw a relief picture of any DEM or store."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from orograph.errors import UsageError
 from orograph.scene.sizes import dpi_of
 
 OWN = {*DRAWING, *CAMERA}
-"""What is said about the picture; all other options are about reading."""
+"""The options about the picture; all other options are about reading."""
 
 
 @click.command("render", cls=Verb)
@@ -42,14 +42,14 @@ OWN = {*DRAWING, *CAMERA}
     "--depth",
     type=FILE,
     metavar="OUT.tif",
-    help="Also write the depth: metres along the viewing direction, float32, NaN where no ground is.",
+    help="Also write the depth: metres along the viewing direction, float32, NaN where there is no ground.",
 )
 @click.option(
     "--each",
     metavar="view|data|member|band|time[=SOME]",
-    help="Several panels with one camera, one scale and one legend: a map beside the relief (view), one for each "
-    "--data (data, each with its own scale), or for each member, band or time of the first, all or some: member=1-6, "
-    "time=T12.",
+    help="Draw several panels with one camera, scale and legend: a map beside the relief (view), one for each --data "
+    "(data, each with its own scale), or for each member, band or time of the first --data, all or some: "
+    "member=1-6, time=T12.",
 )
 @click.option("--save-view", type=FILE, metavar="VIEW.json", help="Also write the camera that was used.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
@@ -67,8 +67,8 @@ def command(
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
-    Degrees become metres, nodata becomes holes, and with no camera given all of the terrain is shown from the south. A
-    large DEM is built into a store first, which is kept: the next picture of it takes seconds.
+    Degrees become metres, nodata becomes holes, and by default all of the terrain is shown from the south. A large DEM
+    is built into a store first, which is kept: the next picture of it takes seconds.
 
     \b
     Examples:
@@ -80,7 +80,7 @@ def command(
       orograph render area.oro -o wall.tif --size 100000x60000 --workers 8 --max-memory 16GiB
       orograph render area.oro -o area.png --workers 4 --sort-last
     """
-    # (One function, though long: most of it is its options and its help.)
+    # (One function, though long: most of it is its options and their help.)
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_camera(options)
@@ -92,7 +92,7 @@ def command(
     if depth:
         check_ending("--depth", depth)
     if depth and each:
-        raise UsageError("--depth is that of one picture, and --each makes several.")
+        raise UsageError("--depth is for a single picture, but --each makes several.")
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
@@ -108,7 +108,7 @@ def command(
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
 
-    # What is wrong with the command line is said before any work is done.
+    # Report errors of the command line before any work is done.
     picture_format(Path(output))
     for file in filter(None, (output, depth, save_view)):
         check_folder(Path(file))
@@ -116,12 +116,12 @@ def command(
 
     together = workers is not None or dask is not None
     if together and each:
-        raise UsageError("Panels are drawn by this process: --each has no --workers and no --dask.")
+        raise UsageError("Panels are drawn by this process: --each cannot be combined with --workers or --dask.")
     check_sort_last(sort_last, together, options["backend"])
     gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
 
     def by_bands(size: tuple[int, int]) -> bool:
-        """Whether a picture is drawn by bands; UsageError where it is not, and does not fit into memory."""
+        """Whether a picture is drawn in bands; raises UsageError if it is not and does not fit into memory."""
         if together:
             check_most(size)
             return True
@@ -164,11 +164,11 @@ def command(
             facts = picture.facts
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
-            error.remedy = "It is a copy that was kept: delete it, and the next picture builds it again."
+            error.remedy = "It is a cached copy: delete it, and the next picture builds it again."
         raise
     except NothingInViewError as error:
         if error.remedy == LEAVE_CAMERA and not any(options[name] is not None for name in PLACES):
-            error.remedy = "See what the file holds with orograph info."
+            error.remedy = "Check what the file holds with orograph info."
         raise
     if not large:
         picture.save(output, dpi=dpi)

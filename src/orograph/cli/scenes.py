@@ -1,8 +1,8 @@
 """What is drawn, on the command line: the options of all verbs that draw, made from the fields of ``scene.parts``.
 
 ``@scene_options()`` gives a verb a keyword argument for every option of a scene that has a flag, and ``crs``,
-``resolution``, ``conservative`` and ``backend``; ``scene_option`` gives one of them. ``check_scene`` refuses what
-contradicts, before any work; ``given_of`` and ``scene_of`` make a scene's options, and the scene of a view.
+``resolution``, ``conservative`` and ``backend``; ``scene_option`` gives one of them. ``check_scene`` refuses
+contradictions before any work is done; ``given_of`` and ``scene_of`` make a scene's options, and the scene of a view.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from orograph.viewpoint import View
 
 SCENE = {name: one for name, one in OPTIONS.items() if one.flag is not None and HOMES[name] != "budget"}
-"""The options that verbs take; those of the budget are those of all verbs (``cli.options``)."""
+"""The options that verbs take; those of the budget are the general ones (``cli.options``)."""
 
 DETAILS = {
     name: {one.key.replace("-", "_"): one for one in described(whole.details) if one.flag}
     for name, whole in SCENE.items()
     if whole.details is not None
 }
-"""By an option, what goes beside it: by the name of the argument, an option of its value."""
+"""Options that belong to another option's value, by the name of the argument."""
 
 DRAWING = {*SCENE, *(name for more in DETAILS.values() for name in more), "backend", "conservative"}
-"""All that is not about reading."""
+"""All options that are not about reading."""
 
 
 class Text(ParamType):
-    """What an option's ``read`` makes of a text."""
+    """Convert a text with an option's ``read``."""
 
     def __init__(self, one: Described) -> None:
         self.one, self.name = one, one.metavar or one.name
@@ -56,12 +56,12 @@ class Text(ParamType):
 
 
 def scene_option(name: str, **changes: Any) -> Callable[[F], F]:
-    """An option of a scene; ``changes``: of what is said of it (``lod.options.Described``)."""
+    """An option of a scene; ``changes``: overrides of its description (``lod.options.Described``)."""
     return _option(replace(OPTIONS[name], **changes))
 
 
 class DataOption(click.Option):
-    """``--data``, to each of which the ``--uncertainty`` that stands after it belongs."""
+    """``--data``; each takes the ``--uncertainty`` that follows it."""
 
     def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
         super().add_to_parser(parser, ctx)
@@ -87,13 +87,13 @@ class DataOption(click.Option):
         return tuple(made)
 
     def _pairs(self, ctx: click.Context) -> list[tuple[str, str | None]]:
-        """Data and the uncertainty of each, as the command line has them."""
+        """Data and the uncertainty of each, from the command line."""
         found: list[tuple[str, str | None]] = []
         for name, text in ctx.meta.get(ORDER, []):
             if name == "data":
                 found.append((text, None))
             elif not found or found[-1][1] is not None:
-                why = "Each --data has one." if found else "It belongs to the --data before it, and there is none."
+                why = "Each --data may have one." if found else "It belongs to the --data before it, but there is none."
                 raise click.BadParameter(f"{text!r}: {why}", ctx, self, param_hint="'--uncertainty'")
             else:
                 found[-1] = found[-1][0], text
@@ -101,20 +101,20 @@ class DataOption(click.Option):
 
 
 ORDER = "orograph.data"
-"""Where the order of ``--data`` and ``--uncertainty`` is kept while a command line is read."""
+"""Where the order of ``--data`` and ``--uncertainty`` is kept while a command line is parsed."""
 
 uncertainty_option = click.option(
     "--uncertainty", cls=DataOption, multiple=True, expose_value=False, metavar="FILE|spread|ci90[,KEY=VALUE…]",
-    help="How uncertain the --data before it are: spread (standard deviation) or ci90 (half of the central 90 %) of "
-    "its members, or a raster of standard deviations. Keys: variable, band, time, member, range, style (transparency, "
+    help="Uncertainty of the preceding --data: spread (standard deviation) or ci90 (half of the central 90 %) of its "
+    "members, or a raster of standard deviations. Keys: variable, band, time, member, range, style (transparency, "
     "noise, blur, saturation, whiteness, palette, glyphs, hatching; in films members: in turn, rate= a second).",
 )  # fmt: skip
 
 
 def _option(one: Described, name: str = "") -> Callable[[F], F]:
-    """The option of the command line that a field describes."""
+    """The command-line option that a field describes."""
     flag = f"--{one.key}"
-    more: dict[str, Any] = {"help": spoken(one.help) + " Give it again for each." * one.multiple}
+    more: dict[str, Any] = {"help": spoken(one.help) + " Repeat it for each." * one.multiple}
     if one.shown:
         more["help"] += f"  [default: {spoken(one.shown)}]"
     elif one.default not in (None, (), False):
@@ -154,11 +154,11 @@ def _type(one: Described) -> click.ParamType[Any]:
 
 
 def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes: dict[str, Any]) -> Callable[[F], F]:
-    """Give a verb the options that say what is drawn, and how.
+    """Give a verb the options that say what is drawn and how.
 
     Args:
-        without: those that it does not have. backend: whether what draws can be chosen.
-        changes: by option, what the verb says otherwise (``scene_option``).
+        without: options to omit. backend: whether to add ``--backend``.
+        changes: overrides by option (``scene_option``).
     """
 
     def give(function: F) -> F:
@@ -177,7 +177,7 @@ def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes
                     type=click.Choice(["cpu", "gpu"]),
                     default="cpu",
                     show_default=True,
-                    help="What draws; gpu: the CPU instead where there is none (see orograph doctor).",
+                    help="Where to draw; gpu falls back to the CPU if there is none (see orograph doctor).",
                 )
             )
         return with_options(function, *options)
@@ -186,7 +186,7 @@ def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes
 
 
 def inputs_of(paths: Sequence[str], options: Mapping[str, Any]) -> dict[str, Sequence[str | None]]:
-    """The files that a picture is made of, by what they are (``files.check_outputs``)."""
+    """The files that a picture is made from, by their roles (``files.check_outputs``)."""
     return {
         "the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]],
         "the data of --data": [str(one.source) for one in options["data"]],
@@ -196,7 +196,7 @@ def inputs_of(paths: Sequence[str], options: Mapping[str, Any]) -> dict[str, Seq
 
 
 def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
-    """A scene's options as the command line gives them; those that it leaves open are left out."""
+    """A scene's options as given on the command line; those not given are left out."""
     given = {}
     for name in SCENE:
         value = options.get(name)
@@ -212,9 +212,9 @@ def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_scene(options: Mapping[str, Any], progress: Progress) -> tuple[ErrorKind, ...]:
-    """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect.
+    """Raise UsageError if the options of a scene contradict each other; warn about options without effect.
 
-    Returns: the kinds of errors of diamonds that its method needs, for ``store.prepare``.
+    Returns: the kinds of diamond errors that its method needs, for ``store.prepare``.
     """
     from orograph.geovis.color import color_table
 

@@ -1,4 +1,4 @@
-"""Help in sections: what a verb's options are about, its own first, those that many verbs share after them."""
+"""Help in sections: a verb's own options first, then those that many verbs share."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PARTS = {
     "annotations": "Lines and furniture",
     "surface": "Surface and method",
 }
-"""Sections of a scene's options, by its parts."""
+"""Sections of a scene's options, by part."""
 
 READING = (
     "bbox", "clip", "crs", "resolution", "band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit",
@@ -32,12 +32,12 @@ SECTION = {
     **dict.fromkeys(READING, "Reading the files"),
     **dict.fromkeys(("max_memory", "jobs"), "Resources"),
 }
-"""The section of an option, by the name of its argument; others are a verb's own."""
+"""The section of an option, by the name of its argument; the rest are a verb's own."""
 
 TITLES = ("Options", "Camera", *PARTS.values(), "Reading the files", "Resources")
 
 LONG = 20
-"""Options of which help has sections."""
+"""Options whose help has sections."""
 
 
 class Verb(click.Command):
@@ -45,7 +45,7 @@ class Verb(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         records = ((param, param.get_help_record(ctx)) for param in self.get_params(ctx))
-        listed = [(param, record) for param, record in records if record and record[1]]  # (arguments have no words)
+        listed = [(param, record) for param, record in records if record and record[1]]  # (arguments have no help)
         sections: dict[str, list[tuple[str, str]]] = {title: [] for title in TITLES}
         for param, record in listed:
             own = len(listed) < LONG

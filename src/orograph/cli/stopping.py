@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM: the command line ends with 130 or 143 within a second, whatever it is at.
+"""Ctrl-C and SIGTERM: the command line ends with 130 or 143 within a second, whatever it is doing.
 
 A signal raises KeyboardInterrupt in the main thread, which cleans up. Libraries may turn that into an error of their
-own, so ``asked`` remembers it; and a compiler or a driver may not let the main thread run for seconds, so a thread that
-the signal wakes ends the process where ``GRACE`` has gone by. Until ``guard`` is called nothing needs to be cleaned up.
+own, so ``asked`` remembers it. A compiler or a driver may block the main thread for seconds, so a thread that the
+signal wakes ends the process after ``GRACE``. Until ``guard`` is called there is nothing to clean up.
 
 Numba calls Python to build a kernel's results, and LLVM calls it to look up compiled kernels. Neither checks for an
 exception, so one raised there would crash the interpreter: a signal that arrives there is sent again a moment later.
@@ -28,7 +28,7 @@ _postponed: list[int] = []
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was asked to end by the system: a scheduler, a shutdown, ``kill``."""
+    """The system asked the process to end: a scheduler, a shutdown, ``kill``."""
 
 
 def asked() -> int:
@@ -37,7 +37,7 @@ def asked() -> int:
 
 
 def guard_imports() -> None:
-    """End at once on a signal, if this process is the command line: it has only begun to load itself."""
+    """End at once on a signal, if this process is the command line and is still loading."""
     main = sys.modules.get("__main__")
     spec = getattr(main, "__spec__", None)
     name = os.path.basename(getattr(main, "__file__", None) or "")  # noqa: PTH119 (pathlib is not loaded yet)
@@ -65,14 +65,14 @@ def guard(cleaning: bool = True) -> None:
 
 
 def end(code: int) -> NoReturn:
-    """Say so, and end without waiting for anything."""
+    """Print a message, and end without waiting for anything."""
     os.write(2, b"\norograph: interrupted\n")
     os._exit(code)
 
 
 def _handle(handler: signal._HANDLER, *signals: signal.Signals) -> None:
     for signum in signals or CODES:
-        if signal.getsignal(signum) is not signal.SIG_IGN:  # as for what runs in the background of a shell
+        if signal.getsignal(signum) is not signal.SIG_IGN:  # as for background jobs of a shell
             signal.signal(signum, handler)
 
 
@@ -85,7 +85,7 @@ def _raise(signum: int, frame: FrameType | None) -> None:
 
 
 def _called_by_native_code(frame: FrameType | None) -> bool:
-    """Whether an exception in this frame would reach machine code that does not look for one."""
+    """Whether an exception in this frame would reach machine code that does not check for one."""
     if frame is not None and str(frame.f_globals.get("__name__")).startswith("namedtuple_"):
         return True
     while frame is not None:
@@ -96,14 +96,14 @@ def _called_by_native_code(frame: FrameType | None) -> bool:
 
 
 def _unraisable(what: sys.UnraisableHookArgs) -> None:
-    """Say nothing of an interrupt that came where Python cannot pass it on (a callback while something is collected):
+    """Do not report an interrupt that arrives where Python cannot pass it on (a callback during garbage collection):
     ``_watch`` ends the process."""
     if not isinstance(what.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(what)
 
 
 def _watch(reading: int, grace: float) -> None:
-    """Send again what came at a bad moment, and end the process ``grace`` seconds after a signal."""
+    """Resend a signal that came at a bad moment, and end the process ``grace`` seconds after a signal."""
     main = threading.main_thread().ident
     assert main is not None
     while signals := os.read(reading, 1):

@@ -12,7 +12,7 @@ from orograph.output import check_vacant
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, ...] | None:
-    """As many numbers as there are, separated by commas."""
+    """One or more numbers separated by commas."""
     return None if value is None else Numbers(",".join("R" * (value.count(",") + 1))).convert(value, param, ctx)
 
 
@@ -25,9 +25,9 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     help="The GeoTIFF to write, or the store to build (.oro).",
 )
 @click.option(
-    "--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples: of a side, or rows × columns."
+    "--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples per side, or rows × columns."
 )
-@click.option("--seed", type=int, default=1, show_default=True, help="Which terrain: another number, another world.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed: each number gives another terrain.")
 @click.option("--spacing", type=Float(), help="Metres between samples.  [default: 30, or the example's]")
 @click.option("--crs", help="A projected CRS.  [default: EPSG:32633, or the example's]")
 @click.option(
@@ -43,8 +43,8 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 @click.option(
     "--exemplar",
     metavar="FILE",
-    help="Terrain to take after, e.g. lidar: at most 4 million samples, none missing. It says the spacing, the relief "
-    "and the roughness.",
+    help="Terrain to imitate, e.g. lidar: at most 4 million samples, none missing. It determines the spacing, the "
+    "relief and the roughness.",
 )
 @click.option(
     "--jitter",
@@ -57,8 +57,8 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     "--passes",
     callback=_numbers,
     metavar="N[,N…]",
-    help="With an example, how often its pieces are corrected, 0 to 2, likewise; twice on all levels is ten times the "
-    "work.  [default: 2, and 0 on the two finest]",
+    help="With an example, how often its pieces are corrected, 0 to 2: one number, or one for each level; twice on "
+    "all levels is ten times the work.  [default: 2, and 0 on the two finest]",
 )
 @click.option(
     "--over", metavar="FILE", help="Make colours for this terrain: --exemplar is a photo, --ground what it shows."
@@ -69,10 +69,10 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
     type=click.Choice(["zstd", "deflate", "none"]),
     default="zstd",
     show_default=True,
-    help="Compression of the file: zstd takes a third of the space of none, and is read half as fast from memory.",
+    help="Compression of the file: zstd takes a third of the space of none, and reads half as fast from memory.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
-@click.option("--resume", is_flag=True, help="Finish a store that was begun with the same options and interrupted.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--resume", is_flag=True, help="Finish an interrupted store that was begun with the same options.")
 @jobs_option
 @click.pass_context
 def command(
@@ -94,13 +94,13 @@ def command(
     resume: bool,
     jobs: int | None,
 ) -> None:
-    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that takes after an example; or
-    colours for a terrain that take after a photo (a layer for pictures: --layer).
+    """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that imitates an example; or
+    colours for a terrain that imitate a photo (a layer for pictures: --layer).
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
-    blocks, so any size works in some hundred MiB of memory (a store's build takes up to 1 GiB); the file appears under
-    its name only when it is whole. A store that is interrupted (Ctrl-C, a full disk, a crash) is finished by the same
-    command with --resume, to the same bytes.
+    blocks, so any size works in a few hundred MiB of memory (building a store takes up to 1 GiB); the file appears
+    under its name only when it is complete. The same command with --resume finishes an interrupted store (Ctrl-C, a
+    full disk, a crash) to the same bytes.
 
     \b
     Examples:

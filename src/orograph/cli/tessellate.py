@@ -1,4 +1,4 @@
-"""``orograph tessellate``: the triangles that a method makes of a terrain for a view, in a file."""
+"""``orograph tessellate``: write the triangles that a method makes of a terrain for a view."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from orograph.verify.report import Report
 
 OWN = (*CAMERA, "seconds")
-"""What is said about the mesh besides the method and its goal; all other options are about reading."""
+"""The options about the mesh besides the method and its goal; all other options are about reading."""
 
 
 @click.command("tessellate", cls=Verb)
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj or .glb.")
-@refining.method_option("What makes the triangles.", default="soar", show_default=True)
+@refining.method_option("The method that makes the triangles.", default="soar", show_default=True)
 @refining.goal_options
-@click.option("--seconds", type=Float(), metavar="S", help="Instead: what can be done in so much time.")
+@click.option("--seconds", type=Float(), metavar="S", help="Instead: the best mesh that this time allows.")
 @camera_options
 @click.option("--check", is_flag=True, help="Let the referee measure the mesh against every sample in view.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
@@ -39,10 +39,9 @@ def command(
 ) -> None:  # fmt: skip
     """Triangulate a DEM (one file or many) or a store for a view, within a tolerance in pixels.
 
-    The camera is that of orograph render: without options all of the terrain, from the south. In an .npz are vertices
+    The camera is that of orograph render: without options all of the terrain, from the south. An .npz holds vertices
     (n, 3) = column, row and height of the full-resolution samples, triangles (m, 3), counter-clockwise from above, the
-    strip where the method makes one, and the method's stats; .ply and .obj are in the terrain's CRS, .glb near its
-    origin.
+    strip if the method makes one, and the method's stats; .ply and .obj are in the terrain's CRS, .glb near its origin.
 
     \b
     Examples:
@@ -82,12 +81,12 @@ def command(
 
 
 def _judge(report: Report, promised: float | None, choice: str, output: str, progress: Progress) -> None:
-    """Warn of a mesh that is not sound, or raise OrographError where a promise is broken."""
+    """Warn about an unsound mesh, or raise OrographError if a promise is broken."""
     if report.defects and promised is None:
         progress.warn("The mesh is not sound (see the report), and nothing was promised.")
     elif promised is not None and not report.ok(promised):
         raise OrographError(
             "The mesh is not sound (see the report)." if report.defects else
-            f"The mesh is off by {report.largest:.4g} pixels, and {choice} promised {promised:g}.",
+            f"The mesh is off by {report.largest:.4g} pixels, but {choice} promised {promised:g}.",
             path=output, remedy="This is a fault of Orograph: please report it, with the terrain and the view.",
         )  # fmt: skip

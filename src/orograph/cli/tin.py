@@ -1,4 +1,4 @@
-"""``orograph tin``: the irregular triangles that stand for a terrain within a bound in metres, in a file."""
+"""``orograph tin``: write an irregular triangulation that represents a terrain within a bound in metres."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from orograph.cli.options import (
 @click.option(
     "--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj, .glb; to print: .stl, .3mf."
 )
-@click.option("--max-error", type=FloatRange(min=0), metavar="METRES", help="By how much it may be off, vertically.")
-@click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many.")
+@click.option("--max-error", type=FloatRange(min=0), metavar="METRES", help="Maximum vertical error.")
+@click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: maximum number of triangles.")
 @click.option(
     "--bound", type=click.Choice(["surface", "samples"]), default="surface", show_default=True,
-    help="Where that holds: everywhere, or at samples only.",
+    help="Where the bound holds: everywhere, or at samples only.",
 )  # fmt: skip
 @click.option(
     "--breaklines", type=FILE, metavar="FILE", help="GeoJSON: lines that become edges, points that become vertices."
 )
 @click.option(
-    "--base", type=Float(), metavar="MM", help="Of .stl, .3mf: from the plate to the lowest ground.  [default: 3]"
+    "--base", type=Float(), metavar="MM", help="For .stl, .3mf: from the plate to the lowest ground.  [default: 3]"
 )
-@click.option("--model-size", type=Float(), metavar="MM", help="Of .stl, .3mf: the longer side.  [default: 150]")
-@click.option("--scale", type=Float(), metavar="N", help="Of .stl, .3mf: 1:N, instead of a size.")
-@click.option("--exaggeration", type=Float(), metavar="X", help="Of .stl, .3mf: stretch heights.  [default: 1]")
+@click.option("--model-size", type=Float(), metavar="MM", help="For .stl, .3mf: the longer side.  [default: 150]")
+@click.option("--scale", type=Float(), metavar="N", help="For .stl, .3mf: 1:N, instead of a size.")
+@click.option("--exaggeration", type=Float(), metavar="X", help="For .stl, .3mf: stretch heights.  [default: 1]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @grid_options("triangulate")
 @source_options
@@ -57,8 +57,8 @@ def command(
 ) -> None:  # fmt: skip
     """Triangulate a DEM (one file or many) or a store as a TIN: few triangles on its samples, within a bound in metres.
 
-    The bound holds on the surface between the samples, too. Holes stay holes. The files are those of orograph
-    tessellate; an .stl or .3mf is a closed model to print, in millimetres, with walls and a base.
+    The bound also holds on the surface between samples. Holes stay holes. The files are those of orograph tessellate;
+    an .stl or .3mf is a closed model to print, in millimetres, with walls and a base.
 
     \b
     Examples:

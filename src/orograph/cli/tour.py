@@ -1,4 +1,4 @@
-"""``orograph tour``: make a tour to begin with, or describe one."""
+"""``orograph tour``: make a tour to start from, or describe one."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def command() -> None:
 @click.option("--output", "-o", required=True, type=FILE, metavar="TOUR.json", help="The tour.")
 @tour_options
 @click.option("--size", type=Size(), default="1280x720", show_default=True, help=f"The pictures' size{SIZES}.")
-@scene_option("exaggeration", help="Heights will be stretched so.")
+@scene_option("exaggeration", help="The exaggeration that the film will use.")
 @grid_options("draw")
 @source_options
 @memory_option
@@ -37,7 +37,7 @@ def new(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, size: tuple[int, int], exaggeration: float,
     max_memory: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
-    """Write a tour of a DEM or a store, to film as it is or to change by hand.
+    """Write a tour of a DEM or a store, to film as it is or to edit by hand.
 
     \b
     Examples:
@@ -50,8 +50,8 @@ def new(
     check_tour(options)
     if not chosen(options):
         raise UsageError(
-            "What kind of tour?",
-            remedy="Say --orbit, --turntable, --still, --plan, --around LON,LAT, --line FILE, or --point twice.",
+            "Which kind of tour?",
+            remedy="Give --orbit, --turntable, --still, --plan, --around LON,LAT, --line FILE, or --point twice.",
         )
     check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
     source = source_of(options, WAY)
@@ -71,7 +71,7 @@ def new(
 @click.option("--crs", help="The terrain's CRS, for tours in another.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def info(path: str, crs: str | None, as_json: bool) -> None:
-    """Tell when a tour is where."""
+    """Describe a tour: where the camera is, and when."""
     from orograph.documents import load_object
     from orograph.touring import Tour
 
@@ -81,8 +81,8 @@ def info(path: str, crs: str | None, as_json: bool) -> None:
         for part in (values, *(keys if isinstance(keys, list) else ())):
             if isinstance(part, dict) and part.get("crs") is not None:
                 raise UsageError(
-                    f"The tour's places are in {part['crs']}, and how it goes depends on the terrain's CRS.", path=path,
-                    remedy="Say which that is: --crs EPSG:32612 (orograph info tells a terrain's).",
+                    f"The tour's places are in {part['crs']}, and its path depends on the terrain's CRS.", path=path,
+                    remedy="Give it: --crs EPSG:32612 (orograph info prints a terrain's).",
                 )  # fmt: skip
     tour = Tour.load(path, crs=crs)
     if as_json:

@@ -1,4 +1,4 @@
-"""``orograph view``: a window in which a terrain is explored."""
+"""``orograph view``: explore a terrain in a window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 WINDOW = (1280, 800)
 OWN = {*DRAWING, *CAMERA, "adapter"}
-"""What is said about the window; all other options are about reading."""
+"""The options about the window; all other options are about reading."""
 
 NOT_HERE = (
     "relief",
@@ -33,11 +33,11 @@ NOT_HERE = (
     "mesh_view",
     "detail",
 )
-"""Options of pictures that the window's panels have, or that are not for a window."""
+"""Options of pictures that the window's panels have, or that do not apply to a window."""
 
 
 TOLERANCE = {"help": "Pixels by which the ground may be displaced on the screen.", "least": 1e-3, "shown": "1"}
-"""What a window says otherwise of this option."""
+"""What the window's help says differently about this option."""
 
 
 @click.command("view", cls=Verb)
@@ -101,7 +101,7 @@ def command(
         from orograph.store.prepare import prepare
         from orograph.viewer.session import Session
 
-    # What is wrong with the command line is said before any work is done.
+    # Report errors of the command line before any work is done.
     warm.device()
     errors = check_scene(options, progress)
     mesh_choice(options["method"], "gpu")
@@ -112,7 +112,7 @@ def command(
     source = source_of(options, OWN)
     size = options["size"] or WINDOW
     if len(paths) > 1 or not is_store(paths[0]):
-        settle()  # what is built may take long, and is held to a budget of memory
+        settle()  # building may take long, and keeps to a memory budget
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     with progress.task("Looking at the terrain"):
         session = Session(terrain, _view(terrain, options, size), size=size, paths=paths, **given_of(options))
@@ -126,6 +126,6 @@ def command(
 
 
 def _view(terrain: Terrain, options: dict[str, Any], size: tuple[int, int]) -> View | None:
-    """The camera that the command line describes; None where it says nothing."""
+    """The camera that the command line describes; None if it describes none."""
     said = any(options[name] is not None for name in ("azimuth", "pitch", "distance", "lonlat", "view_path", "fov"))
     return camera_view(terrain, {**options, "size": size}) if said else None

@@ -1,4 +1,4 @@
-"""Python's names in messages and help, as the command line has them: options are called as the verb that runs does."""
+"""Translates Python's names in messages and help to the command line's: options are called as in the running verb."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import click
 from orograph.scene import wording
 
 _flags: dict[str, str] = {}
-"""What the verb that runs calls its arguments."""
+"""What the running verb calls its arguments."""
 
 
 def flags_of(command: click.Command) -> dict[str, str]:
-    """What a verb calls its arguments, by their names in Python; a group's verbs together."""
+    """What a verb calls its arguments, by their Python names; a group's verbs together."""
     if isinstance(command, click.Group):
         return {k: v for one in command.commands.values() for k, v in flags_of(one).items()}
     options = [one for one in command.params if isinstance(one, click.Option)]
@@ -21,23 +21,23 @@ def flags_of(command: click.Command) -> dict[str, str]:
 
 
 def speak(command: click.Command | None) -> None:
-    """Call arguments as this verb does, from now on."""
+    """Use this verb's names for arguments from now on."""
     _flags.clear()
     _flags.update({} if command is None else flags_of(command))
 
 
 def flag(name: str, flags: Mapping[str, str] | None = None) -> str:
-    """What an argument is called on the command line; ``flags``: by name (None: the running verb's)."""
+    """The command-line name of an argument; ``flags``: by name (None: the running verb's)."""
     return (_flags if flags is None else flags).get(name) or wording.flag(name)
 
 
 def spoken(text: str, flags: Mapping[str, str] | None = None) -> str:
-    """A text with its Python in backticks as the command line has it; ``flags``: as for ``flag``."""
+    """A text whose Python in backticks is written as on the command line; ``flags``: as for ``flag``."""
     return wording.spoken(text, lambda name: flag(name, flags))
 
 
 def lead(error: click.NoSuchOption) -> None:
-    """Have an error suggest the option that a user who knows another name for it may mean, if its verb has that."""
+    """Have an error suggest the option that a user of another tool's name may mean, if the verb has it."""
     there = {flag for one in (error.ctx.command.params if error.ctx else ()) for flag in one.opts}
     name = error.option_name.lstrip("-").lower().replace("-", "_")
     meant = wording.flag("uncertainty" if name in ("error", "sigma") else wording.MEANT.get(name, name))
@@ -46,7 +46,7 @@ def lead(error: click.NoSuchOption) -> None:
 
 
 def elsewhere(name: str) -> list[str]:
-    """The verb of what is a verb elsewhere (a product of light, a measurement), as it is written here; none: []."""
+    """The command line for something that is a verb elsewhere (a light product, a measurement); []: none."""
     from orograph.lighting.products import MEANT, names
 
     product = name.replace("_", "-")

@@ -1,4 +1,4 @@
-"""One elevation raster: reading it, joining several, resampling, synthesising, looking for what is suspicious."""
+"""One elevation raster: reading, joining, resampling, synthesising, and checking for suspicious values."""
 
 from orograph.dem.raster import Dem
 from orograph.dem.reading import read

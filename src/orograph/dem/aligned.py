@@ -1,4 +1,4 @@
-"""A raster at the samples of another's grid, window by window: what two rasters are compared on.
+"""A raster at the samples of another's grid, window by window, for comparing two rasters.
 
 Files are resampled once, from their own samples straight to that grid, as a mosaic is to its own: exact projection,
 blocks of samples averaged first where the grid is coarser. Samples that lie on the grid are copied.
@@ -20,7 +20,7 @@ from orograph.geo.operations import same_body
 from orograph.geo.transform import transformer
 
 KNOTS = 257
-"""Places along each border of a raster that are looked at to find where it lies on another grid."""
+"""Places along each border of a raster that are checked to locate it on another grid."""
 
 Window = tuple[int, int, int, int]
 
@@ -63,7 +63,7 @@ class Aligned:
 
 
 def lattices_of(raster: Raster) -> tuple[SourceLattice, ...]:
-    """What a raster's samples come from: of a mosaic its sources, of any other itself."""
+    """The source of a raster's samples: a mosaic's sources, otherwise the raster itself."""
     return raster.lattices if isinstance(raster, Mosaic) else tuple(group([raster], [raster.grid]))
 
 
@@ -80,11 +80,13 @@ def shared(grid: Grid, raster: Raster, name: str) -> Window:
     if (crs[0] is None) != (grid.crs is None):
         nameless = raster.name if crs[0] is None else name
         raise UsageError(
-            f"{nameless} has no CRS and the other has one, so where they overlap is not known.",
+            f"{nameless} has no CRS but the other has one, so their overlap is unknown.",
             remedy="Give its CRS (`assume_crs`), or write one into it.",
         )
     if grid.crs is not None and crs[0] is not None and not same_body(grid.crs, crs[0]):
-        raise UsageError(f"{name} and {raster.name} are of two planets or moons ({grid.crs.name}, {crs[0].name}).")
+        raise UsageError(
+            f"{name} and {raster.name} are on different planets or moons ({grid.crs.name}, {crs[0].name})."
+        )
     places = []
     for lattice in lattices_of(raster):
         of, t, flat = lattice.grid, np.linspace(0.0, 1.0, KNOTS), np.zeros(KNOTS)
@@ -97,4 +99,4 @@ def shared(grid: Grid, raster: Raster, name: str) -> Window:
     if window[0] < window[1] and window[2] < window[3]:
         return window
     where = "" if grid.crs is None else f" Of {name}{reach(grid)}; of {raster.name}{reach(raster.grid)}."
-    raise UsageError(f"{name} and {raster.name} share no ground.{where}", remedy="Name two rasters of one place.")
+    raise UsageError(f"{name} and {raster.name} do not overlap.{where}", remedy="Give two rasters of the same place.")

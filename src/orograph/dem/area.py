@@ -1,8 +1,8 @@
-"""The part of rasters that is wanted: a box in degrees, polygons, or what lies in both.
+"""The part of rasters to read: a box in degrees, polygons, or their intersection.
 
-A raster is cut before anything is chosen for it (``Mosaic``): the projection, the spacing and the memory of a terrain
-are those of its area, and files beside the area are not read. Of a box all samples of the smallest window that holds it
-are kept; outside polygons samples are missing. Units: degrees; samples.
+A raster is cut before anything is chosen for it (``Mosaic``): the projection, spacing and memory of a terrain follow
+from its area, and files outside the area are not read. For a box, the smallest window that contains it is kept; samples
+outside polygons are missing. Units: degrees; samples.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ Heights = NDArray[np.float32]
 
 WGS84 = CRS.from_epsg(4326)
 LATTICE = 65
-"""Places along each side of a box that are looked up in another CRS."""
+"""Points along each side of a box that are transformed to another CRS."""
 STEPS = 64
-"""Pieces of each edge of a polygon that is brought to another CRS."""
+"""Pieces into which each edge of a polygon is divided for the transformation to another CRS."""
 SAME = 1e-6
-"""Samples by which a border may lie beside a sample that is on it."""
+"""Tolerance in samples for a border that lies on a sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """What is wanted of the ground.
+    """The part of the ground to read.
 
     Attributes:
         box: west, south, east, north, degrees; west > east lies across the 180th meridian. None: no box.
@@ -57,14 +57,14 @@ class Area:
 
     @classmethod
     def of(cls, bbox: Sequence[float] | str | None, clip: Any) -> Area | None:
-        """The area of two options; None where neither is given.
+        """The area from two options; None if neither is given.
 
         Args:
             bbox: west, south, east, north, degrees.
             clip: polygons: a GeoJSON file or object, or what has ``__geo_interface__`` (shapely, geopandas).
 
         Raises:
-            UsageError: the box is no box. ReadError: the file cannot be read, or holds no polygon.
+            UsageError: the box is not a box. ReadError: the file cannot be read, or holds no polygon.
         """
         if bbox is None and clip is None:
             return None
@@ -84,7 +84,7 @@ class Area:
         return digest.hexdigest()[:32]
 
     def cut(self, rasters: Sequence[Raster]) -> list[Raster]:
-        """The parts of rasters that lie in the area; those beside it are left out.
+        """The parts of rasters that lie in the area; rasters outside it are left out.
 
         Raises:
             UsageError: no sample lies in it, or a raster has no CRS.
@@ -97,7 +97,7 @@ class Area:
             raise UsageError(
                 f"No sample lies within {where}{reach(rasters[0].grid) if len(rasters) == 1 else ''}.",
                 path=getattr(rasters[0], "path", rasters[0].name),
-                remedy="An area is west, south, east, north in degrees; see where the file is with orograph info.",
+                remedy="An area is west, south, east, north in degrees; check where the file lies with orograph info.",
             )  # fmt: skip
         return found
 
@@ -105,7 +105,7 @@ class Area:
         grid = raster.grid
         if grid.crs is None:
             raise UsageError(
-                "It has no CRS, so an area in degrees lies nowhere in it.", path=getattr(raster, "path", raster.name),
+                "It has no CRS, so an area in degrees cannot be located.", path=getattr(raster, "path", raster.name),
                 remedy="Give the CRS with `assume_crs`.",
             )  # fmt: skip
         parts: list[Raster] = []
@@ -149,7 +149,7 @@ class Cut:
         self.grid = Grid(grid.shape, compose(Affine.translation(turn, 0.0), grid.transform), grid.crs)
 
     def __getattr__(self, name: str) -> Any:
-        """What it says of itself is what the raster says."""
+        """Attributes come from the raster."""
         if name == "raster":  # (while it is unpickled)
             raise AttributeError(name)
         return getattr(self.raster, name)
@@ -181,36 +181,38 @@ class Cut:
 
 
 def said(clip: Any) -> Any:
-    """Polygons as JSON has them, for a store's record: a file by its path."""
+    """Polygons as JSON, for a store's record: a file by its path."""
     if clip is None:
         return None
     return str(Path(clip).absolute()) if isinstance(clip, str | os.PathLike) else geojson.load(clip)[0]
 
 
 def checked(bbox: Sequence[float] | str) -> Box:
-    """West, south, east, north of such numbers, or of their text ("7.5,45.9,7.8,46.1").
+    """West, south, east, north from numbers, or from their text ("7.5,45.9,7.8,46.1").
 
     Raises:
-        UsageError: they are no such numbers.
+        UsageError: they are not such numbers.
     """
     try:
         west, south, east, north = (float(v) for v in (bbox.split(",") if isinstance(bbox, str) else bbox))
     except (TypeError, ValueError):
-        raise UsageError(f"An area is west, south, east, north in degrees, not {bbox!r}.") from None
+        raise UsageError(f"An area must be west, south, east, north in degrees, not {bbox!r}.") from None
     if not (all(map(math.isfinite, (west, south, east, north))) and south < north and west != east):
-        raise UsageError(f"An area is west, south, east, north in degrees, not {west:g},{south:g},{east:g},{north:g}.")
+        raise UsageError(
+            f"An area must be west, south, east, north in degrees, not {west:g},{south:g},{east:g},{north:g}."
+        )
     return west, south, east, north
 
 
 def degrees_of(grid: Grid) -> CRS:
-    """Longitude and latitude as an area means them: WGS 84, on another body that body's own."""
+    """Longitude and latitude as an area uses them: WGS 84, or another body's own."""
     assert grid.crs is not None
     geodetic = grid.crs.geodetic_crs
     return WGS84 if geodetic is None or same_body(grid.crs, WGS84) else geodetic
 
 
 def reach(grid: Grid) -> str:
-    """Where a raster lies, as the end of a message; "" where that is not known."""
+    """A raster's location, as the end of a message; "" if unknown."""
     x, y = grid.xy(*np.meshgrid(np.linspace(0, grid.cols - 1, 9), np.linspace(0, grid.rows - 1, 9)))
     lon, lat = transformer(grid.crs, degrees_of(grid))(np.ravel(x), np.ravel(y))
     if not (np.isfinite(lon).all() and np.isfinite(lat).all()):
@@ -220,7 +222,7 @@ def reach(grid: Grid) -> str:
 
 
 def turns(grid: Grid) -> tuple[float, ...]:
-    """How far east copies of a globe lie in a grid's CRS: a raster may begin at any meridian."""
+    """Offsets of the copies of a globe in a grid's CRS: a raster may begin at any meridian."""
     if grid.crs is None or not grid.crs.is_geographic:
         return (0.0,)
     turn = full_turn(grid)
@@ -233,7 +235,7 @@ def whole(grid: Grid) -> tuple[int, int, int, int]:
 
 
 def both(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """What two windows share; empty where they do not meet."""
+    """The intersection of two windows; empty if they do not meet."""
     return max(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), min(a[3], b[3])
 
 
@@ -243,7 +245,7 @@ def box_window(grid: Grid, box: Box, turn: float = 0.0) -> tuple[int, int, int, 
     east = east if east > west else east + 360.0
     lon, lat = np.meshgrid(np.linspace(west, east, LATTICE), np.linspace(south, north, LATTICE))
     x, y = transformer(degrees_of(grid), grid.crs)(lon.ravel(), lat.ravel())
-    if grid.crs is not None and grid.crs.is_geographic:  # what was brought into one turn is put side by side again
+    if grid.crs is not None and grid.crs.is_geographic:  # places wrapped into one turn are unwrapped again
         full = full_turn(grid)
         x = x + np.round((lon.ravel() / 360.0 * full - x) / full) * full
     return window_of(grid, np.stack([x - turn, y], axis=-1))

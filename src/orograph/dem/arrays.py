@@ -1,8 +1,8 @@
-"""Heights that are in memory already, as a Dem: arrays, masked arrays, and what becomes one (Dask's, PyTorch's…).
+"""Heights already in memory, as a Dem: arrays, masked arrays, and convertible ones (Dask's, PyTorch's…).
 
-An array says neither where it lies nor in what unit it is: ``transform`` and ``crs`` say so, as rasterio has them, or
-``spacing``. Without any its samples are taken to be 1 m apart, with a warning. Missing are NaN, ±inf, what a mask
-hides, what equals ``nodata`` as stored, and anything of magnitude ``HUGE``.
+An array has no place and no unit: ``transform`` and ``crs``, as in rasterio, or ``spacing`` give them. Otherwise its
+samples are assumed to be 1 m apart, with a warning. Missing are NaN, ±inf, what a mask hides, what equals ``nodata`` as
+stored, and anything of magnitude ``HUGE``.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
 
 UNPLACED = (
-    "The array does not say where it lies: its samples are taken to be 1 m apart (give `spacing=METRES`, or "
-    "transform= and crs=)."
+    "The array has no georeferencing: its samples are assumed to be 1 m apart (give `spacing=METRES`, or transform= "
+    "and crs=)."
 )
 
 
@@ -37,16 +37,16 @@ def heights_of(values: Any, called: str, *, nodata: float | None = None, factor:
         factor: metres in one of the numbers' unit.
 
     Raises:
-        ReadError: the numbers are complex, truth values, or none at all.
+        ReadError: the numbers are complex, booleans, or not numbers.
     """
     raw = np.ma.getdata(values) if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
     kind, said = raw.dtype.kind, f"The numbers of {called} are {raw.dtype}"
     if kind == "c":
-        raise ReadError(f"{said}, and heights are real.", remedy="Take their .real part, or their np.abs().")
+        raise ReadError(f"{said}, but heights must be real.", remedy="Take their .real part, or their np.abs().")
     if kind == "b":
-        raise ReadError(f"{said}: truth values, not heights.", remedy="Turn them into numbers with .astype(np.uint8).")
+        raise ReadError(f"{said}: booleans, not heights.", remedy="Convert them to numbers with .astype(np.uint8).")
     if kind not in "iuf":
-        raise ReadError(f"{said}, which heights are not.", remedy="Convert them with .astype(np.float32).")
+        raise ReadError(f"{said}, which cannot be heights.", remedy="Convert them with .astype(np.float32).")
     with np.errstate(over="ignore", invalid="ignore"):
         plain = factor == 1
         heights = raw.astype(np.float32) if plain else (raw.astype(np.float64) * factor).astype(np.float32)
@@ -75,7 +75,7 @@ def from_array(
         vertical_unit: the unit of the heights; None: metres.
         assume_vertical: their vertical datum.
         name: what to call it. Default: "array".
-        warnings: gets sentences that a user should know.
+        warnings: collects messages for the user.
 
     Raises:
         ReadError: they are no real numbers. UsageError: they are not two-dimensional, or an option makes no sense.
@@ -88,12 +88,12 @@ def from_array(
     if array.ndim != 2 or 0 in array.shape:
         bands = array.ndim == 3 and (array.shape[0] in (3, 4) or array.shape[2] in (3, 4))
         raise UsageError(
-            f"Heights are an array of rows and columns; this one has the shape {array.shape}.",
+            f"Heights must be an array of rows and columns; this one has the shape {array.shape}.",
             remedy="A picture is laid over a terrain with layers=." if bands else "Select one layer of it.",
         )
     factor = 1.0 if vertical_unit is None else metres_per(vertical_unit)
     if factor is None:
-        raise UsageError(f"{vertical_unit!r} is not a unit of length that is known here (m, ft, us-ft, cm…).")
+        raise UsageError(f"{vertical_unit!r} is not a known unit of length (m, ft, us-ft, cm…).")
     heights = heights_of(array, name or "the array", nodata=_number(nodata), factor=factor)
     shape = (array.shape[0], array.shape[1])
     place = oriented(shape, affine_of(transform, spacing, crs, shape, told), None if crs is None else parsed_crs(crs))
@@ -114,16 +114,14 @@ def _number(nodata: float | str | None) -> float | None:
 def affine_of(
     transform: Any, spacing: float | None, crs: Any, shape: tuple[int, int], warnings: list[str]
 ) -> Affine:  # fmt: skip
-    """The transform that was given, or that of samples ``spacing`` metres apart (1, with a warning).
+    """The given transform, or that of samples ``spacing`` metres apart (1, with a warning).
 
     Raises:
         UsageError: it is no transform, or degenerate.
     """
     if transform is None:
         if crs is not None:
-            raise UsageError(
-                "`crs` says nothing about an array without a place in it.", remedy="Give transform= as well."
-            )
+            raise UsageError("`crs` does not place an array without a transform.", remedy="Also give transform=.")
         if spacing is None:
             warnings.append(UNPLACED)
         elif not 0 < spacing < float("inf"):
@@ -131,13 +129,13 @@ def affine_of(
         step = 1.0 if spacing is None else float(spacing)
         return Affine(step, 0, 0, 0, -step, shape[0] * step)
     if spacing is not None:
-        raise UsageError("Give transform or spacing, not both: each says how far samples are apart.")
+        raise UsageError("Give transform or spacing, not both: each defines the distance between samples.")
     try:
         numbers = [float(v) for v in transform]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) not in (6, 9):
-        raise UsageError(f"A transform is an Affine, or its six numbers a, b, c, d, e, f, not {transform!r}.")
+        raise UsageError(f"A transform must be an Affine, or its six numbers a, b, c, d, e, f, not {transform!r}.")
     if numbers[2] == numbers[4] == 0 != numbers[5] and numbers[0] != numbers[1] != 0:
         raise UsageError(
             f"The transform {tuple(numbers[:6])} has its numbers in GDAL's order.",

@@ -1,8 +1,8 @@
-"""What state rasters on servers are in: size, time of change and entity tag, one request (HEAD) for each.
+"""The state of rasters on servers: size, modification time and entity tag, with one request (HEAD) for each.
 
-To ask for all files of a large mosaic takes minutes, so only ``orograph manifest`` does (``dem.manifest``). What it
-found is known in every process that has read the manifest: fingerprints and records then tell of files on servers as
-they do of those on this disk. What is opened by its own name is not asked for, and nothing is known of it.
+Requests for all files of a large mosaic take minutes, so only ``orograph manifest`` makes them (``dem.manifest``).
+Every process that reads the manifest knows the results: fingerprints and records then cover files on servers like those
+on this disk. A file opened by its own name is not requested, and its state is unknown.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from orograph.servers import WEB, connected, passing
 T = TypeVar("T")
 
 AGAIN = (0.25, 1.0, 2.0, 4.0)
-"""Seconds after which what failed for the moment is asked for again."""
+"""Seconds after which a transient failure is retried."""
 
 _GDAL = {"/vsis3/": "s3://", "/vsigs/": "gs://", "/vsiaz/": "az://", "/vsicurl/": ""}
 
@@ -41,7 +41,8 @@ _known: dict[str, State] = {}
 
 
 def url_of(location: str) -> str | None:
-    """The address of what GDAL fetches over a network; None of all else, and of what is signed for reading alone."""
+    """The address of what GDAL fetches over a network; None for everything else, and for URLs signed for
+    reading only."""
     for prefix, scheme in _GDAL.items():
         if location.startswith(prefix):
             location = scheme + location.removeprefix(prefix)
@@ -50,12 +51,12 @@ def url_of(location: str) -> str | None:
 
 
 def known(location: str) -> State | None:
-    """What a manifest said of a file on a server."""
+    """A manifest's entry on a file on a server."""
     return _known.get(public(url_of(location) or location))
 
 
 def know(location: str, state: State | None) -> None:
-    """Keep what a manifest says of a file on a server; None: forget it."""
+    """Remember a manifest's entry on a file on a server; None: forget it."""
     name = public(url_of(location) or location)
     if state is None:
         _known.pop(name, None)
@@ -64,8 +65,8 @@ def know(location: str, state: State | None) -> None:
 
 
 def asked(location: str) -> State | None:
-    """The state of a file on a server now; None where it is not told (an address that is signed, obstore is not
-    installed, no entity tag and no time), or there is no such file."""
+    """The current state of a file on a server; None if it is unknown (a signed address, obstore is not installed, no
+    entity tag and no time), or if there is no such file."""
     url = url_of(location)
     try:
         found = None if url is None else _request(url, lambda client, key: client.head(key))
@@ -79,10 +80,10 @@ def asked(location: str) -> State | None:
 
 
 def fetched(url: str) -> bytes:
-    """A whole file from a server.
+    """Fetch a whole file from a server.
 
     Raises:
-        ReadError, StoreError: it is not there, or cannot be fetched.
+        ReadError, StoreError: it does not exist, or cannot be fetched.
     """
     found = _request(url, lambda client, key: bytes(client.get(key).bytes()))
     if found is None:

@@ -1,4 +1,5 @@
-"""Projected CRSs whose coordinates grow westwards or southwards, and their twins that grow eastwards and northwards.
+"""Projected CRSs whose coordinates increase westwards or southwards, and their twins that increase eastwards and
+northwards.
 
 South Africa and Namibia count westings and southings (EPSG:2046–2055), Krovak's projection of Bohemia southings and
 westings (EPSG:5513); a raster's coordinates are then those numbers, in that order (GDAL's and PROJ's traditional GIS
@@ -25,7 +26,8 @@ _SOUTH_ORIENTATED, _KROVAK = "Transverse Mercator (South Orientated)", "Krovak"
 
 @lru_cache(maxsize=64)
 def east_north(crs: CRS) -> tuple[CRS, Affine]:
-    """The CRS whose coordinates grow eastwards and northwards, and the map of ``crs``'s coordinates (x, y) to its own.
+    """The CRS whose coordinates increase eastwards and northwards, and the map of ``crs``'s coordinates (x, y) to its
+    own.
 
     ``crs`` itself and the identity where its axes do so already, point along meridians (polar projections), or where
     no twin is known.
@@ -66,7 +68,7 @@ def _twin(crs: CRS) -> CRS | None:
         {"name": name, "abbreviation": name[0], "direction": name[:-3].lower(), "unit": unit}
         for name in ("Easting", "Northing")
     ]
-    for part in (said, conversion):  # they are no longer those of that code
+    for part in (said, conversion):  # the code no longer applies
         for key in ("id", "ids", "usages"):
             part.pop(key, None)
     said["name"] = f"{said['name']} to east and north"

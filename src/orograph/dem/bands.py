@@ -1,4 +1,4 @@
-"""Looking at the bands of an open dataset: may this one be read, and does it look like heights?"""
+"""Check the bands of an open dataset: may this one be read, and does it look like heights?"""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orograph.dem.encode import ENCODINGS
 from orograph.errors import ReadError, UsageError
 
 MAX_BLOCK_BYTES = 256 << 20
-"""A file stored in blocks larger than this cannot be read by windows in bounded memory, and is refused."""
+"""A file stored in larger blocks than this cannot be read by windows in bounded memory, and is refused."""
 
 
 def check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
@@ -23,7 +23,7 @@ def check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
         together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
     except ValueError as error:
         raise ReadError(
-            f"Its header cannot be understood ({error}).", path=path, remedy="Mend it, or restore it from a copy."
+            f"Its header is invalid ({error}).", path=path, remedy="Repair it, or restore it from a copy."
         ) from None
     size = rows * cols * together * _itemsize(dataset.dtypes[0])
     if size > MAX_BLOCK_BYTES:
@@ -31,7 +31,7 @@ def check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
             f"It is stored in blocks of {rows} × {cols} samples × {together} bands, {size / 2**20:,.0f} MiB each, "
             f"which cannot be read in bounded memory (the limit is {MAX_BLOCK_BYTES / 2**20:.0f} MiB).",
             path=path,
-            remedy="Write it again in tiles (gdal_translate -co TILED=YES), if it is a sound file.",
+            remedy="If the file is sound, rewrite it in tiles (gdal_translate -co TILED=YES).",
         )
 
 
@@ -47,31 +47,31 @@ def check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
     dtype = dataset.dtypes[band - 1]
     if dtype.startswith("complex"):
         raise ReadError(
-            f"Its numbers are complex ({dtype}), which heights are not.",
+            f"Its numbers are complex ({dtype}), which cannot be heights.",
             path=path,
             remedy="Take one part of them first.",
         )
 
 
 def check_scale(dataset: Any, band: int) -> None:
-    """Raise ReadError if its scale makes all its numbers one height, or none."""
+    """Raise ReadError if its scale makes all numbers the same height, or none."""
     scale, offset = dataset.scales[band - 1], dataset.offsets[band - 1]
     if scale == 0 or not np.isfinite([scale, offset]).all():
         raise ReadError(
-            f"Its heights would be number · {scale:g} + {offset:g}, which tells none apart.", path=dataset.name,
-            remedy="Mend its scale and offset (gdal_edit -scale 1 -offset 0).",
+            f"Its heights would be number · {scale:g} + {offset:g}, which makes them all alike.", path=dataset.name,
+            remedy="Correct its scale and offset (gdal_edit -scale 1 -offset 0).",
         )  # fmt: skip
 
 
 def check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) -> None:
     if encoding not in ENCODINGS:
-        raise UsageError(f"{encoding!r} is not an encoding known here ({', '.join(ENCODINGS)}).", path=path)
+        raise UsageError(f"{encoding!r} is not a known encoding ({', '.join(ENCODINGS)}).", path=path)
     if dataset.count not in (3, 4) or set(dataset.dtypes) != {"uint8"}:
         raise UsageError(
             f"Encoding {encoding} needs three bands of 8 bits (and perhaps alpha), but {_list_bands(dataset)} of "
             f"{dataset.dtypes[0]}.",
             path=path,
-            remedy="Leave `encoding` away.",
+            remedy="Leave out `encoding`.",
         )
 
 
@@ -99,13 +99,13 @@ def is_palette(dataset: Any, band: int) -> bool:
 
 
 def description_of(dataset: Any, band: int) -> str:
-    """The band's name: GDAL's description, else what a netCDF variable is called."""
+    """The band's name: GDAL's description, else a netCDF variable's name."""
     tags = tags_of(dataset, band)
     return str(_descriptions(dataset)[band - 1] or tags.get("long_name") or tags.get("standard_name") or "").strip()
 
 
 def _descriptions(dataset: Any) -> Sequence[str | None]:
-    """The names of its bands; none where they are in an encoding that nobody names."""
+    """The names of its bands; none if they are in an unknown encoding."""
     try:
         return tuple(dataset.descriptions)
     except UnicodeDecodeError:
@@ -113,7 +113,7 @@ def _descriptions(dataset: Any) -> Sequence[str | None]:
 
 
 def tags_of(dataset: Any, band: int = 0) -> dict[str, str]:
-    """The tags of a dataset (0) or a band; none where they are in an encoding that nobody names."""
+    """The tags of a dataset (0) or a band; none if they are in an unknown encoding."""
     try:
         return dict(dataset.tags(band))
     except UnicodeDecodeError:
@@ -124,14 +124,14 @@ def unit_tag(dataset: Any, band: int) -> str:
     """What the file calls the unit of a band's numbers, "" if it does not say.
 
     Raises:
-        ReadError: it is no text.
+        ReadError: it is not text.
     """
     try:
         return (dataset.units[band - 1] or "").strip()
     except UnicodeDecodeError:
         raise ReadError(
-            "The unit of its values is no text.", path=dataset.name,
-            remedy="Mend its header, or restore it from a copy.",
+            "The unit of its values is not text.", path=dataset.name,
+            remedy="Repair its header, or restore it from a copy.",
         ) from None  # fmt: skip
 
 

@@ -1,8 +1,8 @@
-"""A note (.aux.xml) or a world file (.tfw) beside a GeoTIFF that contradicts it: GDAL follows the note, and the file
-rather than the world file, without a word.
+"""Warn of a companion (.aux.xml) or a world file (.tfw) that contradicts its GeoTIFF: GDAL silently follows the
+.aux.xml, and the file rather than the world file.
 
-Such notes are written where a program may not, or will not, change the file itself, and stay when the file is made
-anew under its name (https://gdal.org/drivers/raster/gtiff.html, "Georeferencing", and the PAM's XML).
+Such .aux.xml files are written where a program may not, or will not, change the file itself, and stay when the file is
+replaced under its name (https://gdal.org/drivers/raster/gtiff.html, "Georeferencing", and the PAM's XML).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from orograph.dem.whole.files import OPENING
 _DECIDING = re.compile(rb"<(?:SRS|GeoTransform|NoDataValue|UnitType|Offset|Scale|GCPList)\b")
 _APART = 0.01  # samples
 _WORLD = {"GTiff": (".tfw", ".tifw", ".wld"), "JP2OpenJPEG": (".j2w", ".wld")}
-_WORLD_APART = 0.1  # samples; digits of world files are few
+_WORLD_APART = 0.1  # samples; world files have few digits
 
 
 def diagnose(dataset: Any, band: int) -> list[str]:
-    """Warnings of a note that says another CRS, place, unit, scale or nodata value than the GeoTIFF beside it.
+    """Warnings about an .aux.xml whose CRS, place, unit, scale or nodata value differs from its GeoTIFF's.
 
     Args:
-        dataset: of rasterio, open, with what lies beside it.
+        dataset: of rasterio, open, with its companion files.
         band: of the heights, from 1.
     """
     name = str(dataset.name)
@@ -45,14 +45,14 @@ def diagnose(dataset: Any, band: int) -> list[str]:
         with rasterio.open(name) as alone:
             differ = _differences(dataset, alone, band)
     return found + [
-        f"{note.name} beside it says {theirs} where the file itself says {own}: the former is used (remove it if it is "
+        f"{note.name} beside it says {theirs}, but the file itself says {own}: the former is used (remove it if it is "
         "out of date)."
         for theirs, own in differ
     ]
 
 
 def _world_files(dataset: Any, name: str) -> list[str]:
-    """Warnings of world files that say another place than is used."""
+    """Warnings about world files that give another place than the one used."""
     place = dataset.transform
     if dataset.driver not in _WORLD or place.is_identity:
         return []
@@ -62,7 +62,7 @@ def _world_files(dataset: Any, name: str) -> list[str]:
             a, d, b, e, x, y = map(float, file.read_text().replace(",", ".").split()[:6])
         except (OSError, ValueError):  # there is none, or it says nothing
             continue
-        said = Affine(a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)  # a world file names the first sample's middle
+        said = Affine(a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)  # a world file gives the centre of the first sample
         off = max(_apart(said, place, corner) for corner in ((0, 0), (dataset.width, dataset.height)))
         if not off <= _WORLD_APART * _step(place):
             found.append(
@@ -79,7 +79,7 @@ def _step(place: Affine) -> float:
 
 
 def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
-    """What a dataset says otherwise than its file alone does, where that says something: (it, its file)."""
+    """What a dataset says differently from its file alone, if that says anything: (dataset, file)."""
     found: list[tuple[str, str]] = []
     if alone.crs and dataset.crs != alone.crs:
         found.append((f"the CRS {_called(dataset.crs)}", _called(alone.crs)))
@@ -103,7 +103,7 @@ def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
 
 
 def _called(crs: Any) -> str:
-    """A CRS in few words."""
+    """A short name of a CRS."""
     if not crs:
         return "none"
     named = re.match(r'\w+\["([^"]*)"', crs.to_wkt())
@@ -111,6 +111,6 @@ def _called(crs: Any) -> str:
 
 
 def _apart(one: Any, other: Any, corner: tuple[int, int]) -> float:
-    """How far a corner lies from itself by two transforms."""
+    """The distance between a corner's places under two transforms."""
     a, b, c, d, e, f = (x - y for x, y in zip(one[:6], other[:6], strict=True))
     return float(max(abs(a * corner[0] + b * corner[1] + c), abs(d * corner[0] + e * corner[1] + f)))

@@ -1,5 +1,5 @@
-"""What netCDF's conventions (CF 1.11) say of a grid, in files and in arrays of xarray: axes given coordinate by
-coordinate, whether they are even, and in which unit; depths."""
+"""netCDF conventions (CF 1.11) for a grid, in files and in xarray: axes given by coordinates, whether they are even,
+their unit; depths."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 from orograph.dem.units import metres_per
 
 TOLERANCE = 0.1
-"""Samples by which a coordinate may lie off its even place; what float32 rounds comes on top."""
+"""Tolerance in samples for a coordinate's deviation from its even place, in addition to float32 rounding."""
 
 ACROSS = {
     "x", "lon", "long", "longitude", "easting", "east", "e", "projection_x_coordinate", "rlon", "grid_longitude",
 }  # fmt: skip
-"""Names, and standard names (CF), of axes along the rows."""
+"""Names, and CF standard names, of axes along the rows."""
 
 DOWN = {"y", "lat", "latitude", "northing", "north", "n", "projection_y_coordinate", "rlat", "grid_latitude"}
-"""Names, and standard names (CF), of axes down the columns."""
+"""Names, and CF standard names, of axes down the columns."""
 
 ROTATED = {"rlon", "rlat", "grid_longitude", "grid_latitude"}
-"""Those of a rotated pole, whose degrees are not longitude and latitude."""
+"""Names of the axes of a rotated pole, whose degrees are not longitude and latitude."""
 
 
 def even_axis(values: NDArray[Any]) -> tuple[float, float]:
     """First coordinate and step of an axis; the step of a single coordinate is 1.
 
-    Every coordinate is compared with its place on the line from the first to the last: steps that are each nearly
-    right add up.
+    Every coordinate is compared with its place on the line from the first to the last, because small errors in steps
+    add up.
 
     Raises:
-        ValueError: they are not evenly spaced; says where.
+        ValueError: they are not evenly spaced; the message says where.
     """
     at = np.asarray(values, np.float64).ravel()
     if not np.isfinite(at).all():
@@ -52,13 +52,13 @@ def even_axis(values: NDArray[Any]) -> tuple[float, float]:
 
 
 def metres_of_axes(units: Mapping[str, str]) -> float:
-    """Metres in the unit of axes that have no CRS; 1 where they say none, or degrees.
+    """Metres per unit of axes without a CRS; 1 if they have no unit, or degrees.
 
     Args:
         units: the unit of each axis by its name, "" if it says none.
 
     Raises:
-        ValueError: a unit that is neither a length nor degrees; says which.
+        ValueError: the unit is neither a length nor degrees; the message names it.
     """
     for name, unit in units.items():
         metres = metres_per(unit) if unit.strip() else 1.0

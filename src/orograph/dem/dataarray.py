@@ -30,16 +30,16 @@ HEIGHTS = {
     "surface_altitude", "height_above_reference_ellipsoid", "height_above_geopotential_datum",
     "height_above_mean_sea_level", "band_data",
 }  # fmt: skip
-"""Names, and standard names (CF), of variables that hold heights."""
+"""Names, and CF standard names, of variables that hold heights."""
 
 STRIP = 1 << 22
-"""Samples of an array that are converted at once."""
+"""Samples of an array converted at once."""
 
 
 def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
-    """The dimensions down the columns and along the rows: the last two, in the other order where they say so.
+    """The dimensions down the columns and along the rows: the last two, in reverse order if their names say so.
 
-    What a dimension is its name says, or its coordinate's ``axis`` or ``standard_name`` (CF).
+    The name of a dimension, or its coordinate's ``axis`` or ``standard_name`` (CF), says what it is.
     """
 
     def says(dim: Any, names: set[str], axis: str) -> bool:
@@ -57,10 +57,10 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
 
     Args:
         array: heights with evenly spaced coordinates along its last two dimensions: rows and columns, or columns and
-            rows where they are called so (``axes_of``).
-        crs: the CRS, if the array does not say it. Without one, coordinates that are called longitude and latitude, or
-            are in degrees, are taken for those of WGS 84, with a warning.
-        name: what to call it. Default: the array's own name, else that of its file.
+            rows if so named (``axes_of``).
+        crs: the CRS, if the array has none. Without one, coordinates named longitude and latitude, or in degrees, are
+            assumed to be WGS 84, with a warning.
+        name: its name. Default: the array's own name, else that of its file.
 
     Raises:
         ReadError: coordinates that are missing or uneven, values that are not real numbers, or a unit not of length.
@@ -71,7 +71,8 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     lead = lead[: max(0, array.ndim - 2)]
     if array.ndim - len(lead) != 2:
         raise UsageError(
-            f"{called} has the dimensions {dict(array.sizes)}; two are needed.", remedy="Select one layer with .isel()."
+            f"{called} has the dimensions {dict(array.sizes)}, but must have two.",
+            remedy="Select one layer with .isel().",
         )
     array = array.isel(dict.fromkeys(lead, 0))
     array = array.transpose(*axes_of(array))
@@ -80,7 +81,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     if factor is None:
         raise ReadError(f"The unit of {called} is {unit!r}, which is not a length.", remedy="Set attrs['units'].")
     if is_depth(array.attrs):
-        warnings.warn(f"The numbers of {called} are depths, which become heights below 0.", stacklevel=2)
+        warnings.warn(f"The numbers of {called} are depths and become heights below 0.", stacklevel=2)
         factor = -factor
     known = _known_crs(array, crs, called)
     unit_of_axes = 1.0 if known is not None else _axes_metres(array, called)
@@ -97,20 +98,20 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
 
 
 def _known_crs(array: xr.DataArray, crs: str | CRS | None, called: str) -> CRS | None:
-    """The CRS that is given or an array says, or that of WGS 84 where its coordinates are in degrees."""
+    """The CRS that is given or that an array has, or WGS 84 if its coordinates are in degrees."""
     known = _crs_of(array, crs)
     if known is not None or not _in_degrees(array):
         return known
     y_dim, x_dim = array.dims
     warnings.warn(
-        f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are taken for degrees of WGS 84 (give crs=… if "
-        "they are others).", stacklevel=3,
+        f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are assumed to be degrees of WGS 84 (otherwise give "
+        "crs=…).", stacklevel=3,
     )  # fmt: skip
     return CRS.from_epsg(4326)
 
 
 def _axes_metres(array: xr.DataArray, called: str) -> float:
-    """Metres in the unit of the coordinates of an array that has no CRS."""
+    """Metres per unit of the coordinates of an array without a CRS."""
     attributes = {str(dim): array.coords[dim].attrs if dim in array.coords else {} for dim in array.dims}
     names = {name.lower() for dim, said in attributes.items() for name in (dim, str(said.get("standard_name", "")))}
     units = {dim: str(said.get("units", "")) for dim, said in attributes.items()}
@@ -119,13 +120,13 @@ def _axes_metres(array: xr.DataArray, called: str) -> float:
             raise ValueError("they are of a rotated pole")
         return metres_of_axes(units)
     except ValueError as error:
-        raise ReadError(f"{called} has no CRS that says what its coordinates are: {error}.",
+        raise ReadError(f"{called} has no CRS, and its coordinates are unclear: {error}.",
                         remedy="Give the CRS: crs=…") from None  # fmt: skip
 
 
 def _decoded(array: xr.DataArray) -> xr.DataArray:
-    """An array as its attributes (CF) say where xarray has not decoded them: scaled, and NaN where it is missing or
-    beyond its valid range."""
+    """An array decoded by its attributes (CF) where xarray has not done so: scaled, and NaN where missing or out of its
+    valid range."""
     array = _within_range(array)
     said = array.attrs
     packed = said.get("scale_factor", 1) != 1 or said.get("add_offset", 0) != 0 or "missing_value" in said
@@ -136,7 +137,7 @@ def _decoded(array: xr.DataArray) -> xr.DataArray:
 
 
 def _within_range(array: xr.DataArray) -> xr.DataArray:
-    """An array with NaN beyond its valid range, which is one of numbers as they are packed."""
+    """An array with NaN beyond its valid range, which refers to packed numbers."""
     said, was = array.attrs, array.encoding
     low, high = said.get("valid_range", (said.get("valid_min", -np.inf), said.get("valid_max", np.inf)))
     if (low, high) == (-np.inf, np.inf):
@@ -145,7 +146,7 @@ def _within_range(array: xr.DataArray) -> xr.DataArray:
     if not {"scale_factor", "add_offset"} & set(said) and {"scale_factor", "add_offset"} & set(was):
         scale, offset = was.get("scale_factor", 1.0), was.get("add_offset", 0.0)
         low, high = sorted((low * scale + offset, high * scale + offset))
-        low, high = low - abs(scale) / 2, high + abs(scale) / 2  # (what is decoded is rounded)
+        low, high = low - abs(scale) / 2, high + abs(scale) / 2  # (decoded numbers are rounded)
     return array.where((array >= low) & (array <= high))
 
 
@@ -171,11 +172,11 @@ def from_dataset(dataset: xr.Dataset, *, crs: str | CRS | None = None, name: str
 
 
 def heights_in(dataset: xr.Dataset) -> xr.DataArray:
-    """The one two-dimensional variable of a Dataset, or of several the one that says that it holds heights: by its
-    ``standard_name`` (CF), or its name.
+    """The only two-dimensional variable of a Dataset, or of several the one that holds heights by its ``standard_name``
+    (CF) or its name.
 
     Raises:
-        UsageError: there is none, or which one is meant is not clear.
+        UsageError: there is none, or the choice is ambiguous.
     """
     flat = {str(k): v for k, v in dataset.data_vars.items() if sum(n != 1 for n in v.shape) == 2}
     said = {k: v for k, v in flat.items()
@@ -221,12 +222,12 @@ def _says_axis(array: xr.DataArray, dim: Any) -> bool:
 
 
 def says_crs(array: xr.DataArray) -> bool:
-    """Whether an array names its CRS."""
+    """Whether an array has a CRS."""
     return _crs_of(array, None) is not None
 
 
 def _file_name(array: xr.DataArray) -> str:
-    """The stem of the file an array was read from, if it says so."""
+    """The stem of the file that an array was read from, if it is known."""
     source = array.encoding.get("source")
     return Path(source).stem if isinstance(source, str) else ""
 
@@ -245,7 +246,7 @@ def _axis(array: xr.DataArray, dim: Any, called: str) -> tuple[float, float]:
 
 
 def _in_degrees(array: xr.DataArray) -> bool:
-    """Whether the coordinates fit the globe, and are called longitude and latitude or said to be degrees."""
+    """Whether the coordinates fit the globe, and are named longitude and latitude or are in degrees."""
     y_dim, x_dim = array.dims
 
     def says(dim: Any, names: set[str], most: float) -> bool:
@@ -269,4 +270,4 @@ def _crs_of(array: xr.DataArray, asked: str | CRS | None) -> CRS | None:
     try:
         return None if found is None else CRS.from_user_input(found)
     except CRSError:
-        raise ReadError(f"The CRS {found!r} is not one that PROJ knows.", remedy="Give another: crs=…") from None
+        raise ReadError(f"The CRS {found!r} is not known to PROJ.", remedy="Give another: crs=…") from None

@@ -1,7 +1,7 @@
 """Open rasterio datasets as sources of heights: by their file where they have one, else by a copy in GDAL's memory.
 
-So nodata, masks, scales, units and damage are looked at as they are in any file (``source``). A virtual dataset
-(``WarpedVRT``) or one made in memory becomes a GeoTIFF in GDAL's memory for as long as it takes to read it.
+So nodata, masks, scales, units and damage are handled as for any file (``source``). A virtual dataset (``WarpedVRT``)
+or one made in memory becomes a GeoTIFF in GDAL's memory for as long as it takes to read it.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from orograph.errors import ReadError, UsageError
 
 
 def is_dataset(thing: Any) -> bool:
-    """Whether something is a dataset of rasterio's, without importing that."""
+    """Whether something is a rasterio dataset, without importing rasterio."""
     kind = type(thing)  # (whose attributes can be looked at also where the dataset is closed)
     return kind.__module__.partition(".")[0] == "rasterio" and hasattr(kind, "read") and hasattr(kind, "gcps")
 
 
 def file_of(dataset: Any) -> str | None:
-    """The name by which GDAL opens a dataset's file again; None where it has none of its own.
+    """The name by which GDAL reopens a dataset's file; None if it has none.
 
     Raises:
         UsageError: it is closed, or open for writing.
@@ -30,7 +30,7 @@ def file_of(dataset: Any) -> str | None:
         raise UsageError("The dataset is closed.", path=dataset.name, remedy="Open it again, or give its path.")
     if dataset.mode != "r":
         raise UsageError(
-            "The dataset is open for writing, so what is in it is not settled.", path=dataset.name,
+            "The dataset is open for writing, so its content may still change.", path=dataset.name,
             remedy="Close it, and give its path.",
         )  # fmt: skip
     virtual = type(dataset).__name__ == "WarpedVRT" or dataset.driver == "MEM" or dataset.name.startswith("/vsimem/")
@@ -38,12 +38,12 @@ def file_of(dataset: Any) -> str | None:
 
 
 def from_dataset(dataset: Any, window: Any = None, *, name: str | None = None, **options: Any) -> Dem:
-    """A dataset, or a window of it, read into memory.
+    """Read a dataset, or a window of it, into memory.
 
     Args:
         dataset: of rasterio's, open for reading.
         window: a ``rasterio.windows.Window``, or ((row0, row1), (col0, col1)), in its own pixels; None: all of it.
-        name: what to call it. Default: its file's stem.
+        name: its name. Default: its file's stem.
         options: those of ``Source.open``.
 
     Raises:
@@ -71,7 +71,7 @@ def _read(source: Source, window: Any, name: str | None) -> Dem:
         box = source.turned(*_box(window, rows, cols))
     if (box[1] - box[0]) * (box[3] - box[2]) * 4 > MAX_READ_BYTES:
         raise ReadError(
-            f"Its {box[1] - box[0]} × {box[3] - box[2]} heights are more than fit into {MAX_READ_BYTES >> 30} GiB.",
+            f"Its {box[1] - box[0]} × {box[3] - box[2]} heights do not fit into {MAX_READ_BYTES >> 30} GiB.",
             path=source.path, remedy="Give its path, or a smaller window.",
         )  # fmt: skip
     return Dem(source.read(*box), source.grid.window(*box), source.vertical, name or source.name, source.attribution)
@@ -84,7 +84,7 @@ def _box(window: Any, rows: int, cols: int) -> tuple[int, int, int, int]:
         box = tuple(round(float(v)) for v in (row0, row1, col0, col1))
     except (TypeError, ValueError):
         raise UsageError(
-            f"A window is a rasterio.windows.Window, or ((row0, row1), (col0, col1)), not {window!r}."
+            f"A window must be a rasterio.windows.Window, or ((row0, row1), (col0, col1)), not {window!r}."
         ) from None
     if not (0 <= box[0] < box[1] <= rows and 0 <= box[2] < box[3] <= cols):
         raise UsageError(

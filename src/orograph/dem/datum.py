@@ -1,4 +1,4 @@
-"""A DEM's heights brought to another vertical datum, on request only and by a geoid grid that is named.
+"""Convert a DEM's heights to another vertical datum, only on request and with a given geoid grid.
 
 The conversion is that of ``orograph.geo.vertical``; here each sample gets its longitude and latitude. They are those of
 the DEM's own geodetic datum: between that and the geoid grid's a geoid changes by millimetres (a datum shift is some
@@ -22,32 +22,32 @@ _ROWS = 256  # converted at once
 
 
 def to_ellipsoidal(dem: Dem, geoid: Geoid | str | os.PathLike[str]) -> Dem:
-    """Heights above the ellipsoid, of heights above a geoid (dem.vertical None is taken for that geoid).
+    """Convert heights above a geoid to heights above the ellipsoid (dem.vertical None is assumed to be that geoid).
 
     Args:
         geoid: the geoid grid, or its file.
 
     Raises:
-        UsageError: the heights are ellipsoidal already, or above another geoid than this.
+        UsageError: the heights are already ellipsoidal, or above another geoid.
         ReadError: the grid is missing or does not cover the DEM, or the DEM has no CRS.
     """
     grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid)
     found = None if dem.vertical is None else known_datum(dem.vertical)
     if found == ELLIPSOIDAL:
-        raise UsageError(f"The heights of {dem.name} are ellipsoidal already.")
+        raise UsageError(f"The heights of {dem.name} are already ellipsoidal.")
     if found not in (None, grid.datum):
         raise UsageError(
             f"The heights of {dem.name} are {dem.vertical!r}, but the geoid grid {grid.path} is of {grid.datum!r}.",
-            remedy="Name the grid of that datum.",
+            remedy="Give the grid of that datum.",
         )
     return _converted(dem, grid, 1.0, grid.ellipsoidal_datum)
 
 
 def to_orthometric(dem: Dem, geoid: Geoid | str | os.PathLike[str]) -> Dem:
-    """Heights above a geoid, of heights above the ellipsoid (dem.vertical None is taken for that).
+    """Convert heights above the ellipsoid to heights above a geoid (dem.vertical None is assumed to be the ellipsoid).
 
     Raises:
-        UsageError: the heights are declared to be of another datum.
+        UsageError: the heights are declared to have another datum.
         ReadError: as ``to_ellipsoidal``.
     """
     grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid)

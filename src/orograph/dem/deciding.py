@@ -1,6 +1,6 @@
-"""Which files decide a raster's samples, and what state they are in: what fingerprints and records are made of.
+"""The files that determine a raster's samples, and their state, for fingerprints and records.
 
-Asking GDAL takes an opening, as long as a small read; so what was found when a file was opened is kept.
+GDAL must open a file to list them, which takes as long as a small read; so the result of opening a file is kept.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ _known: dict[str, tuple[Key, list[str], list[str]]] = {}
 
 
 def know(location: str, names: Sequence[str]) -> None:
-    """Keep what files decide a raster's samples, for ``files_of``, if all on this disk lie beside it under its name."""
+    """Remember which files determine a raster's samples, for ``files_of``, if all on this disk lie beside it under its
+    name."""
     folder, name = os.path.split(url_of(location) or location)
     stem = f"{folder}/{name.rpartition('.')[0] or name}.".lower()
     inside = (one == location or (url_of(one) or one).lower().startswith(stem) for one in names)
@@ -30,8 +31,8 @@ def know(location: str, names: Sequence[str]) -> None:
 
 
 def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
-    """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources',
-    by GDAL's names of them. Nothing is opened as long as the file, and the names beside it, are what they were.
+    """All files that determine a raster's samples: its own, its companions (headers, masks), and a VRT's sources, by
+    their GDAL names. Nothing is opened as long as the file and the names beside it are unchanged.
 
     Raises:
         ReadError: it cannot be opened.
@@ -43,7 +44,7 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     if held is not None and held[0] == stamped(location) and held[1] == beside(location):
         return list(held[2])
     if held is not None:
-        HANDLES.close(location)  # an open dataset would not see what has come to lie beside it
+        HANDLES.close(location)  # an open dataset would not see new companion files
     with HANDLES.borrow(location) as dataset:
         names, virtual = files_in(dataset), dataset.driver == "VRT"
         if virtual:
@@ -53,7 +54,7 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     if virtual:
         for name in names:
             if name not in known and name != location:
-                with contextlib.suppress(ReadError):  # a source that is not there matters when it is read
+                with contextlib.suppress(ReadError):  # a missing source matters only when it is read
                     found.update(dict.fromkeys(files_of(name, known | {location})))
     else:
         know(location, names)
@@ -61,9 +62,9 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
 
 
 def states(names: Iterable[str]) -> list[str]:
-    """What files are now, a text for each: absolute name, size and time of change. Of what is not on this disk its name
-    alone, and what a manifest said of it: to ask servers for all parts of a mosaic takes longer than to read some of
-    them."""
+    """The current state of files, a text for each: absolute name, size and modification time. For files not on this
+    disk, the name alone and the entry of a manifest: asking servers for all parts of a mosaic takes longer than reading
+    some of them."""
     from orograph.dem.whole.files import absolute, on_disk
 
     said = []
@@ -71,7 +72,7 @@ def states(names: Iterable[str]) -> list[str]:
         try:
             found = on_disk(name).stat()
         except (OSError, ValueError):
-            told = known(name)  # (an address that is signed anew means the same file)
+            told = known(name)  # (a newly signed address means the same file)
             said.append(public(name) if told is None else f"{public(name)} {told.size} {told.time_ns} {told.etag}")
         else:
             said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")

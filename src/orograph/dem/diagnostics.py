@@ -1,4 +1,4 @@
-"""What an opened file says that contradicts itself or what lies beside it, in warnings."""
+"""Warnings about contradictions within an opened file or with its companion files."""
 
 from __future__ import annotations
 

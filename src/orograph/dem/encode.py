@@ -1,8 +1,8 @@
 """Heights hidden in the colours of 8-bit pictures ("terrain-RGB" tiles), decoded to metres.
 
-``mapbox``: height = −10000 + 0.1 · (R·65536 + G·256 + B), Mapbox Terrain-RGB v1 (steps of 0.1 m).
-``terrarium``: height = R·256 + G + B/256 − 32768, Mapzen/AWS Terrain Tiles (steps of 1/256 m).
-A picture says nothing of its encoding, so it is never guessed. Where an alpha band is 0 there is no height.
+``mapbox``: height = −10000 + 0.1 · (R·65536 + G·256 + B), Mapbox Terrain-RGB v1 (steps of 0.1 m). ``terrarium``: height
+= R·256 + G + B/256 − 32768, Mapzen/AWS Terrain Tiles (steps of 1/256 m). A picture does not declare its encoding, which
+is never guessed. Where an alpha band is 0 there is no height.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Values that are no heights though nothing says so: voids filled with a number, and codes of classes.
+"""Undeclared values that are not heights: voids filled with a number, and codes of classes.
 
-A *fill* is a value that many samples share, that lies apart from all others, and at whose borders the ground jumps: a
-sea or a lake is as common, but its shores rise from it. 0 and the usual nodata numbers are suspected where the jump is
-steep for this ground; any other value only where it is farther from the rest than half of the rest is spread. *Codes*
-are few small integers in patches, whose neighbours differ by more than one step.
+A *fill* is a value that many samples share, that is far from all others, and at whose borders the ground jumps: a sea
+or a lake is as common, but its shores rise from it. 0 and the usual nodata numbers are suspected if the jump is steep
+for this ground; any other value only if it is farther from the rest than half of the rest's spread. *Codes* are few
+small integers in patches whose neighbours differ by more than one step.
 
 Both are judged by windows spread over the raster. Units: metres.
 """
@@ -19,9 +19,9 @@ from orograph.dem.source import Source
 
 WINDOWS = 16
 _SIDE = 256
-_WHOLE = 1 << 20  # samples of a raster that is looked at as a whole
-_SHARE = 0.005  # of the valid samples that a fill has at least
-_LEAST = 5.0  # metres from a fill to nearly all other heights
+_WHOLE = 1 << 20  # samples of a raster that is examined as a whole
+_SHARE = 0.005  # minimum part of the valid samples in a fill
+_LEAST = 5.0  # minimum metres from a fill to nearly all other heights
 _JUMP = 8.0  # times the median step of the ground
 _CODES = 30
 
@@ -44,7 +44,9 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         return []
     if _codes(found, parts):
         shown = ", ".join(f"{v:g}" for v in found[:6]) + ("…" if found.size > 6 else "")
-        return [f"Its values are few whole numbers in patches ({shown}): codes of classes (land cover?), not heights."]
+        return [
+            f"Its values are a few whole numbers in patches ({shown}): codes of classes (land cover?), not heights."
+        ]
     said = []
     ordinary = {_height(source, n) for n in (0, 1, -1, *usual)}
     for i in np.argsort(counts)[::-1][:3]:
@@ -107,7 +109,7 @@ def _steps(parts: list[Heights], value: float) -> tuple[Heights, Heights, float]
 
 
 def _codes(found: Heights, parts: list[Heights]) -> bool:
-    """Whether values are few small whole numbers, in patches whose neighbours are no neighbours as heights are."""
+    """Whether values are few small integers in patches whose neighbours are unlike neighbouring heights."""
     if found.size > _CODES or found.size < 3 or found[0] < -1 or found[-1] > 255 or np.any(found != np.round(found)):
         return False
     steps = np.concatenate([np.abs(np.diff(p, axis=axis)).ravel() for p in parts for axis in (0, 1)])

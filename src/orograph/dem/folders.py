@@ -1,8 +1,8 @@
-"""Folders of files: the rasters in one that is named as terrain, and the names beside a file.
+"""Folders of files: the rasters of a folder given as terrain, and the companions of a file.
 
-A folder stands for the rasters in it and below it whose endings are those of elevation; what products put beside these
-(masks, counts, qualities) is left out. GDAL looks for headers and masks beside each file. Mosaics have thousands of
-files in one folder, so its names are listed once, and kept as long as its time of change stays what it was.
+A folder stands for the rasters in it and below it with the endings of elevation files; the products' companion rasters
+(masks, counts, qualities) are left out. GDAL looks for headers and masks beside each file. Mosaics have thousands of
+files in one folder, so its names are listed once, and kept as long as its modification time is unchanged.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import NamedTuple
 from orograph.progress import Progress
 
 _FRESH = 2.0
-"""Seconds within which a folder may change without its time of change telling."""
+"""Seconds within which a folder may change without a change of its modification time."""
 
 RASTERS = frozenset(
     f".{one}"
@@ -27,24 +27,23 @@ RASTERS = frozenset(
         "nc", "nc4", "h5", "hdf5", "bag", "jp2", "ter", "sdat", "rst", "map", "bt", "hf2", "sigdem", "ers", "cub",
     )
 )  # fmt: skip
-"""Endings of the files that a folder stands for; pictures of heights, points and other files have to be named."""
+"""Endings of the files that a folder stands for; pictures of heights, points and other files must be given by name."""
 
 BESIDE = re.compile(
     r"_(edm|flm|hem|wbm|acm|src|msk|stk|num|swb|qai|lst)\.tiff?(\.gz|\.zip)?$|\.(num|swb)(\.gz|\.zip)?$", re.IGNORECASE
 )
-"""What the products of Copernicus, ALOS, ASTER and NASADEM have beside heights."""
+"""Companion rasters of the products of Copernicus, ALOS, ASTER and NASADEM."""
 
 _folders: dict[str, tuple[int, list[str]]] = {}
 
 
 def crowded(location: str) -> bool:
-    """Whether a file is known to lie among so many that GDAL does not look at their names."""
+    """Whether a file is known to lie among so many that GDAL does not list them."""
     return len(_folders.get(os.path.split(location)[0], (0, []))[1]) > 1000
 
 
 def beside(location: str) -> list[str]:
-    """The names of what lies beside a file on this disk under its name but for the ending: where headers, masks and the
-    like come to lie."""
+    """The names beside a file on this disk that match its name but for the ending: headers, masks and the like."""
     folder, name = os.path.split(location)
     try:
         changed = os.stat(folder or ".").st_mtime_ns  # noqa: PTH116 (of mosaics thousands at a time)
@@ -68,7 +67,7 @@ def beside(location: str) -> list[str]:
 
 
 class Inside(NamedTuple):
-    """What a folder holds.
+    """The content of a folder.
 
     Attributes:
         rasters: the files it stands for, in the order of their names. others: how many are left out.
@@ -91,7 +90,7 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
 
 
 def inside(path: str | os.PathLike[str]) -> Inside:
-    """The rasters in a folder and the folders below; a VRT only where there is nothing else, as it names the rest."""
+    """The rasters in a folder and below it; a VRT only if there is nothing else, since it refers to the rest."""
     rasters: list[Path] = []
     virtual: list[Path] = []
     others = 0
@@ -117,9 +116,9 @@ def inside(path: str | os.PathLike[str]) -> Inside:
 
 
 def taken(path: str | os.PathLike[str], progress: Progress) -> list[str]:
-    """The files that a path stands for: the rasters of a folder, of which is told how many there are, or itself."""
+    """The files that a path stands for: the rasters of a folder, whose number is reported, or the path itself."""
     found = inside(path) if is_folder(path) else Inside([], 0)
-    if not found.rasters:  # (an empty folder's own error is said when it is opened)
+    if not found.rasters:  # (an empty folder's own error appears when it is opened)
         return [os.fspath(path)]
     left = f"; {_counted(found.others, 'other file')} left out" if found.others else ""
     progress.note(f"{os.fspath(path)}: {_counted(len(found.rasters), 'raster')} taken{left}")

@@ -1,7 +1,7 @@
-"""What a GeoTIFF says that cannot be, says twice, or says and GDAL passes over: told when it is opened.
+"""Report what a GeoTIFF declares wrongly, twice, or in a way that GDAL ignores, when it is opened.
 
-GDAL takes the first tie point, a pixel scale before a matrix, the unit of the vertical CRS before ``VerticalUnits``,
-and the first of several images, all without a word; a nodata value that its type cannot hold is none to it.
+GDAL silently takes the first tie point, a pixel scale before a matrix, the unit of the vertical CRS before
+``VerticalUnits``, and the first of several images; it ignores a nodata value that its type cannot hold.
 
 Sources: TIFF 6.0, section 2 and Orientation; GeoTIFF 1.1 (OGC 19-008r4), sections 7 and 8.
 """
@@ -30,7 +30,7 @@ _MOST_IMAGES = 64
 
 
 def diagnose(dataset: Any, band: int, asked: float | str | None, masked: bool, unit: float | None) -> list[str]:
-    """Warnings of what a GeoTIFF on this disk says of itself; none of other formats.
+    """Warnings about the declarations of a GeoTIFF on this disk; none for other formats.
 
     Args:
         dataset: of rasterio, open.
@@ -40,8 +40,8 @@ def diagnose(dataset: Any, band: int, asked: float | str | None, masked: bool, u
         unit: metres in the unit of the vertical CRS; None: there is none.
 
     Raises:
-        ReadError: its nodata value is no number, a key of its CRS stands twice, or it says how large samples are and
-            not where they lie.
+        ReadError: its nodata value is not a number, a key of its CRS occurs twice, or it has a pixel scale but no
+            place.
     """
     name = str(dataset.name)
     if dataset.driver != "GTiff" or not here(name):  # (one that is named as a directory of a file is not looked at)
@@ -65,7 +65,7 @@ def diagnose(dataset: Any, band: int, asked: float | str | None, masked: bool, u
     said = _UNITS.get(keys.get(_VERTICAL_UNITS, 0))
     if said is not None and unit is not None and abs(said - unit) > 1e-9:
         found.append(
-            f"Its tags give heights in a unit of {said:.9g} m (VerticalUnits), and its vertical CRS in one of "
+            f"Its tags give heights in a unit of {said:.9g} m (VerticalUnits), but its vertical CRS in one of "
             f"{unit:.9g} m, which is used (give `vertical_unit` if the former is right)."
         )
     return found
@@ -75,7 +75,7 @@ def _keys(tiff: TiffFile, first: Directory, name: str) -> dict[int, int]:
     """The GeoKeys that are numbers of their own.
 
     Raises:
-        ReadError: one stands twice with different values.
+        ReadError: one occurs twice with different values.
     """
     words = tiff.numbers(first, _KEYS)
     keys: dict[int, tuple[int, int, int]] = {}
@@ -83,33 +83,33 @@ def _keys(tiff: TiffFile, first: Directory, name: str) -> dict[int, int]:
         said = (place, count, value)
         if keys.setdefault(key, said) != said:
             raise ReadError(
-                f"A key of its CRS stands twice ({key}: {keys[key][2]} and {value}).", path=name,
-                remedy="Write it anew with the CRS that is right (gdal_translate -a_srs EPSG:CODE).",
+                f"A key of its CRS occurs twice ({key}: {keys[key][2]} and {value}).", path=name,
+                remedy="Rewrite it with the right CRS (gdal_translate -a_srs EPSG:CODE).",
             )  # fmt: skip
     return {key: value for key, (place, _, value) in keys.items() if place == 0}
 
 
 def _diagnose_place(dataset: Any, tiff: TiffFile, first: Directory, name: str) -> Iterator[str]:
-    """What its tags say of where it lies against the place that GDAL makes of them."""
+    """Compare the place in its tags with the place that GDAL derives from them."""
     scale, ties, matrix = (tiff.doubles(first, tag) for tag in (_SCALE, _TIES, _MATRIX))
     turned = tiff.numbers(first, 274)
     if turned.size and turned[0] != 1:
         yield (
-            f"Its tag Orientation says that it is turned or mirrored ({turned[0]}), which its place does not: rows are "
-            "taken as they are stored."
+            f"Its tag Orientation says that it is rotated or mirrored ({turned[0]}), but its georeferencing does not: "
+            "rows are taken as stored."
         )
     if scale.size < 2 or not scale[:2].all():
         return
     to_place = dataset.transform
     if not ties.size and not matrix.size and (to_place.a, to_place.c, to_place.f) == (abs(scale[0]), 0, 0):
         raise ReadError(
-            "It says how large its samples are, and not where they lie (a pixel scale without a tie point).", path=name,
-            remedy="Say where it lies: gdal_edit -a_ullr WEST NORTH EAST SOUTH.",
+            "It declares the size of its samples but not their place (a pixel scale without a tie point).", path=name,
+            remedy="Give its place: gdal_edit -a_ullr WEST NORTH EAST SOUTH.",
         )  # fmt: skip
     if scale[1] < 0:
         yield (
-            "Its pixel scale is negative in y, by which its rows run north: as GDAL does, they are taken to run south "
-            "(flip it with gdal_translate -a_ullr if they do not)."
+            "Its pixel scale is negative in y, so its rows would run north: like GDAL, this takes them to run south "
+            "(if they do not, flip it with gdal_translate -a_ullr)."
         )
     step = min(abs(scale[0]), abs(scale[1]))
     points = ties.reshape(-1, 6) if ties.size % 6 == 0 else np.zeros((0, 6))
@@ -117,13 +117,13 @@ def _diagnose_place(dataset: Any, tiff: TiffFile, first: Directory, name: str) -
     down = (points[:, 4] + abs(scale[1]) * points[:, 1]) if len(points) else ties
     if len(points) > 1 and max(np.abs(off).max(), np.ptp(down)) > _APART * step:
         yield (
-            f"Its {len(points)} tie points contradict its pixel scale: the first alone places it "
-            "(gdal_edit -a_ullr mends that)."
+            f"Its {len(points)} tie points contradict its pixel scale: only the first one places it (correct it with "
+            "gdal_edit -a_ullr)."
         )
     if matrix.size == 16:
         there = np.array([matrix[3] - to_place.c, matrix[7] - to_place.f, *_far(matrix, dataset)])
         if np.abs(there).max() > _APART * step:
-            yield "It gives its place twice, differently: its pixel scale is used, its matrix is not."
+            yield "It gives two different places: its pixel scale is used, its matrix is not."
 
 
 def _far(matrix: NDArray[np.float64], dataset: Any) -> tuple[float, float]:
@@ -137,7 +137,7 @@ def _far(matrix: NDArray[np.float64], dataset: Any) -> tuple[float, float]:
 
 
 def _diagnose_blocks(tiff: TiffFile, first: Directory) -> Iterator[str]:
-    """Blocks that are not written, where nothing says that they are missing."""
+    """Unwritten blocks, if nothing says that they are missing."""
     for tag in COUNTS:
         sizes = tiff.numbers(first, tag)
         lacking = int(sizes.size - np.count_nonzero(sizes))
@@ -149,7 +149,7 @@ def _diagnose_blocks(tiff: TiffFile, first: Directory) -> Iterator[str]:
 
 
 def _diagnose_images(tiff: TiffFile, first: Directory, name: str) -> Iterator[str]:
-    """Further images that are no overviews and no masks of the first, which is the one that is read."""
+    """Other images that are neither overviews nor masks of the first, which is the one that is read."""
     directory, number = first, 1
     shape = _shape(tiff, first)
     while directory.following and number < _MOST_IMAGES:
@@ -164,7 +164,7 @@ def _diagnose_images(tiff: TiffFile, first: Directory, name: str) -> Iterator[st
             continue
         yield (
             f"It holds several images, of which the first, with {shape[0]} × {shape[1]} samples, is read; number "
-            f"{number} has {rows} × {cols} (name it as GTIFF_DIR:{number}:{name})."
+            f"{number} has {rows} × {cols} (open it as GTIFF_DIR:{number}:{name})."
         )
         return
 

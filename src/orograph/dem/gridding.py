@@ -2,8 +2,7 @@
 
 The terrain's grid is metric: points in degrees go to their UTM zone, as rasters do. Its rectangle of samples holds all
 points; outside their hull, in slivers along it, and in triangles with a side longer than ``max_edge``, heights are
-missing. The points stay with the terrain (``surface``): what is drawn of samples is an interpolation of them. Units:
-metres; samples.
+missing. The points stay with the terrain (``surface``): its samples are interpolated from them. Units: metres; samples.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from orograph.geo.grid import Grid
 from orograph.progress import SILENT, Progress
 
 LONG = 10
-"""Sides of triangles that are so many times the median are worth a word."""
+"""Triangle sides this many times the median are worth a warning."""
 
 Array = NDArray[np.float64]
 
@@ -46,7 +45,7 @@ class PointRaster:
     """Points as a raster of heights (``store.source.HeightSource``).
 
     Attributes:
-        grid, name, vertical: of the raster. warnings: what a user should know, full sentences.
+        grid, name, vertical: of the raster. warnings: messages for the user, full sentences.
         surface: the triangulation of the points, in sample coordinates; its triangles are those that count.
     """
 
@@ -56,7 +55,7 @@ class PointRaster:
     ) -> None:  # fmt: skip
         for called, length in (("resolution", resolution), ("max_edge", max_edge)):
             if length is not None and not (length > 0 and (math.isfinite(length) or called == "max_edge")):
-                raise UsageError(f"`{called}` is a length in metres, not {length}.")
+                raise UsageError(f"`{called}` must be a length in metres, not {length}.")
         self.name, self.vertical, self.path = points.name, points.vertical, points.path
         self._options: dict[str, Any] | None = None
         self.warnings, self.notes = list(points.warnings), list[str]()
@@ -73,8 +72,8 @@ class PointRaster:
         if merged.doubled:
             lie = "lies" if merged.doubled == 1 else "lie"
             self.warnings.append(
-                f"Of its {len(points):,} points {merged.doubled:,} {lie} where another does; such points become one, "
-                f"of their mean height (they differ by up to {merged.apart:.3g} m)."
+                f"Of its {len(points):,} points {merged.doubled:,} {lie} where another does; such points are merged "
+                f"into one with their mean height (they differ by up to {merged.apart:.3g} m)."
             )
         surface = triangulate(merged, self.bits, points.path)
         self.surface = self._within(surface, max_edge)
@@ -120,7 +119,7 @@ class PointRaster:
 
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:
-        """The rows and columns (half-open) that its file decides: all, for one point may change any triangle."""
+        """The rows and columns (half-open) that its file affects: all, since one point may change any triangle."""
         rows, cols = self.grid.shape
         return [(0, rows, 0, cols)]
 
@@ -189,14 +188,14 @@ def _metres(length: float) -> str:
 
 
 def in_plane(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS | None]:
-    """Places in a projected CRS in metres, and the CRS: the wanted one, else the points' own or their UTM zone."""
+    """Places in a projected CRS in metres, and the CRS: the requested one, else the points' own or their UTM zone."""
     from orograph.geo.transform import transformer
 
     own = points.crs
     if own is None:
         if wanted is not None:
             raise UsageError(
-                "The points have no CRS, so they cannot be brought to another.", path=points.path,
+                "The points have no CRS, so they cannot be transformed to another.", path=points.path,
                 remedy="Give theirs: `assume_crs`.",
             )  # fmt: skip
         return points.x, points.y, None
@@ -210,8 +209,8 @@ def in_plane(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS |
     if not (np.isfinite(x) & np.isfinite(y)).all():
         count = int((~(np.isfinite(x) & np.isfinite(y))).sum())
         raise ReadError(
-            f"{count:,} of its points lie outside of what {wanted.name} can show.", path=points.path,
-            remedy="Are its longitudes and latitudes the right way round? Else choose another `crs`.",
+            f"{count:,} of its points lie outside the domain of {wanted.name}.", path=points.path,
+            remedy="Check that longitude and latitude are not swapped, or choose another `crs`.",
         )  # fmt: skip
     return x, y, wanted
 
@@ -229,7 +228,7 @@ def _grid(x: Array, y: Array, resolution: float, crs: CRS | None, path: str) -> 
     if max(shape) > MAX_SIDE:
         raise UsageError(
             f"The terrain would have {shape[0]} × {shape[1]} samples, {resolution:g} m apart.", path=path,
-            remedy="Give a coarser `resolution`, or leave out points that lie far off.",
+            remedy="Give a coarser `resolution`, or leave out distant points.",
         )  # fmt: skip
     half = resolution / 2
     return Grid(

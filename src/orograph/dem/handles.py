@@ -1,13 +1,13 @@
 """Open GDAL datasets, lent to one thread at a time.
 
 A GDAL dataset must not be used by two threads at once, opening one costs most of a small read, and a mosaic has more
-files than a process may hold open. So datasets are *borrowed*: a thread gets an idle one of that file or opens
-another, and gives it back; of the idle ones only the ``IDLE`` most recently used stay open. A file that was rewritten
-meanwhile (other time, size or inode) is opened anew; what was read of its header before is no more true, so those who
-keep that compare its state (``stamped``), and ``states`` that of all files that decide the samples.
+files than a process may hold open. So datasets are *borrowed*: a thread gets an idle one of that file or opens another,
+and returns it; only the ``IDLE`` most recently used idle ones stay open. A file that was rewritten meanwhile (different
+time, size or inode) is reopened; its header may have changed, so code that keeps header data compares the file's state
+(``stamped``), and ``states`` that of all files that determine the samples.
 
 GDAL's block cache is left at ``CACHE`` bytes unless GDAL_CACHEMAX says otherwise: its default, 5 % of the machine's
-memory, would break any promise about ours.
+memory, would break our own memory limits.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ def _stamp(path: str | Path) -> tuple[int, int, int] | None:
 
 
 def stamped(location: str) -> Key:
-    """A file's name and state: another one once it was written again."""
+    """A file's name and state, which changes when it is rewritten."""
     from orograph.dem.whole.files import on_disk
 
     return location, _stamp(on_disk(location))
 
 
 class Seen:
-    """Files as they are when this is made.
+    """The state of files when this object is made.
 
     Args:
         names: GDAL's.
@@ -70,19 +70,19 @@ class Seen:
         return [(None, None) if stamp is None else (stamp[1], stamp[0]) for *_, stamp in self._files]
 
     def changed(self) -> str | None:
-        """The first of them that is another now; None if none is."""
+        """The first of them that has changed; None if none has."""
         return next((name for name, path, stamp in self._files if _stamp(path) != stamp), None)
 
 
 def bounded_cache() -> dict[str, Any]:
-    """GDAL's settings that keep its block cache small, for those who write."""
+    """GDAL's settings for writers that keep its block cache small."""
     return {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE}
 
 
 def _settings(location: str) -> dict[str, Any]:
-    """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
-    what its first lines look like; vertical datums of GeoTIFF 1.0 count, too; VRTs do not share their parts, for one
-    that could not be opened once would be 0 in all of them, even when it is there again."""
+    """Settings for GDAL: damaged JPEGs and wrong DTED checksums are errors; text is read as doubles, whatever its first
+    lines look like; vertical datums of GeoTIFF 1.0 count too; VRTs do not share their parts, since one that could not
+    be opened once would be 0 in all of them, even when it is back."""
     return {
         "VRT_SHARED_SOURCE": "0", "GTIFF_REPORT_COMPD_CS": True,
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
@@ -93,7 +93,7 @@ def _settings(location: str) -> dict[str, Any]:
 
 
 _MISLED = (ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, OSError, struct.error)
-"""What comes of headers that say what cannot be."""
+"""Errors caused by invalid headers."""
 
 
 class Handles:
@@ -192,11 +192,13 @@ def locate(path: str | os.PathLike[str]) -> str:
     file = Path(text)
     if is_manifest(text):
         raise ReadError(
-            "This is a manifest, which lists rasters; here one raster is wanted.", path=text, remedy="Name one of them."
+            "This is a manifest, which lists rasters, but one raster is needed here.",
+            path=text,
+            remedy="Give one of them.",
         )
     if file.is_dir() and not (file / "hdr.adf").exists() and not file.suffix.lower() == ".zarr":
         raise ReadError(
-            "This is a directory, not an elevation raster.", path=text, remedy="Name the files in it, e.g. DIR/*.tif."
+            "This is a directory, not an elevation raster.", path=text, remedy="Give the files in it, e.g. DIR/*.tif."
         )
     try:
         file.stat()
@@ -214,8 +216,8 @@ def locate(path: str | os.PathLike[str]) -> str:
 
 
 def _in_tar(file: Path, name: str) -> str:
-    """GDAL's name of a member of a tar: what its plain header calls it, where GDAL does not read the name in the
-    extended one (PAX), which alone holds letters beyond ASCII."""
+    """GDAL's name of a member of a tar: the one in its plain header if GDAL does not read the extended name (PAX),
+    which alone can hold non-ASCII letters."""
     from orograph.dem.whole.files import plain_name
 
     location = f"/vsitar/{{{file.as_posix()}}}/{name}"
@@ -228,18 +230,20 @@ def _in_tar(file: Path, name: str) -> str:
 
 
 def _absent(file: Path, error: OSError | ValueError) -> ReadError:
-    """What keeps a file from being opened."""
+    """The reason why a file cannot be opened."""
     code = getattr(error, "errno", None)
     if code == errno.ELOOP:
-        return ReadError("It is a link that leads back to itself.", path=file, remedy="Name the file itself.")
+        return ReadError("It is a link to itself.", path=file, remedy="Name the file itself.")
     if code == errno.ENOENT and file.is_symlink():
         return ReadError(
-            f"It is a link to {file.readlink()}, which is not there.", path=file, remedy="Name the file itself."
+            f"It is a link to {file.readlink()}, which does not exist.", path=file, remedy="Name the file itself."
         )
     if code in (errno.ENOENT, errno.ENOTDIR):
         return ReadError("There is no such file.", path=file, remedy="Check the spelling of the path.")
     return ReadError(
-        f"It cannot be opened: {getattr(error, 'strerror', error)}.", path=file, remedy="Check the path and its rights."
+        f"It cannot be opened: {getattr(error, 'strerror', error)}.",
+        path=file,
+        remedy="Check the path and its permissions.",
     )
 
 
@@ -262,11 +266,11 @@ SIDE_FILES = {
 
 
 TARS = (".tar", ".tar.gz", ".tgz")
-"""How the names of tar archives end."""
+"""Endings of tar archives."""
 
 
 def _kind(file: Path) -> str:
-    """Of an archive: tar or zip."""
+    """The kind of an archive: tar or zip."""
     return "tar" if file.name.lower().endswith(TARS) else "zip"
 
 
@@ -292,7 +296,7 @@ def _member(file: Path) -> str:
     if len(rasters) == 1:
         return rasters[0]
     if not rasters:
-        raise ReadError("The archive holds no raster.", path=file, remedy="Name an archive with an elevation raster.")
+        raise ReadError("The archive holds no raster.", path=file, remedy="Give an archive with an elevation raster.")
     shown = ", ".join(rasters[:6]) + ("…" if len(rasters) > 6 else "")
     raise ReadError(
         f"The archive holds {len(rasters)} files that may be rasters ({shown}).",
@@ -342,17 +346,17 @@ def open_dataset(location: str) -> Any:
 
 
 def _is_axis(name: str) -> bool:
-    """Whether a raster within a file is called as the coordinates along an axis are."""
+    """Whether a raster within a file has the name of coordinates along an axis."""
     return re.split(r"[:/]", name.strip('"'))[-1].lower() in ACROSS | DOWN
 
 
 def cause_of(error: BaseException) -> str:
-    """GDAL's own words about a failure: the innermost message, one line, ending in a full stop."""
+    """GDAL's message about a failure: the innermost one, on one line, ending in a full stop."""
     inner: BaseException = error
     while inner.__cause__ is not None:
         inner = inner.__cause__
     text = " ".join((getattr(inner, "errmsg", "") or str(inner) or type(inner).__name__).split())
-    text = re.sub(r"\b0x[0-9a-f]{6,}, ?", "", text)  # addresses, which differ from run to run
+    text = re.sub(r"\b0x[0-9a-f]{6,}, ?", "", text)  # addresses, which differ between runs
     return text if text.endswith(".") else text + "."
 
 
@@ -361,13 +365,13 @@ def _remedy(location: str, error: BaseException) -> str:
     if "codec" in text and ".zarr" in location.lower():
         return "This build of GDAL lacks the codec: open it in Python (xarray.open_zarr), and give that to Orograph."
     if "codec" in text:
-        return "This build of GDAL lacks the codec: write it again with another (gdal_translate -co COMPRESS=ZSTD)."
+        return "This build of GDAL lacks the codec: rewrite it with another (gdal_translate -co COMPRESS=ZSTD)."
     if location.lower().endswith((".hgt", ".hgt.gz")):
-        return "GDAL knows .hgt files by name and size: it must be called like N44W072.hgt (the south-west corner)."
+        return "GDAL recognises .hgt files by name and size: the name must be like N44W072.hgt (the south-west corner)."
     if location.lower().endswith(".pmtiles") or location.lower().endswith(".mbtiles"):
-        return "Tile archives must be made one raster first (gdal_translate to GeoTIFF)."
+        return "Convert tile archives to one raster first (gdal_translate to GeoTIFF)."
     if location.startswith(("/vsizip/{", "/vsigzip/")):
-        return "Name an archive that holds an elevation raster, or unpack it and name the raster."
+        return "Give an archive that holds an elevation raster, or unpack it and give the raster."
     if is_remote(location):
         return "Check the address, the network and the credentials."
-    return "Check that it is a raster that gdalinfo can read and that it is whole (fetch it again if it was cut short)."
+    return "Check that gdalinfo can read it and that it is complete (fetch it again if it was truncated)."

@@ -1,12 +1,12 @@
-"""What a raster's header says of itself, brought to one convention: where its samples lie, in what unit, above what.
+"""A raster's header in one convention: the place of its samples, their unit, and their vertical datum.
 
 - *North-west first.* South-up and east-first rasters are flipped as they are read, so that sample (0, 0) is the
-  north-west one; a rotated or sheared geotransform is kept as it is, only never mirrored. East and north are those of
-  the ground, also where the CRS's coordinates grow westwards or southwards (``axes``).
+  north-west one; a rotated or sheared geotransform is kept, but never mirrored. East and north are those of the ground,
+  even if the CRS's coordinates increase westwards or southwards (``axes``).
 - *Pixel-is-point.* GDAL already shifts such files (GeoTIFF's GTRasterTypeGeoKey, SRTM .hgt, DTED) by half a cell, so
-  that the centre of its pixel is the sample: nothing is left to do, and the tests hold it to that.
+  that the centre of its pixel is the sample: nothing is left to do, and tests verify it.
 - *No place.* GDAL's identity geotransform means that the file has none (a PNG, a file with control points only): rows
-  are then taken to run south and ``spacing`` metres apart, and the CRS is unknown.
+  are then assumed to run south, ``spacing`` metres apart, and the CRS is unknown.
 - *Horizontal CRS.* The vertical part of a compound or 3D CRS is split off: its name becomes ``vertical``, its unit
   that of the heights unless the band says otherwise.
 """
@@ -36,7 +36,7 @@ from orograph.geo.vertical import ELLIPSOIDAL, KNOWN_DATUMS, known_datum
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a raster lies: its grid (north-west first) and how the file's rows and columns must be turned for it."""
+    """A raster's place: its grid (north-west first) and how the file's rows and columns must be flipped for it."""
 
     grid: Grid
     flip_rows: bool
@@ -60,21 +60,21 @@ def place_of(
     assumed = None if assume_crs is None else parsed_crs(assume_crs)
     transform = _transform_of(dataset)
     if full is None and (beside := notes(dataset)) is not None:
-        warnings.append(f"What lies beside it as its CRS cannot be understood ({beside.name}).")
+        warnings.append(f"The CRS file beside it cannot be understood ({beside.name}).")
     if transform.is_identity:
         return Place(_local(dataset, shape, spacing, full, assumed, warnings), False, False, False), None
     if spacing is not None:
-        warnings.append("It says where its samples lie, so `spacing` is not used for it.")
+        warnings.append("It is georeferenced, so `spacing` is not used for it.")
     if full is None:
         full = assumed
     elif assumed is not None and assumed != full:
-        warnings.append("It names its own CRS, so `assume_crs` is not used for it.")
+        warnings.append("It has its own CRS, so `assume_crs` is not used for it.")
     _refuse_impossible(dataset, transform)
     try:
         place = oriented(shape, transform, full)
     except ValueError as error:
         raise ReadError(
-            f"{str(error).capitalize()}.", path=dataset.name, remedy="Mend it with gdal_edit -a_ullr."
+            f"{str(error).capitalize()}.", path=dataset.name, remedy="Correct it with gdal_edit -a_ullr."
         ) from None
     if full is None:
         warnings.append(_nameless(place.grid))
@@ -85,15 +85,15 @@ _NORTH_FIRST = {
     "AAIGrid", "BT", "DTED", "EHdr", "GRASSASCIIGrid", "GS7BG", "GSAG", "GSBG", "GTX", "ILWIS", "ISG", "NTv2",
     "RRASTER", "RST", "SAGA", "SIGDEM", "SRTMHGT", "ZMap",
 }  # fmt: skip
-"""Formats whose rows run south and columns east by definition, so that all else is a damaged header."""
+"""Formats whose rows run south and columns east by definition, so that anything else is a damaged header."""
 
 _FAR = 1e13
 """Coordinates that no CRS of any body has, in any unit."""
 
 
 def _transform_of(dataset: Any) -> Affine:
-    """The geotransform of a dataset. That of a PNM without a world file is what happened to be in memory to GDAL, which
-    passes over the .aux.xml beside it."""
+    """The geotransform of a dataset. For a PNM without a world file, GDAL returns uninitialised memory and ignores the
+    .aux.xml beside it."""
     if dataset.driver == "netCDF":
         return transform_of(dataset)
     beside = [str(name) for name in dataset.files[1:]]
@@ -104,13 +104,13 @@ def _transform_of(dataset: Any) -> Affine:
         return Affine.identity() if text is None else Affine.from_gdal(*map(float, text.split(",")))
     except (ValueError, TypeError):
         raise ReadError(
-            "The place that is noted beside the raster (GeoTransform) is not of six numbers.", path=beside[0],
+            "The GeoTransform beside the raster does not have six numbers.", path=beside[0],
             remedy="Restore it from a copy, or remove it if the raster needs none.",
         ) from None  # fmt: skip
 
 
 def _refuse_impossible(dataset: Any, transform: Affine) -> None:
-    """Raise ReadError where samples cannot lie as a header says."""
+    """Raise ReadError if samples cannot lie as a header says."""
     a, b, c, d, e, f = transform[:6]
     reach = max(abs(c), abs(f)) + dataset.width * max(abs(a), abs(d)) + dataset.height * max(abs(b), abs(e))
     step = min(max(abs(a), abs(d)), max(abs(b), abs(e)))
@@ -118,13 +118,13 @@ def _refuse_impossible(dataset: Any, transform: Affine) -> None:
     if not reach < _FAR:
         fault = "which is nowhere"
     elif step < reach * 2**-48 or step < 1e-14:
-        fault = "where neighbours cannot be told apart"
+        fault = "where neighbours coincide"
     elif dataset.driver in _NORTH_FIRST and not (a > 0 > e):
-        fault = "which this format cannot say: its extent is turned round"
+        fault = "which this format does not allow: its extent is reversed"
     if fault is not None:
         raise ReadError(
             f"Its header places samples by ({', '.join(f'{v:.6g}' for v in (a, b, c, d, e, f))}), {fault}.",
-            path=dataset.name, remedy="Mend it with gdal_edit -a_ullr, or restore it from a copy.",
+            path=dataset.name, remedy="Correct it with gdal_edit -a_ullr, or restore it from a copy.",
         )  # fmt: skip
 
 
@@ -160,20 +160,20 @@ def _local(
     assumed: CRS | None,
     warnings: list[str],
 ) -> Grid:
-    """The grid of a raster that does not say where it lies: metres from its south-west corner."""
+    """The grid of a raster without georeferencing: metres from its south-west corner."""
     if dataset.gcps[0]:
         points = len(dataset.gcps[0])
         why = f"It is placed by {points} ground control points only, which are not used (gdalwarp makes a map of it)"
     elif dataset.rpcs is not None:
         why = "It is placed by rational polynomials (RPC) only, which are not used (gdalwarp makes a map of it)"
     else:
-        why = "It does not say where it lies"
+        why = "It has no georeferencing"
     if spacing is None:
-        warnings.append(f"{why}: its samples are taken to be 1 m apart (give `spacing=METRES`).")
+        warnings.append(f"{why}: its samples are assumed to be 1 m apart (give `spacing=METRES`).")
     if assumed is not None:
-        warnings.append("Without a place of its own, `assume_crs` cannot be used for it.")
+        warnings.append("Without georeferencing, `assume_crs` cannot be used for it.")
     if crs is not None:
-        warnings.append(f"Its CRS ({crs.name}) is not used, for it has no position in it.")
+        warnings.append(f"Its CRS ({crs.name}) is not used, since it has no position in it.")
     step = 1.0 if spacing is None else float(spacing)
     return Grid(shape, Affine(step, 0, 0, 0, -step, shape[0] * step), None)
 
@@ -182,7 +182,7 @@ def _nameless(grid: Grid) -> str:
     west, south, east, north = grid.bounds()
     if max(-west, east) <= 360.5 and max(-south, north) <= 90.5 and abs(grid.transform.determinant) < 1:
         return 'It has no CRS; its coordinates look like degrees (give `assume_crs="EPSG:4326"` if they are).'
-    return "It has no CRS; its coordinates are taken to be metres (give `assume_crs=CODE`)."
+    return "It has no CRS; its coordinates are assumed to be metres (give `assume_crs=CODE`)."
 
 
 @lru_cache(maxsize=64)
@@ -195,7 +195,7 @@ def parsed_crs(text: Any) -> CRS:
     try:
         return CRS.from_user_input(text)
     except CRSError:
-        raise UsageError(f"{text!r} is not a CRS that PROJ knows (e.g. EPSG:32611, or a WKT or PROJ string).") from None
+        raise UsageError(f"{text!r} is not a CRS known to PROJ (e.g. EPSG:32611, or a WKT or PROJ string).") from None
 
 
 @lru_cache(maxsize=64)
@@ -204,7 +204,7 @@ def _from_wkt(wkt: str) -> CRS:
 
 
 def full_crs(dataset: Any, warnings: list[str]) -> CRS | None:
-    """The CRS of a dataset, perhaps compound; None if it names none that is understood, of which a warning is added."""
+    """The CRS of a dataset, perhaps compound; None if it has no valid one, for which a warning is added."""
     from rasterio.errors import RasterioError
 
     if not dataset.crs:
@@ -225,7 +225,7 @@ def horizontal(crs: CRS | None) -> CRS | None:
         return horizontal(crs.sub_crs_list[0])
     if len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
         flat = crs.to_2d()
-        code = flat.to_epsg()  # to_2d() loses the code: EPSG:4979 would come back as a nameless twin of EPSG:4326
+        code = flat.to_epsg()  # to_2d() loses the code: EPSG:4979 would become a nameless twin of EPSG:4326
         return CRS.from_epsg(code) if code is not None else flat
     return crs
 
@@ -233,7 +233,7 @@ def horizontal(crs: CRS | None) -> CRS | None:
 def crs_datum(crs: CRS | None) -> str | None:
     """The name of the vertical datum of a CRS; None if it has none."""
     if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
-        # "NAVD88 height (ftUS)" is NAVD88 height once it is in metres
+        # "NAVD88 height (ftUS)" becomes NAVD88 height once it is in metres
         name = re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
         return re.sub(r" depth$", " height", name)  # which it is once its sign is changed (unit_of)
     if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
@@ -242,7 +242,7 @@ def crs_datum(crs: CRS | None) -> str | None:
 
 
 def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
-    """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
+    """The name of the vertical datum that the file declares, or its format prescribes; None if unknown."""
     datum = crs_datum(crs)
     if datum is not None:
         return datum
@@ -250,20 +250,20 @@ def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
         return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
         return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(tags_of(dataset).get("DTED_VerticalDatum", ""))
-    return tags_of(dataset).get("VERTICAL_DATUM") or None  # as what is fetched says it where no CRS can
+    return tags_of(dataset).get("VERTICAL_DATUM") or None  # fetched files declare it this way if a CRS cannot
 
 
 def attribution_of(dataset: Any) -> tuple[str, ...]:
-    """Whom the makers of a file want to be named, as its tag ATTRIBUTION says."""
+    """The credit that the makers of a file ask for, in its tag ATTRIBUTION."""
     text = (tags_of(dataset).get("ATTRIBUTION") or "").strip()
     return (text,) if text else ()
 
 
 def assumed_vertical(text: str) -> str:
-    """The name of a vertical datum that a user states: a known geoid, the ellipsoid, or a vertical CRS of PROJ's.
+    """The name of a vertical datum given by a user: a known geoid, the ellipsoid, or a vertical CRS known to PROJ.
 
     Raises:
-        UsageError: there is none of that name.
+        UsageError: there is no such datum.
     """
     name = known_datum(text.strip())
     if name in KNOWN_DATUMS:
@@ -275,43 +275,45 @@ def assumed_vertical(text: str) -> str:
     except CRSError:
         pass
     raise UsageError(
-        f"{text!r} is not a vertical datum that is known here.",
+        f"{text!r} is not a known vertical datum.",
         remedy="Give EGM96, EGM2008, ellipsoidal, or a vertical CRS such as EPSG:5703 (NAVD88 height).",
     )
 
 
 def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warnings: list[str]) -> float:
-    """Metres of height in one unit of the (scaled) values: asked for, else the band's unit tag, else the .prj beside
-    it, else the vertical axis of the CRS. Negative where they are depths, unless a unit is asked for.
+    """Metres per unit of the (scaled) values: the requested unit, else the band's unit tag, else the .prj beside it,
+    else the vertical axis of the CRS. Negative for depths, unless a unit is requested.
 
     Raises:
-        UsageError: the unit asked for is not known.
+        UsageError: the requested unit is unknown.
     """
     if asked is not None:
         factor = metres_per(asked)
         if factor is None:
             known = ", ".join(sorted({min((n for n, f in METRES.items() if f == v), key=len) for v in METRES.values()}))
-            raise UsageError(
-                f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
-            )
+            raise UsageError(f"{asked!r} is not a known unit of length (known: {known} and their full names).")
         return factor
     axis = vertical_axis(crs)
     by_crs = float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else None
     sign = 1.0
     if (axis is not None and axis.direction == "down" and dataset.driver != "BAG") or is_depth_of(dataset, band):
         sign = -1.0  # (BAG's elevations grow upwards whatever its CRS says: Format Specification, section 4)
-        warnings.append("Its numbers are depths, which become heights below 0 (give `vertical_unit` if they are none).")
+        warnings.append(
+            "Its numbers are depths and become heights below 0 (give `vertical_unit` if they are not depths)."
+        )
     tag = unit_tag(dataset, band) or unit_of_heights(dataset)
     said = metres_per(tag) if tag else None
     if tag and said is None:
         warnings.append(f"The unit of its values is {tag!r}, which is not a length: are these heights?")
     if said is not None and by_crs is not None and abs(said - by_crs) > 1e-6:
-        warnings.append(f"It says that heights are in {tag}, and its CRS another unit ({by_crs:.9g} m): {tag} is used.")
+        warnings.append(
+            f"It says that heights are in {tag}, but its CRS has another unit ({by_crs:.9g} m): {tag} is used."
+        )
     return sign * (said or by_crs or 1.0)
 
 
 def vertical_axis(crs: CRS | None) -> Any:
-    """The axis of a CRS along which heights or depths grow; None if it has none."""
+    """The axis of a CRS along which heights or depths increase; None if it has none."""
     try:
         return next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
     except ProjError:
@@ -325,17 +327,17 @@ def settled_vertical(declared: str | None, assumed: str | None, warnings: list[s
     if declared is None:
         return name
     if known_datum(declared) != name:
-        warnings.append(f"It names its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
+        warnings.append(f"It has its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
     return declared
 
 
 def plain_copyright(attribution: tuple[str, ...]) -> str:
-    """Whom to name, as the copyright of TIFF and EXIF has it, which are ASCII."""
+    """The credit for the copyright tags of TIFF and EXIF, which are ASCII."""
     return "; ".join(attribution).replace("©", "(c)")
 
 
 def copyright_tags(attribution: tuple[str, ...]) -> dict[str, str]:
-    """The tags of a GeoTIFF that say whom to name."""
+    """The tags of a GeoTIFF for the credit."""
     if not attribution:
         return {}
     return {"ATTRIBUTION": "; ".join(attribution), "TIFFTAG_COPYRIGHT": plain_copyright(attribution)}

@@ -1,7 +1,7 @@
-"""What is suspicious about a raster of heights: the faults that make wrong pictures without a word.
+"""Checks of a raster of heights: the faults that silently make wrong pictures.
 
-Each check is a sentence with what was seen and what to do; none of them changes anything. The commonest faults are
-degrees taken for metres, feet, nodata values that are not declared, and rasters that are no heights at all.
+Each check gives a sentence with the finding and the remedy; none changes anything. The commonest faults are degrees
+taken for metres, feet, undeclared nodata values, and rasters that are not heights at all.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ _UNIT_WORDS = {"cm": "cm", "centimetres": "cm", "centimeters": "cm", "ft": "ft",
 
 
 def spacing_metres(grid: Grid) -> tuple[float, float]:
-    """Metres between neighbouring samples along a row and along a column.
+    """Distance between neighbouring samples along a row and along a column, metres.
 
     Of a geographic grid at its centre, on its ellipsoid; of a projected one in the metres of its plane; without a CRS
-    the coordinates are taken to be metres.
+    the coordinates are assumed to be metres.
     """
     crs = grid.crs
     if crs is None:
@@ -53,7 +53,7 @@ def spacing_metres(grid: Grid) -> tuple[float, float]:
 
 
 def crs_text(crs: CRS | None) -> str | None:
-    """ "EPSG:nnnn" (or another authority's code) if it has one, else its WKT; None for none."""
+    """ "EPSG:nnnn" (or another authority's code) if it has one, else its WKT; None for no CRS."""
     if crs is None:
         return None
     code = crs.to_authority()
@@ -61,7 +61,7 @@ def crs_text(crs: CRS | None) -> str | None:
 
 
 def suspicions(source: Source, found: Statistics) -> list[str]:
-    """Sentences about what a user should look at twice: those of the header, then those of the heights."""
+    """Warnings for the user: those from the header, then those about the heights."""
     return [*source.warnings, *_about_place(source), *_about_heights(source, found)]
 
 
@@ -83,7 +83,7 @@ def _about_place(source: Source) -> list[str]:
     if crs.is_geographic:
         if west < -360.5 or east > 540.5 or south < -91 or north > 91:
             said.append(
-                f"Its CRS is in degrees, but its coordinates run to {max(map(abs, (west, south, east, north))):,.0f}: "
+                f"Its CRS is in degrees, but its coordinates reach {max(map(abs, (west, south, east, north))):,.0f}: "
                 "the CRS is wrong."
             )
         elif east > 180 + abs(grid.transform.a) and west < 180:
@@ -94,7 +94,7 @@ def _about_place(source: Source) -> list[str]:
         name = crs.axis_info[0].unit_name if crs.axis_info else "unit"
         if source.unit_factor == 1 and not source.unit and 0.3 < factor < 0.31:
             said.append(
-                f"Its CRS is in feet ({name}), and the unit of its heights is not declared: taken to be metres "
+                f"Its CRS is in feet ({name}), but the unit of its heights is not declared: assumed to be metres "
                 '(give `vertical_unit="ft"` or `vertical_unit="us-ft"` if they are feet).'
             )
         else:
@@ -115,13 +115,13 @@ def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) ->
         said.append("It has one row or column of samples; a surface needs at least two of each.")
     low, high = found.low, found.high
     for value in sorted(source.undeclared):
-        said.append(f"It holds the number {value:g}, which it does not declare as nodata: treated as missing.")
+        said.append(f"It contains the number {value:g}, undeclared as nodata: treated as missing.")
     if math.isnan(low):
         said.append("None of its samples is valid." if found.exact else "No valid sample was found.")
         return said
     word = _not_heights(source)
     if word:
-        said.append(f"It is called {word!r}, which is not a height.")
+        said.append(f"It is called {word!r}, which does not suggest heights.")
     undeclared = [n for n in _USUAL_NODATA if _is(source, n, low) or _is(source, n, high)]
     for number in undeclared:
         which = "lowest" if _is(source, number, low) else "highest"
@@ -160,8 +160,8 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
     if word is not None and source.unit_factor == 1 and not source.unit:
         unit = _UNIT_WORDS[word]
         said.append(
-            f"Its name says {word!r}, but the unit of its heights is not declared: taken to be metres "
-            f"(give `vertical_unit={unit!r}` if they are not)."
+            f"Its name says {word!r}, but the unit of its heights is not declared: assumed to be metres (give "
+            f"`vertical_unit={unit!r}` if they are not)."
         )
     on_earth = radius == math.inf or 6.3e6 < radius < 6.4e6
     if on_earth and (high > _HIGHEST or low < _DEEPEST):
@@ -175,8 +175,8 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
     extent = max(dx * source.grid.cols, dy * source.grid.rows)
     if found.slope > 2:
         said.append(
-            f"From sample to sample it rises or falls {found.slope:.3g} times the spacing on average, steeper than any "
-            "landscape: the spacing or the unit of the heights is not what it says"
+            f"From sample to sample it rises or falls {found.slope:.3g} times the spacing on average, steeper than "
+            "any landscape: the declared spacing or unit of heights is wrong"
             + ("." if source.georeferenced else " (give `spacing=METRES`).")
         )
     elif 0 < high - low < 1e-4 * extent and extent > 1000 and low > _FLOOR_KM and high < _TOP_KM:
@@ -189,7 +189,7 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
 
 
 def _looks_like_coordinates(source: Source) -> bool:
-    """Whether, in a window in the middle, all rows (or columns) rise or fall all along, by almost even steps."""
+    """Whether, in a window in the middle, all rows (or columns) rise or fall throughout, by almost even steps."""
     rows, cols = source.shape
     if min(rows, cols) < 8:
         return False
@@ -206,7 +206,7 @@ def _looks_like_coordinates(source: Source) -> bool:
 
 
 def _not_heights(source: Source) -> str | None:
-    """The word in the band's description, or in the file's name, that says it is something else."""
+    """The word in the band's description, or in the file's name, that suggests something else."""
     words = [*_words(source.description), *_words(source.name)]
     return next((word for word in words if word in _NOT_HEIGHTS), None)
 
@@ -216,7 +216,7 @@ def _words(text: str) -> list[str]:
 
 
 def _is(source: Source, number: int, height: float) -> bool:
-    """Whether a height is that of a stored number that is not the declared nodata."""
+    """Whether a height comes from a stored number that is not the declared nodata."""
     if source.encoding is not None or number == source.nodata:
         return False
     return float(np.float32((number * source.scale + source.offset) * source.unit_factor)) == height
@@ -230,12 +230,12 @@ def _ellipsoid(crs: CRS | None) -> Ellipsoid | None:
 
 
 def _unit(crs: CRS) -> float:
-    """Metres (or radians) in one unit of the CRS's first axis."""
+    """Metres (or radians) per unit of the CRS's first axis."""
     return float(crs.axis_info[0].unit_conversion_factor) if crs.axis_info else 1.0
 
 
 def _mercator_stretch(grid: Grid) -> float:
-    """How many times too long the metres are at most, over the raster's height."""
+    """The maximum factor by which the metres are too long, over the raster's extent."""
     if grid.crs is None or grid.crs.geodetic_crs is None:
         return 1.0
     try:

@@ -1,7 +1,7 @@
 """Rasters whose samples lie on one lattice, read as one raster by exact integer copies.
 
 Tiles of one product differ only in where their first sample lies, by a whole number of samples, whether they share an
-edge row, overlap or merely touch. Put together sample by sample *before* anything is interpolated, they leave no seam.
+edge row, overlap or merely touch. Joined sample by sample *before* anything is interpolated, they leave no seam.
 Rasters belong together if their CRS is equal, their spacing within ``SPACING_TOLERANCE`` (relative) and their offset
 within ``OFFSET_TOLERANCE`` of a whole number of samples. Where several have a valid sample the first in the list wins.
 """
@@ -27,7 +27,7 @@ Heights = NDArray[np.float32]
 
 
 class Raster(Protocol):
-    """What a mosaic needs of a source (``orograph.dem.source.Source`` is one)."""
+    """What a mosaic needs from a source (``orograph.dem.source.Source`` is one)."""
 
     @property
     def grid(self) -> Grid: ...
@@ -40,11 +40,11 @@ class Raster(Protocol):
 
 
 class SourceLattice(Protocol):
-    """Samples on one lattice, as a terrain is made of them.
+    """Samples on one lattice, from which a terrain is made.
 
     Attributes:
         grid: where they lie.
-        code: (dtype, nodata) of the smallest numbers that hold all of them exactly; ("float32", nan) where none do.
+        code: (dtype, nodata) of the smallest numbers that hold all of them exactly; ("float32", nan) if none do.
     """
 
     @property

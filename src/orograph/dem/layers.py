@@ -1,7 +1,8 @@
-"""One lattice of sources as a layer of a mosaic: how it is taken to the target grid, and how much of it a window needs.
+"""One lattice of sources as a layer of a mosaic: how it is resampled to the target grid, and how much of it a window
+needs.
 
 A lattice whose samples are the target's is copied at a whole offset; any other is resampled at exact coordinates, after
-blocks of its samples have been averaged where the target is coarser. Units: samples.
+averaging blocks of its samples if the target is coarser. Units: samples.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from orograph.dem.lattice import Lattice, Raster, SourceLattice, offset_between
 from orograph.dem.resample import box_means, sample
 from orograph.geo.grid import Grid, compose
 
-COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
+COARSER = 1.5  # from this ratio of spacings on, sources are averaged before sampling
 BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
 PIECE = 1 << 22  # target samples resampled at once
 STRIP = 256  # rows whose coordinates are held at once
@@ -30,7 +31,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class LatticeMap:
-    """A lattice and how to take it to the target grid: by a whole offset, or by coordinates (and averaging before)."""
+    """A lattice and its mapping to the target grid: by a whole offset, or by coordinates (with averaging before)."""
 
     lattice: SourceLattice
     offset: tuple[int, int] | None  # (row, col) of the target's first sample in the lattice
@@ -47,7 +48,7 @@ class LatticeMap:
 
 
 def layer_of(lattice: SourceLattice, target: Grid, resampling: str) -> LatticeMap:
-    """How ``lattice`` is taken to ``target``."""
+    """The mapping of ``lattice`` to ``target``."""
     everything = (0, target.rows, 0, target.cols)
     offset = offset_between(target, lattice.grid)
     if offset is not None:
@@ -83,7 +84,7 @@ def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, i
     col, row = back.exact((grid.cols - 1) / 2 + s * (grid.cols + 1), (grid.rows - 1) / 2 + d * (grid.rows + 1))
     if not np.isfinite(col + row).all():
         return 0, target.rows, 0, target.cols
-    slack_r = 4 + (0.05 + 3 / grid.rows) * np.ptp(row)  # (kernels look at two samples of the source beyond a place)
+    slack_r = 4 + (0.05 + 3 / grid.rows) * np.ptp(row)  # (kernels read two samples of the source beyond a place)
     slack_c = 4 + (0.05 + 3 / grid.cols) * np.ptp(col)
     r0, r1 = math.floor(row.min() - slack_r), math.ceil(row.max() + slack_r)
     c0, c1 = math.floor(col.min() - slack_c), math.ceil(col.max() + slack_c)
@@ -139,7 +140,7 @@ def needed(layer: LatticeMap, mesh: NodeMesh) -> tuple[int, int, int, int] | Non
 
 
 def filled(method: str, layers: Sequence[LatticeMap], row0: int, row1: int, col0: int, col1: int) -> Heights:
-    """A window of the target: of the first lattice, and where that has no value of the next; NaN where none has."""
+    """A window of the target: from the first lattice, and where that has no value from the next; NaN where none has."""
     out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
     for i, layer in enumerate(layers):
         a, b = max(row0, layer.box[0]), min(row1, layer.box[1])

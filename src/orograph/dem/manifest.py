@@ -1,13 +1,13 @@
-"""A manifest: what many elevation files are, so that none has to be opened to know.
+"""A manifest: descriptions of many elevation files, so that none has to be opened for them.
 
-It is GeoJSON, one feature a line (``*.manifest.geojsonl``), which GIS programs draw and any editor edits: footprint,
-what people ask of a file (path, size, time of change, shape, type, resolution, CRS, datum, nodata value), and under
-``header`` whatever ``Source`` needs besides. It is taken wherever files are named. Lines may be removed or put in
-another order, which is the order of precedence; a line of a path alone, ``{"path": "a.tif"}``, is enough.
+It is GeoJSON, one feature per line (``*.manifest.geojsonl``), which GIS programs can draw and any editor can edit:
+footprint, the main facts (path, size, modification time, shape, type, resolution, CRS, datum, nodata value), and under
+``header`` whatever else ``Source`` needs. It is accepted wherever files are. Lines may be removed or reordered; their
+order is the order of precedence. A line with only a path, ``{"path": "a.tif"}``, is enough.
 
-What a line says counts only as long as it is true: a file is opened anew where its size or time of change, or what lies
-beside it under its name, is not what it was, where the line was edited, or made with other options. Of files on
-servers, and their entity tags, only ``orograph manifest`` asks (``asking``); who reads a manifest takes its word.
+A line counts only while it is true: a file is reopened if its size, modification time or companion files have changed,
+or if the line was edited or made with other options. Only ``orograph manifest`` checks files on servers, and their
+entity tags (``asking``); readers of a manifest trust it.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 
 AT_ONCE = 16
-"""Files on servers that are opened at once."""
+"""Files on servers opened at once."""
 
 PLAIN = tuple(
     one.name for one in fields(Source)
     if one.name not in ("path", "location", "grid", "undeclared", "valid", "block", "attribution", "_opened")
 )  # fmt: skip
-"""What of a source is JSON as it is."""
+"""Attributes of a source that are JSON values."""
 
 
 class Line(NamedTuple):
@@ -65,11 +65,11 @@ class Line(NamedTuple):
     folder: Path | str
 
     def source(self, options: Mapping[str, Any], ask: bool = False) -> Source | None:
-        """The file, as the line describes it; None if it does not, or no longer.
+        """The file as the line describes it; None if the description is absent or outdated.
 
         Args:
-            options: those of ``Source.open`` that are not the usual.
-            ask: servers, whether their files are what they were.
+            options: those of ``Source.open`` that differ from the defaults.
+            ask: check files on servers for changes.
         """
         header = self.said.get("header")
         if not isinstance(header, dict) or self.said.get("check") != _check(self.said):
@@ -98,10 +98,11 @@ class Line(NamedTuple):
 
 
 class Named(NamedTuple):
-    """What ``opened`` makes of names.
+    """The result of ``opened``.
 
     Attributes:
-        sources, damaged: what could be opened, in order, and why what could not. files: how many in all.
+        sources, damaged: the files that could be opened, in order, and the errors of the others. files: how many in
+        all.
         manifests: whether any of the names was one.
     """
 
@@ -112,10 +113,10 @@ class Named(NamedTuple):
 
 
 def opened(names: Sequence[str | os.PathLike[str]], options: Mapping[str, Any], progress: Progress = SILENT) -> Named:
-    """Open files, those that folders among them hold, and those that manifests list; of these only what changed.
+    """Open files, those in folders, and those that manifests list (of these only changed ones).
 
     Args:
-        options: of ``Source.open``. progress: is told of the files.
+        options: of ``Source.open``. progress: gets reports on the files.
 
     Raises:
         ReadError: a manifest cannot be read.
@@ -143,7 +144,7 @@ def read(path: str | os.PathLike[str]) -> list[Line]:
     """The lines of a manifest.
 
     Raises:
-        ReadError: it is not there, lists nothing, or a line is no JSON object with a path.
+        ReadError: it does not exist, lists nothing, or a line is not a JSON object with a path.
     """
     file = os.fspath(path)
     try:
@@ -167,8 +168,8 @@ def _line(row: str, number: int, file: str) -> Line:
         return line_of(row, file.rpartition("/")[0] if is_remote(file) else Path(file).parent)
     except (ValueError, LookupError, TypeError, AttributeError):
         raise ReadError(
-            f"Line {number} of the manifest is no JSON object with a path.", path=file,
-            remedy='Mend or remove it; {"path": "tile.tif"} is enough.',
+            f"Line {number} of the manifest is not a JSON object with a path.", path=file,
+            remedy='Correct or remove it; {"path": "tile.tif"} is enough.',
         ) from None  # fmt: skip
 
 
@@ -176,7 +177,7 @@ def line_of(row: str, folder: Path | str) -> Line:
     """A line of a manifest in a folder, or at an address.
 
     Raises:
-        ValueError, LookupError, TypeError, AttributeError: it is no JSON object with a path.
+        ValueError, LookupError, TypeError, AttributeError: it is not a JSON object with a path.
     """
     said = parse(row)
     said = said.get("properties", said)
@@ -187,10 +188,10 @@ def line_of(row: str, folder: Path | str) -> Line:
 
 
 def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str, ReadError | None]:
-    """The line of a file as it is now, and why it cannot be opened if it cannot.
+    """The line of a file in its current state, and the error if it cannot be opened.
 
     Args:
-        line: what is known of it. options: of ``Source.open``. folder: of the manifest.
+        line: what is already known. options: of ``Source.open``. folder: of the manifest.
     """
     unusual = _unusual(options)
     source = line.source(unusual, ask=True)
@@ -216,7 +217,7 @@ def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str
         "header": header,
     }
     said["check"] = _check(said)
-    # Parts of a VRT count, too, and they may come and go: it is opened whenever it is wanted.
+    # A VRT's parts count too, and may come and go: it is opened whenever it is used.
     if source.driver in ("VRT", "Zarr") or not _same(
         source, _source(source.path, source.location, json.loads(json.dumps(header)), Seen(()))
     ):
@@ -225,21 +226,21 @@ def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str
 
 
 def _opened(path: str, options: Mapping[str, Any]) -> Source:
-    """A file by its own name, whatever a manifest said of it."""
+    """A file by its own name, without a manifest."""
     know_state(path, None)
     return Source.open(path, **options)
 
 
 def _state(said: Sequence[Any]) -> State | tuple[Any, ...]:
-    """What a manifest says of a file: of one on a server it has an entity tag, too, or its absence."""
+    """A manifest's entry on a file's state; for one on a server it includes its entity tag, or its absence."""
     return State(*said) if len(said) == len(State._fields) else tuple(said)
 
 
 def _header(source: Source, unusual: Mapping[str, Any], folder: Path, before: State | None = None) -> dict[str, Any]:
-    """What is needed to read a file without a look at its header.
+    """What is needed to read a file without reading its header.
 
     Args:
-        before: what its server said of it before it was opened.
+        before: the server's answer before it was opened.
     """
     names = files_of(source.location)
     states: list[Sequence[Any]] = list(Seen(names).states())
@@ -299,7 +300,7 @@ def _same(one: Source, other: Source) -> bool:
 
 @lru_cache(maxsize=64)
 def _same_crs(one: CRS | None, other: CRS | None) -> bool:
-    """Whether two CRSs are written alike, which hashes of them are made of."""
+    """Whether two CRSs have the same text, from which hashes are made."""
     if one is None or other is None:
         return one is other
     return one.to_wkt() == other.to_wkt() and wkt_of(one) == wkt_of(other)
@@ -316,7 +317,7 @@ def _to_degrees(crs: CRS) -> Callable[[Any, Any], tuple[Any, Any]] | None:
 
 
 def _footprint(grid: Grid) -> dict[str, Any] | None:
-    """The outline of a grid's outermost samples in degrees, 8 places to a side; None where it cannot be said."""
+    """The outline of a grid's outermost samples in degrees, 8 places per side; None if it has none."""
     move = None if grid.crs is None else _to_degrees(grid.crs)
     if move is None:
         return None
@@ -337,13 +338,13 @@ def _row(geometry: Mapping[str, Any] | None, said: Mapping[str, Any]) -> str:
 
 
 def _check(said: Mapping[str, Any]) -> str:
-    """A checksum of all that a line says, so that what was edited is noticed."""
+    """A checksum of a line, to detect edits."""
     rest = {name: value for name, value in said.items() if name != "check"}
     return f"{zlib.crc32(json.dumps(rest, sort_keys=True).encode()):08x}"
 
 
 def _unusual(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of ``Source.open`` that are not the usual."""
+    """The options of ``Source.open`` that differ from the defaults."""
     usual: dict[str, Any] = {"band": 1}
     return {name: value for name, value in options.items() if value is not None and value != usual.get(name)}
 
@@ -364,7 +365,7 @@ def _value(said: Any) -> Any:
 
 
 def _said(name: str, folder: Path) -> str:
-    """A file's name as a manifest in a folder has it: relative if it lies below."""
+    """A file's name for a manifest in a folder: relative if it lies below."""
     if name.startswith("/vsi") or "://" in name or not Path(name).exists():
         return name
     file, here = Path(name).absolute(), folder.absolute()
@@ -372,7 +373,7 @@ def _said(name: str, folder: Path) -> str:
 
 
 def _meant(name: str, folder: Path | str) -> str:
-    """The file that a name in a manifest means."""
+    """The file that a name in a manifest refers to."""
     if name.startswith("/") or "://" in name or ":" in name:
         return name
     if isinstance(folder, str):
@@ -387,7 +388,7 @@ def _threads(lines: Sequence[Line]) -> int:
 def rows(
     lines: Sequence[Line], options: Mapping[str, Any], folder: Path, jobs: int | None = None
 ) -> Iterator[tuple[str, ReadError | None]]:
-    """``described`` of many files, in order, from so many threads."""
+    """``described`` for many files, in order, in ``jobs`` threads."""
     return map_ordered(lambda line: described(line, options, folder), lines, jobs or _threads(lines))
 
 

@@ -1,10 +1,11 @@
 """Which stored numbers mean "no height here": the nodata value, and masks.
 
 The nodata value is compared with numbers as stored, in their own type, before any scaling; a value that cannot occur in
-that type (−9999 declared for bytes) is none.
+that type (−9999 declared for bytes) is ignored.
 
 netCDF may also name a ``missing_value`` beside ``_FillValue``, and a valid range (CF 1.11, §2.5.1). GDAL puts 0 where a
-number is beyond it and no fill value is declared; datasets are opened so that it does not (``handles.open_dataset``).
+number is outside it and no fill value is declared; datasets are opened so as to prevent this
+(``handles.open_dataset``).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ KEEP_RANGE = {"HONOUR_VALID_RANGE": "NO"}
 def is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
     """Where stored numbers mean "missing".
 
-    Integers are compared exactly. Floats are compared as float32, in which the result is anyway: the tag may be a
+    Integers are compared exactly. Floats are compared as float32, as the result is float32 anyway: the tag may be a
     float64 text of a float32 value or the reverse (−3.4028234663852886e+38, −99.9); unless float32 would turn it into
     0.
     """
@@ -60,12 +61,12 @@ def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) ->
     if value is None:
         return None
     if isinstance(value, int) and abs(value) >= 1 << 64:
-        value = float(str(value))  # no integer is stored that large; a text of any length is a float, or infinite
+        value = float(str(value))  # no integer stored is that large; a long text is a float, or infinite
     if np.dtype(dtype).kind == "f":
         return float(value)
     info = np.iinfo(dtype)
     if not np.isfinite(value) or value != int(value) or not info.min <= int(value) <= info.max:
-        return None  # -9999 declared on uint8, say: no stored number equals it
+        return None  # -9999 declared for uint8, for example: no stored number equals it
     return int(value)
 
 
@@ -73,7 +74,7 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
     """The nodata value that a file declares.
 
     Raises:
-        ReadError: GDAL may have cut it off: of integers of 64 bits it reads −9.22e+18 as −9.
+        ReadError: GDAL may have truncated it: for 64-bit integers it reads −9.22e+18 as −9.
     """
     value: float | None = dataset.nodatavals[band - 1]
     if value is None or dtype not in ("int64", "uint64") or not 0 < abs(value) < 10:
@@ -82,7 +83,7 @@ def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
     if text is None:
         raise ReadError(
             f"Its nodata value is read as {value:g}, which may be the first digit of another such as {value:g}e+18.",
-            path=dataset.name, remedy="Say which number means missing: `nodata=N`, or none.",
+            path=dataset.name, remedy="Give the number that means missing: `nodata=N`, or none.",
         )  # fmt: skip
     return int(float(text))
 
@@ -91,23 +92,23 @@ _NUMBER = re.compile(r"[+-]?(?:nan|inf(?:inity)?|1\.#\w+|(?:\d+\.?\d*|\.\d+)(?:e
 
 
 def check_text(dataset: Any, text: str | None) -> None:
-    """Raise ReadError if a GeoTIFF's nodata value is no number, of which GDAL takes what it begins with, else 0."""
+    """Raise ReadError if a GeoTIFF's nodata value is not a number: GDAL would use its beginning, or 0."""
     said = None if text is None else text.partition("\0")[0].strip()
     if said and not _NUMBER.fullmatch(said.replace(",", ".") if re.fullmatch(r"[+-]?\d+,0*", said) else said):
         raise ReadError(
-            f"Its nodata value ({said!r}) is no number.", path=dataset.name,
-            remedy="Say which number means missing: `nodata=N`, or none.",
+            f"Its nodata value ({said!r}) is not a number.", path=dataset.name,
+            remedy="Give the number that means missing: `nodata=N`, or none.",
         )  # fmt: skip
 
 
 def is_default_fill(dataset: Any, band: int) -> bool:
-    """Whether a nodata value of 0 is only Zarr's usual fill value, of chunks that were not written."""
+    """Whether a nodata value of 0 is just Zarr's default fill value, for unwritten chunks."""
     said = {**dataset.tags(), **dataset.tags(band)}
     return bool(dataset.driver == "Zarr" and dataset.nodatavals[band - 1] == 0 and "_FillValue" not in said)
 
 
 def nodata_text(dataset: Any, band: int) -> str | None:
-    """The nodata value as the text that a GeoTIFF or a VRT holds; None of other formats."""
+    """The nodata value as text in a GeoTIFF or a VRT; None for other formats."""
     name = main_file(dataset)
     if not here(name):
         return None
@@ -119,7 +120,7 @@ def nodata_text(dataset: Any, band: int) -> str | None:
 
 
 def impossible_nodata(dataset: Any, band: int, said: str | None, whose: str = "Its nodata value") -> Iterator[str]:
-    """A warning of a nodata value of a GeoTIFF or a VRT, or of a user, that the type of the band cannot hold.
+    """A warning if the band's type cannot hold the nodata value of a GeoTIFF or a VRT, or of a user.
 
     Args:
         said: its text. whose: how the warning begins.
@@ -138,8 +139,8 @@ def impossible_nodata(dataset: Any, band: int, said: str | None, whose: str = "I
     stored = ""
     if value == np.trunc(value) and abs(value) < 2**63:
         wrapped = int(np.array(int(value), np.int64).astype(kind))
-        stored = f"; what is missing may be stored as {wrapped} (give `nodata={wrapped}` if it is)"
-    yield f"{whose} ({text}) cannot occur in {kind.name}, so that nothing is missing by it{stored}."
+        stored = f"; missing samples may be stored as {wrapped} (if so, give `nodata={wrapped}`)"
+    yield f"{whose} ({text}) cannot occur in {kind.name}, so it marks nothing as missing{stored}."
 
 
 def _tag(file: IO[bytes], wanted: int) -> str | None:
@@ -179,14 +180,14 @@ def mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal
             return "alpha", alphas[0]
         return "none", 0
     if MaskFlags.nodata in flags and (flags == {MaskFlags.nodata} or asked is not None):
-        return "none", 0  # nothing but the nodata value, which is compared here
+        return "none", 0  # only the nodata value, which is compared here
     if dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.alpha:
         return "none", 0
     return "gdal", 0
 
 
 class Valid(NamedTuple):
-    """Which stored numbers are heights, besides what the nodata value says.
+    """Which stored numbers are heights, in addition to the nodata value.
 
     Attributes:
         others: further numbers that mean "missing".
@@ -198,7 +199,7 @@ class Valid(NamedTuple):
     high: float = np.inf
 
     def outside(self, raw: NDArray[Any]) -> NDArray[np.bool_]:
-        """Where stored numbers are none of heights."""
+        """Where stored numbers are not heights."""
         beyond: NDArray[np.bool_] = (raw < self.low) | (raw > self.high)
         for number in self.others:
             beyond |= is_nodata(raw, number)
@@ -211,7 +212,7 @@ def is_limited(dataset: Any) -> bool:
 
 
 def valid_of(dataset: Any, band: int) -> Valid | None:
-    """What a netCDF variable says of its missing data besides its nodata value; None: nothing."""
+    """What a netCDF variable declares about missing data besides its nodata value; None: nothing."""
     if dataset.driver != "netCDF":
         return None
     tags = dataset.tags(band)

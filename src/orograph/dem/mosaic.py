@@ -45,7 +45,7 @@ Heights = NDArray[np.float32]
 
 
 class Mosaic:
-    """One raster made of many.
+    """One raster made from many.
 
     Attributes:
         grid: the terrain's grid: projected, metres (or local metres without a CRS).
@@ -56,12 +56,12 @@ class Mosaic:
         projection: why the grid has its CRS ("UTM zone 11N", "as the source").
         lossless: whether every sample is a source's own, none interpolated.
         resampling: "nearest", "bilinear" or "cubic".
-        void: the part of the grid that lies in no source, at least, 0 to 1.
-        undulation: the conversion of heights that was asked for, or None.
-        attribution: whom the sources' makers want to be named, each once.
+        void: lower bound of the part of the grid outside all sources, 0 to 1.
+        undulation: the requested conversion of heights, or None.
+        attribution: the credits that the sources' makers ask for, each once.
         dtypes: the stored types of the sources, e.g. ("int16",).
-        skipped: what could not be opened and was left out, each with its cause.
-        named: the names it was opened by where manifests were among them.
+        skipped: files that could not be opened and were left out, each with its cause.
+        named: the names that it was opened by, if manifests were among them.
     """
 
     skipped: tuple[str, ...] = ()
@@ -94,13 +94,13 @@ class Mosaic:
         if len({g.crs is None for g in grids}) == 2:
             nameless = next(s for s, g in zip(self.sources, grids) if g.crs is None)
             raise ReadError(
-                "It has no CRS while other files have one: they cannot be put together.",
+                "It has no CRS while other files have one: they cannot be combined.",
                 path=getattr(nameless, "path", nameless.name),
                 remedy="Give the CRS of such files with `assume_crs`.",
             )
         if wanted is not None and grids[0].crs is None:
             raise UsageError(
-                "It has no CRS, so it cannot be brought to another.",
+                "It has no CRS, so it cannot be transformed to another.",
                 path=getattr(self.sources[0], "path", self.sources[0].name),
                 remedy="Give its CRS (`assume_crs`), or write one into it (gdal_edit.py -a_srs).",
             )
@@ -157,23 +157,23 @@ class Mosaic:
         """Open files (headers only) and choose the grid that holds them all.
 
         Args:
-            paths: one file or many, folders of them (``dem.folders``), or manifests (``dem.manifest``); of those on one
-                lattice the first named wins where several have a sample.
+            paths: one file or many, folders of them (``dem.folders``), or manifests (``dem.manifest``); where several
+                on one lattice have a sample, the first given wins.
             crs: projected CRS of the terrain; one in feet is used with metre axes.
             resolution: metres between samples of the terrain.
-            resampling: "nearest", "bilinear" or "cubic"; has no effect where samples are kept.
+            resampling: "nearest", "bilinear" or "cubic"; has no effect if samples are kept.
             to_vertical: "ellipsoidal" or "orthometric": convert heights to those above the ellipsoid, or the geoid.
             geoid: the geoid grid, or its file, by which to convert.
             bbox: west, south, east, north in degrees: read this area only.
             clip: polygons outside which samples are missing (``Area.of``).
             skip_damaged: leave out files that cannot be opened (``skipped`` and a warning name them): their ground is
-                missing. What only shows when samples are read stays an error.
+                missing. Damage found only when samples are read remains an error.
             options: those of ``Source.open``.
 
         Raises:
             ReadError: files cannot be read (all of them are named) or placed, the area cannot be shown flat, or the
                 geoid grid is missing or does not cover it.
-            UsageError: options that cannot be understood, or heights of another datum than a conversion starts from.
+            UsageError: invalid options, or heights whose datum does not fit the conversion.
         """
         from orograph.dem.manifest import opened
         from orograph.dem.source import Source
@@ -188,7 +188,7 @@ class Mosaic:
             raise ReadError(
                 f"The raster has {rows} × {cols} samples (rows × columns); a surface needs at least two of each.",
                 path=found.sources[0].path,
-                remedy="Name files that hold more, or the files beside it as well.",
+                remedy="Give files that hold more, or also the adjacent files.",
             )
         usual = inspect.signature(Source.open).parameters
         made = cls(
@@ -226,8 +226,8 @@ class Mosaic:
         return out
 
     def heights_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Heights (n,) at places (n,) in the grid's CRS out of the sources' own samples, bilinear on their own lattice
-        (not on the grid, to which they may have been resampled); NaN where there is none.
+        """Heights (n,) at places (n,) in the grid's CRS from the sources' own samples, bilinear on their own lattice
+        (not on the grid, to which they may have been resampled); NaN where there are none.
 
         Raises:
             ReadError: a source is damaged there.
@@ -246,19 +246,19 @@ class Mosaic:
 
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:
-        """Of each source the rows and columns of the grid (half-open) that it may decide, generously."""
+        """For each source the rows and columns of the grid (half-open) that it may affect, generously."""
         found = {id(member): window for layer in self._layers for member, window in reaches(layer, self.grid)}
         return [found[id(source)] for source in self.sources]
 
     def fingerprint(self) -> str:
-        """A hash of all files (``deciding.files_of``: absolute path, size, time of change) and all options: if equal,
-        so are the samples."""
+        """A hash of all files (``deciding.files_of``: absolute path, size, modification time) and all options: if it is
+        equal, so are the samples."""
         said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
         said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
         for source in self.sources:
             location = getattr(source, "location", None)
             said += states([getattr(source, "path", source.name), *(files_of(location) if location else ())])
-            if (fingerprint := getattr(source, "fingerprint", None)) is not None:  # of what is no file
+            if (fingerprint := getattr(source, "fingerprint", None)) is not None:  # for sources that are not files
                 said.append(fingerprint())
         if self.undulation is not None:
             said += states([os.fspath(self.undulation.geoid.path)])
@@ -281,7 +281,7 @@ class Mosaic:
         return paths, options
 
     def check_void(self) -> None:
-        """Raise UsageError where it is huge and nearly all void, and neither samples nor area were asked for."""
+        """Raise UsageError if it is huge and nearly all void, and neither spacing nor area were requested."""
         check_void(self.void, self.grid, any(self._options.get(name) is not None for name in ("resolution", "bbox")))
 
     def _check_bodies(self, grids: Sequence[Grid], wanted: CRS | None) -> None:
@@ -293,27 +293,27 @@ class Mosaic:
             first = grids[0].crs
             if first is not None and not same_body(grid.crs, first):
                 raise ReadError(
-                    f"It is of another planet or moon ({grid.crs.name}) than {self.sources[0].name} ({first.name}): "
-                    "they cannot be put together.",
+                    f"It is on a different planet or moon ({grid.crs.name}) from {self.sources[0].name} "
+                    f"({first.name}): they cannot be combined.",
                     path=path,
-                    remedy="Name files of one body.",
+                    remedy="Give files of one body.",
                 )
             if wanted is not None and not same_body(grid.crs, wanted):
                 raise UsageError(
-                    f"It is of another planet or moon ({grid.crs.name}) than the CRS asked for ({wanted.name}).",
+                    f"It is on a different planet or moon ({grid.crs.name}) from the requested CRS ({wanted.name}).",
                     path=path,
-                    remedy="Leave `crs` away, or give a projected CRS of that body.",
+                    remedy="Leave out `crs`, or give a projected CRS of that body.",
                 )
 
     def _one_datum(self) -> str | None:
         datums = {s.vertical for s in self.sources}
         if len(datums - {None}) > 1:
             self.warnings.append(
-                f"The files have heights above different datums ({', '.join(sorted(d for d in datums if d))}); "
-                "they are put together as they are, which leaves steps of up to tens of metres."
+                f"The files have heights above different datums ({', '.join(sorted(d for d in datums if d))}); they "
+                "are combined unchanged, which leaves steps of up to tens of metres."
             )
         elif len(datums) > 1:
-            self.warnings.append("Some of the files do not say above which datum their heights are.")
+            self.warnings.append("Some of the files do not declare the datum of their heights.")
         return self.sources[0].vertical if len(datums) == 1 else None
 
     def _gather_warnings(self) -> None:
@@ -340,7 +340,7 @@ class Mosaic:
             )
 
     def _warn_of_datums(self, lattices: Sequence[Lattice]) -> None:
-        """Say where positions come from another datum by less than the best way there is, if that could be seen."""
+        """Warn if positions come from another datum by less than the best operation, and that could be visible."""
         said: dict[str, str] = {}
         for lattice in lattices:
             if lattice.grid.crs is not None and self.grid.crs is not None:
@@ -352,16 +352,16 @@ class Mosaic:
 
 
 TOLD = 20
-"""Damaged files that a message names."""
+"""Maximum number of damaged files that a message names."""
 
 
 def unread(damaged: Sequence[ReadError], count: int) -> ReadError:
-    """What says of all files that cannot be opened why; of a single one, its own error."""
+    """The error that lists all files that cannot be opened; for a single one, its own error."""
     if len(damaged) == 1:
         return damaged[0]
     return ReadError(
         f"{_count(damaged, count)} damaged or missing: {_listed(damaged)}",
-        remedy="Mend or replace them, or leave them out (`skip_damaged`): their ground is missing then.",
+        remedy="Repair or replace them, or skip them (`skip_damaged`), which leaves their ground missing.",
     )
 
 
@@ -370,7 +370,7 @@ def _count(damaged: Sequence[ReadError], count: int) -> str:
 
 
 def _listed(damaged: Sequence[ReadError]) -> str:
-    """Files with their causes, on lines of their own where there are several."""
+    """Files with their causes, on separate lines if there are several."""
     told = [f"{error.path}: {error.what}" for error in damaged[:TOLD]]
     more = [f"and {len(damaged) - TOLD} more"] if len(damaged) > TOLD else []
     return "\n  ".join(["", *told, *more]) if len(damaged) > 1 else told[0]

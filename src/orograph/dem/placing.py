@@ -1,6 +1,6 @@
-"""Where rasters lie, as a mosaic needs it: horizontal, in metres east and north if projected, neighbours side by side.
+"""Place rasters for a mosaic: horizontal, in metres east and north if projected, neighbours side by side.
 
-Also how true the metres of a projection are there: the scale of a projected grid, map metres per metre on the ground.
+Also the scale of a projected grid: map metres per metre on the ground.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid
     """A source's grid in a horizontal CRS; if it is projected, in metres east and north.
 
     Raises:
-        ReadError: the file does not say where or how large it is.
+        ReadError: the file has no place or size.
     """
     grid, path = source.grid, getattr(source, "path", source.name)
     if grid.crs is None or not (
@@ -33,7 +33,7 @@ def placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid
             return Grid(grid.shape, grid.transform, None)
         if not getattr(source, "georeferenced", True) or grid.transform == Affine.identity():
             raise ReadError(
-                "It does not say where it lies or how far apart its samples are.",
+                "It has neither georeferencing nor a spacing of samples.",
                 path=path,
                 remedy="Give the distance between samples in metres (`spacing=30`), or the CRS (`assume_crs`).",
             )
@@ -42,9 +42,9 @@ def placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid
             raise ReadError(
                 f"It has no CRS and its extent ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
                 path=path,
-                remedy='Say so (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
+                remedy='Give it (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
             )
-        warnings.append("It has no CRS; its coordinates are taken to be metres (give `assume_crs=CODE`).")
+        warnings.append("It has no CRS; its coordinates are assumed to be metres (give `assume_crs=CODE`).")
         warnings[:] = list(dict.fromkeys(warnings))
         return Grid(grid.shape, grid.transform, None)
     crs = horizontal(grid.crs)

@@ -1,6 +1,6 @@
-"""Heights at single places out of a raster's own samples: bilinear between the four around, read block by block.
+"""Heights at single places from a raster's own samples: bilinear between the surrounding four, read block by block.
 
-What is missing is treated as ``resample`` does: a place has a height exactly if its nearest sample has one. Units:
+Missing samples are treated as in ``resample``: a place has a height exactly if its nearest sample has one. Units:
 samples; metres.
 """
 
@@ -16,7 +16,7 @@ from orograph.dem.resample import sample
 from orograph.geo.grid import Grid
 
 BLOCK = 256
-"""Samples along the side of the blocks by which places are taken."""
+"""Side in samples of the blocks by which places are processed."""
 
 Array = NDArray[np.float64]
 Read = Callable[[int, int, int, int], NDArray[np.float32]]
@@ -52,7 +52,7 @@ def heights_between(read: Read, shape: tuple[int, int], col: Array, row: Array, 
 
 
 def heights_at(grid: Grid, layers: Sequence[LatticeMap], x: ArrayLike, y: ArrayLike) -> Array:
-    """Heights (n,) at places (n,) in a terrain's CRS out of the samples it was made of; NaN where there is none.
+    """Heights (n,) at places (n,) in a terrain's CRS from its original samples; NaN where there are none.
 
     Args:
         grid: of the terrain.

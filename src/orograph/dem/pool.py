@@ -1,9 +1,9 @@
-"""GDAL's pool of the parts of VRTs, made to forget them.
+"""Make GDAL's pool forget the parts of VRTs.
 
-The pool belongs to the process and goes with the last VRT that uses it; but one VRT in another keeps it alive for good.
-From then on a part that could not be opened once is 0 without a word, even when it is there again, and one that was
-replaced is what it was. What makes it forget is to be filled with others: as many as it holds, of one sample each, in
-memory (some 10 ms).
+The pool belongs to the process and ends with the last VRT that uses it; but a nested VRT keeps it alive for good. From
+then on a part that once could not be opened is silently 0, even when it is back, and a replaced one keeps its old
+content. Filling the pool with other parts makes it forget: as many as it holds, of one sample each, in memory (about 10
+ms).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def is_virtual(location: str) -> bool:
 
 
 def forget_parts() -> None:
-    """Close what GDAL holds open of the parts of VRTs, and forget what it could not open. Safe from any thread."""
+    """Close the parts of VRTs that GDAL holds open, and forget those that it could not open. Safe from any thread."""
     import rasterio
     from rasterio.io import MemoryFile
 

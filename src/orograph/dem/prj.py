@@ -1,4 +1,4 @@
-"""A .prj beside a raster, in the words that Arc wrote before there was WKT: what GDAL passes over of it.
+"""A .prj beside a raster in Arc's keywords from before WKT: the parts that GDAL ignores.
 
 ``Projection UTM``, ``Zone 33``, ``Zunits FEET``, ``Units METERS``, ``Xshift 0.0``, then ``Parameters``: GDAL makes a
 CRS of it, without the unit of heights and without the shifts.
@@ -30,13 +30,14 @@ def unit_of_heights(dataset: Any) -> str:
     """The unit that an old .prj gives heights (Zunits); "" if none does, or it is a number.
 
     Raises:
-        ReadError: it shifts coordinates, which GDAL does not.
+        ReadError: it shifts coordinates, which GDAL does not do.
     """
     said = _words(dataset)
     for key in ("XSHIFT", "YSHIFT"):
         if re.search(r"[1-9]", said.get(key, "")):
             raise ReadError(
-                f"The CRS beside it says that coordinates are shifted ({key.title()} {said[key]}), which is not done.",
+                f"The CRS beside it says that coordinates are shifted ({key.title()} {said[key]}), which is not "
+                "supported.",
                 path=notes(dataset), remedy="Move the raster (gdal_translate -a_ullr), then set the shifts to 0.",
             )  # fmt: skip
     return _UNITS.get(said.get("ZUNITS", "").upper(), "")

@@ -1,12 +1,12 @@
-"""The flat coordinate system a terrain is drawn in: projected, in metres, distorting as little as the area allows.
+"""The flat coordinate system of a terrain: projected, in metres, with as little distortion as the area allows.
 
-A terrain is metric: slopes, light and distances are false in degrees. A projected CRS in metres is kept; one in feet
-is rewritten with metre axes, which moves no point. Geographic coordinates go to their UTM zone as long as its scale is
-true within ``UTM_LIMIT`` over the whole area, else to the *conformal* projection (angles and thus slopes and light
-stay true) with the least scale error there: Lambert's conic with standard parallels at 1/6 and 5/6 of the latitudes
-(Snyder, *Map Projections: A Working Manual*, USGS PP 1395, p. 104), transverse Mercator, Mercator or stereographic,
-centred on the area, on the source's own datum or body. Where even the best is off by more than ``FLAT_LIMIT`` the area
-is not flat. Units: degrees, metres; scale error = |k − 1|.
+A terrain is metric: slopes, light and distances are wrong in degrees. A projected CRS in metres is kept; one in feet is
+rewritten with metre axes, which moves no point. Geographic coordinates go to their UTM zone as long as its scale is
+true within ``UTM_LIMIT`` over the whole area, else to the *conformal* projection (angles and thus slopes and light stay
+true) with the least scale error there: Lambert's conic with standard parallels at 1/6 and 5/6 of the latitudes (Snyder,
+*Map Projections: A Working Manual*, USGS PP 1395, p. 104), transverse Mercator, Mercator or stereographic, centred on
+the area, on the source's own datum or body. Where even the best is off by more than ``FLAT_LIMIT`` the area is not
+flat. Units: degrees, metres; scale error = |k − 1|.
 """
 
 from __future__ import annotations
@@ -83,7 +83,8 @@ def in_metres(crs: CRS) -> tuple[CRS, float]:
 def geodetic_base(crs: CRS) -> CRS:
     """The geographic CRS, in degrees from the prime meridian, on which to build a projection for ``crs``.
 
-    That is the CRS's own datum; WGS 84 stands in where the datum's longitudes count from Paris, say, or not in degrees.
+    That is the CRS's own datum; WGS 84 stands in if the datum's longitudes count from Paris, for example, or are not in
+    degrees.
     """
     base = crs
     while base.is_derived and base.source_crs is not None:  # a projected CRS, or a rotated pole
@@ -97,7 +98,7 @@ def geodetic_base(crs: CRS) -> CRS:
 
 
 def unwrapped(lon: Degrees) -> Degrees:
-    """Longitudes made continuous: the widest gap around the circle lies outside [min, max]; the middle is in ±180."""
+    """Longitudes made continuous: the widest gap around the circle is outside [min, max]; the middle is in ±180."""
     turned = np.mod(lon, 360.0)
     ordered = np.unique(turned)
     gaps = np.diff(ordered, append=ordered[0] + 360.0)
@@ -125,7 +126,7 @@ def flat_crs(base: CRS, lon: Degrees, lat: Degrees) -> Flat:
         lon, lat: points all over the area, its border included, in degrees of ``base``; any wrapping.
 
     Raises:
-        ReadError: the area is too wide to be shown flat.
+        ReadError: the area is too large for a flat projection.
     """
     off_pole = np.abs(lat) < 89.999
     lon = unwrapped(lon[off_pole]) if off_pole.any() else np.zeros(1)
@@ -149,9 +150,9 @@ def flat_crs(base: CRS, lon: Degrees, lat: Degrees) -> Flat:
             break
     if best is None or best.scale_error > FLAT_LIMIT:
         raise ReadError(
-            f"The area ({east - west:.0f}° of longitude by {north - south:.0f}° of latitude) is too wide to be shown "
-            "flat.",
-            remedy="Give a projected CRS of your choice with `crs` (EPSG:8857, say), or name fewer files.",
+            f"The area ({east - west:.0f}° of longitude by {north - south:.0f}° of latitude) is too large for a flat "
+            "projection.",
+            remedy="Give a projected CRS of your choice with `crs` (EPSG:8857, say), or give fewer files.",
         )
     return best
 
@@ -227,5 +228,5 @@ def utm_crs(base: CRS, zone: int, south: bool) -> CRS:
 
 
 def _round(angle: float) -> float:
-    """To a thousandth of a degree: parameters a person can read, whatever the raster's exact extent."""
+    """Rounded to a thousandth of a degree: readable parameters, whatever the raster's exact extent."""
     return round(angle, 3)

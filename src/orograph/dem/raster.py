@@ -15,7 +15,7 @@ from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line
 from orograph.geo.grid import Grid
 
 MAX_READ_BYTES = 2 << 30
-"""Bytes of heights (float32) that one holds at most, unless it is said otherwise: 536 million heights, e.g. 23170²."""
+"""Default maximum bytes of heights (float32): 536 million heights, e.g. 23170²."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -26,8 +26,8 @@ class Dem:
         heights: (rows, cols) float32, metres, NaN where missing; row 0 is the northernmost of a raster that is not
         rotated. grid: where the samples lie; ``grid.shape == heights.shape``.
         vertical: name of the vertical datum ("EGM96 height", "ellipsoidal height"…), None if unknown.
-        name: what to call it in titles (a file's stem).
-        attribution: whom its makers want to be named, a sentence each; pictures carry it.
+        name: for titles (a file's stem).
+        attribution: the credits that its makers ask for, a sentence each; pictures carry them.
     """
 
     heights: NDArray[np.float32]

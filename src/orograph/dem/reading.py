@@ -29,12 +29,13 @@ def read(
 
     Raises:
         ReadError: the file cannot be read, is damaged, or is too large.
-        UsageError: an option that does not fit the file.
+        UsageError: an option does not apply to the file.
     """
     max_bytes = bytes_of(max_bytes, "max_bytes")
     if not isinstance(path, str | os.PathLike):
         raise UsageError(
-            f"`orograph.read` reads one file, not {type(path).__name__}.", remedy="Use `orograph.terrain` for all else."
+            f"`orograph.read` reads one file, not {type(path).__name__}.",
+            remedy="Use `orograph.terrain` for everything else.",
         )
     source = Source.open(
         path,

@@ -1,9 +1,9 @@
-"""Rasters in buckets and on web servers: what GDAL, which reads them itself, is told so that it asks as seldom as may
-be, asks again where a server is busy, and finds buckets as the stores' reader does.
+"""Rasters in buckets and on web servers: settings that make GDAL, which reads them itself, send few requests, retry
+when a server is busy, and find buckets like the stores' reader.
 
 A raster's ranges are read by ``/vsis3/``, ``/vsigs/``, ``/vsiaz/`` and ``/vsicurl/``, neighbours together. No folder is
-listed: what may lie beside a raster is asked for by its name. Whatever the environment, or an ``Env`` of rasterio's
-around, says to GDAL itself is left.
+listed: possible companion files are requested by name. Settings of GDAL in the environment, or in an enclosing rasterio
+``Env``, are left alone.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from rasterio.env import getenv, hasenv
 
 SILENCE = 30
-"""Seconds without a byte after which a server does not answer."""
+"""Seconds without a byte after which a server counts as not answering."""
 
 _ALWAYS = {
     "GDAL_HTTP_MAX_RETRY": 6, "GDAL_HTTP_RETRY_DELAY": 0.25, "GDAL_HTTP_RETRY_CODES": "408,425,429,500,502,503,504",
@@ -25,7 +25,7 @@ _ALWAYS = {
 _FAR = {"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE", "GDAL_INGESTED_BYTES_AT_OPEN": 32768}
 
 _BESIDE = ("", ".aux.xml", ".msk")
-"""Endings of the files beside a GeoTIFF that decide its samples."""
+"""Endings of companion files of a GeoTIFF that affect its samples."""
 
 _NAMES = {
     "AZURE_STORAGE_ACCOUNT": ("AZURE_STORAGE_ACCOUNT_NAME",),
@@ -33,7 +33,7 @@ _NAMES = {
     "AZURE_STORAGE_SAS_TOKEN": ("AZURE_STORAGE_SAS_KEY",),
     "AWS_NO_SIGN_REQUEST": ("AWS_SKIP_SIGNATURE",),
 }
-"""What GDAL calls otherwise than the clouds' own tools."""
+"""GDAL's names of settings that the clouds' own tools name differently."""
 
 
 def is_remote(location: str) -> bool:
@@ -45,18 +45,18 @@ def network(location: str) -> dict[str, Any]:
     """GDAL's settings for a raster that may be, or refer to, a remote one."""
     found = {**_ALWAYS, **(_FAR if is_remote(location) else {}), **_endpoint()}
     if is_remote(location) and (end := re.search(r"\.tiff?$", location, re.IGNORECASE)):
-        # Some forty other names are asked for otherwise, one by one: of sensors, overviews, GCPs.
+        # Otherwise GDAL requests about forty other names one by one: of sensors, overviews, GCPs.
         found["CPL_VSIL_CURL_ALLOWED_EXTENSIONS"] = ",".join(f"{end[0]}{more}" for more in _BESIDE) + ",.tfw,.wld"
     for name, others in _NAMES.items():
         said = next((os.environ[other] for other in others if other in os.environ), None)
         if said is not None:
             found[name] = said
-    around = getenv() if hasenv() else {}  # who reads tiles of a product knows that nothing lies beside them
+    around = getenv() if hasenv() else {}  # readers of a product's tiles know that there are no companions
     return {name: value for name, value in found.items() if name not in os.environ and name not in around}
 
 
 def _endpoint() -> dict[str, Any]:
-    """Where S3 is, if it is not Amazon's."""
+    """The address of S3, if it is not Amazon's."""
     said = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
     if "://" not in said:
         return {}

@@ -1,8 +1,8 @@
-"""Scattered points with heights out of files: tables (CSV), what OGR reads (GeoPackage, GeoJSON…), LAS and LAZ.
+"""Scattered points with heights from files: tables (CSV), what OGR reads (GeoPackage, GeoJSON…), LAS and LAZ.
 
-Tables name their columns; longitude and latitude are taken to be WGS 84. Features are points, of their own CRS; their
-heights are their z, or an attribute. Of LAS and LAZ those of the ground (class 2) are taken where there are any, else
-all but noise; withheld ones never are. Heights become metres; what lacks a place or a height is left out, and told.
+Tables name their columns; longitude and latitude are assumed to be WGS 84. Features are points in their own CRS; their
+heights are their z, or an attribute. From LAS and LAZ, ground points (class 2) are read if there are any, else all but
+noise; withheld ones never. Heights become metres; points without a place or a height are left out, with a message.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ CLOUDS = (".las", ".laz")
 VECTORS = (".gpkg", ".geojson", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".geojsonl", ".geojsons", ".shz")
 
 HEIGHTS = ("z", "height", "elevation", "elev", "altitude", "alt", "h", "height_m", "elevation_m", "ele")
-"""Names of columns that are heights, whatever else there is."""
+"""Column names that mean heights, in order of preference."""
 
 FILLS = (-9999.0, -99999.0, -32768.0, -32767.0, -999.0)
-"""What files often have where there is no height."""
+"""Common placeholders for missing heights."""
 
-DEPTHS = "Its numbers are depths, which become heights below 0 (give `vertical_unit` if they are none)."
+DEPTHS = "Its numbers are depths and become heights below 0 (give `vertical_unit` if they are not depths)."
 
 GROUND, NOISE = 2, (7, 18)
 """Classes of LAS 1.4: ground; low and high noise."""
@@ -51,8 +51,8 @@ class Scattered:
 
     Attributes:
         x, y: (n,) float64, in ``crs``. z: (n,) float64, metres.
-        crs: of x and y; None: not known, metres. vertical: the datum of the heights; None: not known.
-        name: the file's stem. path: as it was given. warnings: what a user should know, full sentences.
+        crs: of x and y; None: unknown, metres. vertical: the datum of the heights; None: unknown.
+        name: the file's stem. path: as it was given. warnings: messages for the user, full sentences.
     """
 
     x: Array
@@ -69,7 +69,7 @@ class Scattered:
 
 
 def is_points(path: str | os.PathLike[str]) -> bool:
-    """Whether a file holds points rather than a raster, by its name; of a GeoPackage by what it lists."""
+    """Whether a file holds points rather than a raster, by its name; for a GeoPackage by its contents."""
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != ".gpkg":
@@ -95,9 +95,9 @@ def read_scattered(
         height_column: the column or attribute that holds the heights, where it is not clear.
         point_layer: of a file of several layers.
         point_classes: of LAS and LAZ, the classes that are taken.
-        assume_crs: of files that name none.
+        assume_crs: of files that declare none.
         vertical_unit: of the heights, instead of the CRS's own.
-        assume_vertical: the vertical datum of files that name none.
+        assume_vertical: the vertical datum of files that declare none.
 
     Raises:
         ReadError: the file cannot be read, a package that reads it is missing, or it holds no point with a height.
@@ -106,9 +106,9 @@ def read_scattered(
     text = os.fspath(path)
     suffix = Path(text).suffix.lower()
     if point_classes is not None and suffix not in CLOUDS:
-        raise UsageError("`point_classes` are those of LAS and LAZ.", path=text)
+        raise UsageError("`point_classes` apply to LAS and LAZ only.", path=text)
     if point_layer is not None and suffix not in VECTORS:
-        raise UsageError("`point_layer` is one of a file of several layers (GeoPackage…).", path=text)
+        raise UsageError("`point_layer` applies to files with several layers (GeoPackage…) only.", path=text)
     if height_column is not None and suffix in CLOUDS:
         raise UsageError("Points of LAS and LAZ have one height, no `height_column`.", path=text)
     warnings: list[str] = []
@@ -133,7 +133,7 @@ def _settled(
         crs = parsed_crs(assume_crs)
         vertical = crs_datum(crs)
     elif assume_crs is not None and parsed_crs(assume_crs) != crs:
-        warnings.append("Its points name their own CRS, so `assume_crs` is not used for them.")
+        warnings.append("Its points declare their own CRS, so `assume_crs` is not used for them.")
     axis = vertical_axis(crs)
     if axis is not None and axis.unit_conversion_factor > 0:
         factor = float(axis.unit_conversion_factor)
@@ -143,21 +143,23 @@ def _settled(
     if vertical_unit is not None:
         asked = metres_per(vertical_unit)
         if asked is None:
-            raise UsageError(f"{vertical_unit!r} is no unit of length; there are {', '.join(sorted(METRES)[:8])}…")
+            raise UsageError(f"{vertical_unit!r} is not a unit of length; there are {', '.join(sorted(METRES)[:8])}…")
         factor = asked
     if vertical is None and assume_vertical is not None:
         vertical = assumed_vertical(assume_vertical)
     elif vertical is not None and assume_vertical is not None and assumed_vertical(assume_vertical) != vertical:
-        warnings.append(f"It names its own vertical datum ({vertical}), so `assume_vertical` is not used for it.")
+        warnings.append(f"It declares its own vertical datum ({vertical}), so `assume_vertical` is not used for it.")
     z = np.where(np.abs(z) < HUGE, z, np.nan)
     there = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     if not there.any():
         raise ReadError(
-            f"None of its {len(z)} points has a place and a height." if len(z) else "It holds no points.", path=path,
-            remedy="See what it holds, and name the column of heights (`height_column`).",
+            f"None of its {len(z)} points has both a position and a height." if len(z) else "It holds no points.",
+            path=path, remedy="Check its contents, and name the column of heights (`height_column`).",
         )  # fmt: skip
     if not there.all():
-        warnings.append(f"Of its {len(z):,} points {int((~there).sum()):,} without a place or a height are left out.")
+        warnings.append(
+            f"Of its {len(z):,} points {int((~there).sum()):,} lack a position or a height and are omitted."
+        )
     x, y, z = x[there], y[there], z[there]
     code = next((n for n in FILLS if (z == n).any() and n < np.median(z) - 1000), None)
     if code is not None:
@@ -167,7 +169,7 @@ def _settled(
         )
     z = z * factor
     if crs is None and (np.abs(x) <= 360).all() and (np.abs(y) <= 90).all():
-        warnings.append("Its x and y look like degrees and are taken for metres (give `assume_crs`, e.g. EPSG:4326).")
+        warnings.append("Its x and y look like degrees but are taken as metres (give `assume_crs`, e.g. EPSG:4326).")
     elif crs is None:
         warnings.append("It has no CRS; its coordinates are taken to be metres (give `assume_crs=CODE`).")
     return Scattered(x, y, z, horizontal(crs), vertical, Path(path).stem, path, warnings)
@@ -191,7 +193,9 @@ def _heights(
     name = _height_of(columns, asked, path)
     words = set(re.split(r"[^a-z]+", name.lower()))
     if unit is None and words & {"ft", "feet", "foot", "ftus", "cm", "mm", "km"}:
-        warnings.append(f"Its column {name!r} is taken for metres, which its name does not say (give `vertical_unit`).")
+        warnings.append(
+            f"Its column {name!r} is taken to be in metres, although its name does not say so (give `vertical_unit`)."
+        )
     if unit is None and words & {"depth", "depths", "sounding", "soundings"} and np.nanmedian(columns[name]) > 0:
         warnings.append(DEPTHS)
         return -columns[name]
@@ -204,22 +208,22 @@ def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
         if asked not in columns:
             there = ", ".join(columns) or "none"
             raise UsageError(
-                f"There is no column {asked!r} of numbers; there are {there}.", path=path,
-                remedy="Name one that holds heights (`height_column`).",
+                f"There is no column {asked!r} with numbers; there are {there}.", path=path,
+                remedy="Name the column that holds heights (`height_column`).",
             )  # fmt: skip
         return asked
     known = [k for word in HEIGHTS for k in columns if k.lower() == word]
     if len(known) > 1:
         raise UsageError(
-            f"Several of its columns may be the heights: {', '.join(known)}.", path=path,
-            remedy="Name the one that is (`height_column`).",
+            f"Several of its columns may hold the heights: {', '.join(known)}.", path=path,
+            remedy="Name the right one (`height_column`).",
         )  # fmt: skip
     if known:
         return known[0]
     if len(columns) == 1:
         return next(iter(columns))
     if not columns:
-        raise ReadError("It has no column of numbers for the heights.", path=path, remedy="See what it holds.")
+        raise ReadError("It has no column with numbers for the heights.", path=path, remedy="Check its contents.")
     raise UsageError(
         f"It is not clear which of its columns holds the heights: {', '.join(columns)}.", path=path,
         remedy="Name it (`height_column`).",
@@ -257,7 +261,7 @@ def _of_cloud(
     elif (kind == GROUND).any():
         wanted, told = kind == GROUND, "of the ground (class 2)"
     else:
-        wanted, told = ~np.isin(kind, NOISE), "that are no noise (none is classified as ground)"
+        wanted, told = ~np.isin(kind, NOISE), "that are not noise (none is classified as ground)"
     withheld = np.asarray(cloud.withheld).astype(bool) if "withheld" in cloud.point_format.dimension_names else False
     wanted &= ~np.asarray(withheld)
     if not wanted.any() and len(kind):
@@ -275,7 +279,7 @@ def _check_cloud(cloud: Any, header: Any, path: str) -> None:
     """Raise ReadError unless the points are as many as the header says, where it says (LAS 1.4, section 2.4)."""
     fault = None
     if len(cloud) != header.point_count:
-        fault = f"Its header speaks of {header.point_count:,} points, and it holds {len(cloud):,}"
+        fault = f"Its header declares {header.point_count:,} points, and it holds {len(cloud):,}"
     elif not str(path).lower().endswith(".laz") and (behind := _behind(header, path)):
         fault = f"It has {behind:,} bytes behind its {len(cloud):,} points: its header says too few"
     for axis, name in enumerate("xyz") if fault is None and len(cloud) else ():
@@ -289,7 +293,7 @@ def _check_cloud(cloud: Any, header: Any, path: str) -> None:
             break
     if fault is not None:
         raise ReadError(
-            f"{fault}.", path=path, remedy="It is damaged or was written wrongly: fetch it again, or write it anew."
+            f"{fault}.", path=path, remedy="It is damaged or was written incorrectly: fetch it again, or rewrite it."
         )
 
 
@@ -327,7 +331,7 @@ def _of_vectors(
         meta, _, shapes, values = read(file, layer=layer)
         found = [parse(shape) for shape in (shapes if shapes is not None else [])]
     except (DataSourceError, DataLayerError, ValueError) as error:
-        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="See what it holds.") from error
+        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Check its contents.") from error
     parts = [[places for kind, arrays in one if kind == "points" for places in arrays] for one in found]
     if not any(parts):
         raise ReadError("It holds no points.", path=path, remedy="Name a file, or a layer, of points with heights.")
@@ -337,7 +341,7 @@ def _of_vectors(
     columns = {k: v for k, v in columns.items() if np.isfinite(v).any()}
     crs = None if not meta["crs"] else CRS.from_user_input(meta["crs"])
     if others := sum(kind != "points" for one in found for kind, _ in one):
-        warnings.append(f"{others:,} of its features are lines or areas, which are left out.")
+        warnings.append(f"{others:,} of its features are lines or areas, which are ignored.")
     if height is None and np.isfinite(at[:, 2]).any():
         other = [k for k in columns if k.lower() in HEIGHTS]
         if other and not np.nan_to_num(at[:, 2]).any():

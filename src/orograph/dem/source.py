@@ -126,8 +126,8 @@ class Source:
             path: a file, a .zip or .gz of one, a URL or anything else GDAL opens.
             band: which band holds the heights, from 1.
             nodata: the stored number that means "missing", instead of the declared one; "none" for no such number.
-            spacing: metres between samples, for files that do not say where they lie.
-            assume_crs: the CRS of files that name none.
+            spacing: metres between samples, for files without georeferencing.
+            assume_crs: the CRS of files that declare none.
             encoding: "mapbox" or "terrarium" for terrain-RGB pictures.
             vertical_unit: the unit of the heights ("ft", "cm"…), instead of the declared one.
             assume_vertical: the vertical datum of files that name none ("EGM96", "ellipsoidal", "EPSG:5703"…).
@@ -153,7 +153,7 @@ class Source:
                 check_encoding(dataset, encoding, path)
             elif vertical_unit is None and is_picture(dataset):
                 warnings.append(
-                    "It looks like a picture, not heights: its bands are colours of 8 bits "
+                    "It looks like a picture, not heights: its bands are 8-bit colours "
                     '(give `encoding="mapbox"` or `encoding="terrarium"` if it is a terrain-RGB tile).'
                 )
             elif is_palette(dataset, band):

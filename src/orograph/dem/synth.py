@@ -83,7 +83,7 @@ class Synth:
         self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """Its numbers: they make it what it is."""
+        """The parameters that define it."""
         return f"synthetic {self.grid.shape} {self.seed} {self.spacing} {self.relief} {self.roughness}"
 
     def prepare(self, progress: Progress = SILENT) -> None:
@@ -116,7 +116,7 @@ class Synth:
 
     @property
     def _margin(self) -> int:
-        """Cells of the carved grid beyond the terrain on each side: rivers end there, out of sight."""
+        """Cells of the carved grid beyond the terrain on each side: rivers end there, outside the terrain."""
         return 16 + max(self.grid.shape) // (24 << self.levels)
 
     def _carve(self, progress: Progress) -> Floats:

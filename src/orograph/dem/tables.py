@@ -48,20 +48,20 @@ def read_texts(path: str) -> dict[str, list[str]]:
             names = [name.strip() for name in next(reader, [])]
             rows = list(_rows(reader, len(names), path, mark))
     except (OSError, ValueError, csv.Error) as error:
-        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="See what it holds.") from error
+        raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Check its contents.") from error
     if (
         any(names)
         and np.isfinite([number(v) if mark == "," else number(v.replace(",", ".")) for v in names if v]).all()
     ):
         raise ReadError(
-            "Its first line holds numbers, not the names of its columns.", path=path,
-            remedy="Put a line of names before it, such as x,y,z or longitude,latitude,height.",
+            "Its first line holds numbers, not column names.", path=path,
+            remedy="Add a line of names before it, such as x,y,z or longitude,latitude,height.",
         )  # fmt: skip
     twice = next((name for i, name in enumerate(names) if name and name in names[:i]), None)
     if twice is not None:
-        raise ReadError(f"Two of its columns are called {twice!r}.", path=path, remedy="Name them apart.")
+        raise ReadError(f"Two of its columns are named {twice!r}.", path=path, remedy="Give them different names.")
     if not rows:
-        raise ReadError("It holds no points below its line of names.", path=path, remedy="Name a file that has some.")
+        raise ReadError("It holds no points below its header line.", path=path, remedy="Name a file that has points.")
     columns = {name: [row[i] for row in rows] for i, name in enumerate(names) if name}
     if mark != ",":
         columns = {name: _with_points(values, name, path) for name, values in columns.items()}
@@ -77,14 +77,14 @@ def _rows(reader: Any, width: int, path: str, mark: str) -> Iterator[list[str]]:
     for row in reader:
         if any("\n" in field for field in row):
             raise ReadError(
-                f"A quotation mark takes in several lines, down to line {reader.line_num:,}.", path=path,
-                remedy="Close it, or remove it.",
+                f"A quoted field spans several lines, down to line {reader.line_num:,}.", path=path,
+                remedy="Close the quotation mark, or remove it.",
             )  # fmt: skip
         if any(row[width:]):
-            commas = " Decimal commas need semicolons between the columns." if mark == "," else ""
+            commas = " With decimal commas, columns must be separated by semicolons." if mark == "," else ""
             raise ReadError(
-                f"Line {reader.line_num:,} has {len(row)} fields, and the line of names {width}.", path=path,
-                remedy=f"Write as many in each line.{commas}",
+                f"Line {reader.line_num:,} has {len(row)} fields, but the header line has {width}.", path=path,
+                remedy=f"Write the same number in each line.{commas}",
             )  # fmt: skip
         if row:
             yield row[:width] + [""] * (width - len(row))
@@ -102,8 +102,8 @@ def _with_points(values: list[str], name: str, path: str) -> list[str]:
     commas = [value for value in values if "," in value]
     if commas and all(_PARTED.match(value) for value in commas):
         raise ReadError(
-            f"The commas in its column {name!r} may be decimal commas or part thousands ({commas[0].strip()}), which "
-            "cannot be told.", path=path, remedy="Write it again with decimal points.",
+            f"The commas in its column {name!r} may be decimal commas or thousands separators ({commas[0].strip()}): "
+            "ambiguous.", path=path, remedy="Rewrite it with decimal points.",
         )  # fmt: skip
     return [value.replace(",", ".") if value.count(",") == 1 else value for value in values]
 
@@ -121,7 +121,7 @@ def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:
     if east is None or north is None or (east.lower() in DEGREES) != (north.lower() in ("latitude", "lat")):
         raise ReadError(
             f"Its columns do not say where the points lie; they are {', '.join(columns) or 'none'}.", path=path,
-            remedy=f"Call them longitude and latitude, or x and y in {crs}.",
+            remedy=f"Name them longitude and latitude, or x and y in {crs}.",
         )  # fmt: skip
     return east, north
 
@@ -131,7 +131,7 @@ def _only(names: list[str], path: str) -> str | None:
     if len(names) > 1:
         raise ReadError(
             f"Its columns {' and '.join(names)} may both say where the points lie.", path=path,
-            remedy="Remove or rename those that are not meant.",
+            remedy="Remove or rename the wrong ones.",
         )  # fmt: skip
     return names[0] if names else None
 

@@ -26,7 +26,7 @@ from orograph.geo.grid import Grid
 
 MAX_SIDE = 1 << 24  # samples; beyond it sample indices no longer fit float32, which renderers use
 _COUNTED = 2.0**53  # steps from the CRS's origin that float64 tells apart
-_FEWER = "Give a coarser `resolution`, another `crs`, or files that lie nearer to each other."
+_FEWER = "Give a coarser `resolution`, another `crs`, or files that lie closer together."
 
 Floats = NDArray[np.float64]
 
@@ -54,8 +54,8 @@ def parse_crs(text: str | CRS) -> CRS:
         ) from None
     if not crs.is_projected:
         raise UsageError(
-            f"{crs.name} is not a projected CRS, and a terrain is drawn in metres.",
-            remedy="Give a projected one, e.g. a UTM zone (EPSG:32633), or leave `crs` away to have one chosen.",
+            f"{crs.name} is not a projected CRS, but a terrain needs metres.",
+            remedy="Give a projected one, e.g. a UTM zone (EPSG:32633), or omit `crs` to have one chosen.",
         )
     return in_metres(east_north(crs)[0])[0]
 
@@ -90,7 +90,7 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
     metric = finest.crs is None or not finest.crs.is_geographic
     if metric and resolution is None and (crs is None or crs == finest.crs):
         return Target(_extended(finest, lattices), "as the source", True)
-    reason = "as asked for"
+    reason = "as requested"
     if crs is None:
         crs, reason = finest.crs, "as the source"
         if not metric:
@@ -108,7 +108,7 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
     _check_size(shape, spacing)
     if resolution is not None and min(shape) < 2:
         raise UsageError(
-            f"A resolution of {spacing:g} m is coarser than the terrain is large ({east - west:.4g} × "
+            f"A resolution of {spacing:g} m is coarser than the size of the terrain ({east - west:.4g} × "
             f"{north - south:.4g} m).", remedy="Give a finer `resolution`.",
         )  # fmt: skip
     return Target(Grid(shape, Affine(spacing, 0, left * spacing, 0, -spacing, top * spacing), crs), reason, False)
@@ -167,7 +167,7 @@ def _project(points: tuple[Floats, Floats], source: CRS | None, target: CRS | No
     x, y = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
     reached = np.isfinite(x) & np.isfinite(y)
     if not reached.any():
-        raise ReadError(f"The raster lies outside of what {target.name} can show.", remedy="Choose another `crs`.")
+        raise ReadError(f"The raster lies outside the area of {target.name}.", remedy="Choose another `crs`.")
     return x[reached], y[reached]
 
 

@@ -198,14 +198,12 @@ def check_datums(sources: Sequence[Named], to: Direction, geoid: Geoid) -> None:
         if source.vertical is None:
             name = origin.split()[0] if origin in KNOWN_DATUMS else "NAME"
             raise UsageError(
-                f"{source.name} does not say above which datum its heights are, so they cannot be converted.",
-                remedy=f"If you know it, say so: `assume_vertical={name!r}`.",
+                f"{source.name} does not declare the datum of its heights, so they cannot be converted.",
+                remedy=f"If you know it, give it: `assume_vertical={name!r}`.",
             )
         found = known_datum(source.vertical)
         if found == target:
-            raise UsageError(
-                f"The heights of {source.name} are of {found!r} already.", remedy="Leave `to_vertical` away."
-            )
+            raise UsageError(f"The heights of {source.name} are of {found!r} already.", remedy="Omit `to_vertical`.")
         # A geoid grid of a name that says nothing is taken to be of the datum that the heights are declared to be of.
         matches = found == origin or (origin not in KNOWN_DATUMS and found not in KNOWN_DATUMS)
         if not matches:

@@ -40,10 +40,10 @@ def diagnose(
     silent = nodata is None and dataset.nodatavals[band - 1] is None and not masked
     found = list(impossible_nodata(dataset, band, nodata_text(dataset, band))) if nodata is None else []
     if silent and any(part.tag == "GDALWarpOptions" for part in parts):
-        found.append("It is warped and declares no nodata value: where nothing comes to lie it gives heights of 0.")
+        found.append("It is warped and declares no nodata value: empty areas read as heights of 0.")
     elif silent and all(part.onto for part in parts) and not _covered(dataset.shape, parts):
         found.append(
-            "Not all of it is covered by its parts, and it declares no nodata value: the rest are heights of 0."
+            "Its parts do not cover all of it, and it declares no nodata value: the rest reads as heights of 0."
         )
     factor = unit_of(dataset, band, crs, None, []) if unit is None else None
     said: dict[str, list[str]] = {}
@@ -98,7 +98,7 @@ def _unlike(dataset: Any, band: int, part: Part, file: Any, factor: float | None
         theirs = unit_of(file, part.band, crs, None, []) if tells else factor
         if factor is not None and theirs is not None and abs(theirs - factor) > 1e-9:
             yield (
-                f"Parts of it are in a unit of {theirs:.9g} m, and it says {factor:.9g} m, which is used for all "
+                f"Parts of it are in a unit of {theirs:.9g} m, but it declares {factor:.9g} m, which is used for all "
                 "(give `vertical_unit` if all are in another)"
             )
         scales = [
@@ -107,19 +107,19 @@ def _unlike(dataset: Any, band: int, part: Part, file: Any, factor: float | None
         if scales[0] != scales[1]:
             yield (
                 f"Parts of it have a scale of {scales[1][0]:g} and an offset of {scales[1][1]:g}, which it does not "
-                "repeat: their numbers are read as they are stored"
+                "repeat: their stored numbers are read unscaled"
             )
         if kind.kind in "iu" and not np.can_cast(own, kind, "safe"):
-            yield f"Its numbers are {kind.name} and those of parts {own.name}: they are rounded, and clipped beyond it"
+            yield f"Its numbers are {kind.name} and those of parts {own.name}: they are rounded and clipped"
     if excused or part.tag == "GDALWarpOptions":
         return
     mine, theirs = dataset.nodatavals[band - 1], file.nodatavals[part.band - 1]
     if part.fills and mine is None:
-        yield "Missing samples of parts are left out, and it declares no nodata value: they become heights of 0"
+        yield "It skips missing samples of its parts and declares no nodata value: they become heights of 0"
     elif not part.fills and theirs is not None and not _same(mine, theirs):
         yield f"Missing samples of parts are {theirs:g}, which its own nodata value is not: they are read as heights"
     elif not part.fills and theirs is None and _has_mask(file, part.band):
-        yield "Parts have a mask, which it does not use: what is missing in them is read as heights"
+        yield "Parts have a mask, which it does not use: their missing samples are read as heights"
 
 
 def _same(one: float | None, other: float) -> bool:

@@ -39,8 +39,8 @@ def check_void(void: float, grid: Grid, meant: bool) -> None:
     """Raise UsageError where nearly all of a huge terrain is void, unless it was asked for."""
     if void >= MOSTLY and grid.rows * grid.cols >= HUGE and not meant:
         raise UsageError(
-            f"{_said(void, grid)}; it would be built for long.",
-            remedy="Name only files that lie together. If it is meant, say how far apart samples are: "
+            f"{_said(void, grid)}; building it would take long.",
+            remedy="Name only files that lie together. If this is intended, give the sample spacing: "
             f"`resolution={grid.spacing[0]:g}`, or more.",
         )
 

@@ -21,7 +21,7 @@ from orograph.dem.handles import bounded_cache, cause_of
 from orograph.errors import OutputError
 from orograph.output import Beside
 
-_ROOM = "See that the disk has room and the folder is yours to write in."
+_ROOM = "Check that the disk has space and that you may write to the folder."
 _ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
 """First bytes of formats: their last ones (PNG 3rd edition, 11.2.5; ITU-T T.81, B.2.1)."""
 
@@ -71,7 +71,7 @@ def check_written(part: Path, out: Path) -> None:
     except (OSError, RasterioError):
         whole = False
     if not whole:
-        raise OutputError("The file cannot be written: the disk took only a part of it.", path=out, remedy=_ROOM)
+        raise OutputError("The file cannot be written: only part of it reached the disk.", path=out, remedy=_ROOM)
 
 
 def _whole(path: Path) -> bool:

@@ -20,7 +20,7 @@ NO_SUMS: Floats = np.zeros((2, 0, 0), np.float32)
 
 
 class Climb:
-    """Goes up octave after octave over a window, and keeps what the next one needs.
+    """Climbs octave by octave over a window, and keeps what the next one needs.
 
     Args:
         surface, kinds, rounding: as in ``Survey``.
@@ -51,7 +51,7 @@ class Climb:
         self.found = self.seen = np.zeros((0, 0), np.uint8)
 
     def step(self, k: int, fine: Floats, z: Floats, exact: Floats | None = None) -> None:
-        """Find octave k's values.
+        """Compute octave k's values.
 
         Args:
             fine: the window's samples (what it holds matters for k = 0 and for ``exact`` errors).
@@ -96,7 +96,7 @@ class Climb:
             self.radii, self.filled = radii, filled
 
     def part(self, k: int, i: int, j: int, area: tuple[slice, slice]) -> Part:
-        """What has been found of octave k in an ``area`` whose first entry is (i, j)."""
+        """The values of octave k in an ``area`` whose first entry is (i, j)."""
         radii = self.radii
         if radii is not None and self.states is not None:
             radii = radii.copy()  # the next octave's spheres are around these, empty or not

@@ -31,7 +31,7 @@ __all__ = [
 Read = Callable[[int, int, int, int], Floats]
 
 SMALL = 5
-"""Octaves that blocks finish themselves."""
+"""Octaves that blocks complete themselves."""
 REACH = 48
 """Samples from a block's own to the farthest that decide its diamonds."""
 ALIGNED = 64
@@ -66,7 +66,7 @@ def diamonds(
 
 
 class Survey:
-    """The making of a raster's diamonds: first blocks, in any order and from any thread, then what is larger.
+    """Computes a raster's diamonds: first blocks, in any order and from any thread, then the larger octaves.
 
     Args:
         nested: every 16th sample, the heights of level 4 (the last ones repeated at the raster's end).
@@ -179,7 +179,7 @@ class Survey:
         return found
 
     def add(self, rest: Rest | None) -> None:
-        """Take over what a block found. Every block exactly once, in any order, from any thread."""
+        """Merge a block's result. Every block exactly once, in any order, from any thread."""
         if rest is None:
             return
         part = rest.part
@@ -202,7 +202,7 @@ class Survey:
                 np.maximum(whole, raw, out=whole)
 
     def finish(self) -> Iterator[Part]:
-        """The diamonds of the octaves that no block finishes."""
+        """The diamonds of the octaves that no block completes."""
         filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)
         at = self.surface, self.kinds, self.rounding, 0, 0
         climb = Climb(*at, self.errors, self.sums, self.states, self.radii, filled, gaps=True)

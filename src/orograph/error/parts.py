@@ -1,4 +1,4 @@
-"""What a survey of diamonds knows of its raster, and the pieces in which it reports what it found.
+"""A survey's knowledge of its raster, and the pieces of its results.
 
 Metres; indices are (row, col) of samples, or entries (i, j) of an octave: the vertex (i·2^k, j·2^k).
 """
@@ -20,7 +20,7 @@ Shape = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What the spheres must know of a raster.
+    """What the spheres need to know about a raster.
 
     Attributes:
         shape: (rows, cols).
@@ -79,7 +79,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """What larger diamonds need of a block.
+    """What larger diamonds need from a block.
 
     Attributes:
         part: its diamonds of the last octave that blocks finish.
@@ -93,7 +93,7 @@ class Rest:
     raw: list[tuple[int, int, int, Floats]]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it under names, to be kept."""
+        """Its arrays by name, for storage."""
         part = self.part
         arrays: dict[str, NDArray[Any]] = {"at": np.array([part.octave, part.i, part.j])}
         arrays.update({f"errors.{kind}": e for kind, e in part.errors.items()})
@@ -104,7 +104,7 @@ class Rest:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Rest:
-        """Back from ``to_arrays``."""
+        """The inverse of ``to_arrays``."""
         octave, i, j = (int(v) for v in arrays["at"])
         errors = {kind: arrays[f"errors.{kind}"] for kind in KINDS if f"errors.{kind}" in arrays}
         raw = []

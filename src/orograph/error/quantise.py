@@ -1,4 +1,4 @@
-"""Errors and radii as one byte each, rounded up: what a bound promises, it promises after quantisation, too.
+"""Errors and radii as one byte each, rounded up: bounds still hold after quantisation.
 
 *Errors*: code 0 is 0, code 255 is +inf (mixed), codes 1 to 254 are ``lowest · step^(code − 1)``, equal ratios between a
 millionth or so of the terrain's height range and the largest error possible. A monotonic map keeps errors monotonic.
@@ -55,7 +55,7 @@ def _up(values: NDArray[np.float64]) -> Floats:
 
 @dataclass(frozen=True)
 class ErrorCode:
-    """How errors are coded.
+    """The coding of errors.
 
     Attributes:
         lowest: metres, code 1.
@@ -95,7 +95,7 @@ class ErrorCode:
 
 @dataclass(frozen=True)
 class RadiusCode:
-    """How radii are coded.
+    """The coding of radii.
 
     Attributes:
         nominal: for each octave the radii of edge diamonds and of square ones on a plain, metres.

@@ -1,4 +1,4 @@
-"""Open elevation models by place: which products there are, and reading areas of them out of public storage.
+"""Open elevation models by place: the available products, and reading areas of them from public storage.
 
 >>> import orograph
 >>> dem = orograph.fetch((7.5, 45.9, 7.8, 46.1))                              # doctest: +SKIP

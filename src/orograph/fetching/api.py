@@ -1,4 +1,4 @@
-"""``orograph.fetch``: heights of a place out of open elevation products."""
+"""``orograph.fetch``: heights of a place from open elevation products."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def fetch(
     progress: Progress | bool | None = None,
     **other: Any,
 ) -> Dem | StoredTerrain:
-    """Heights of an area out of an open elevation product; what was read is kept, and not read again.
+    """Heights of an area from an open elevation product; what was read is cached, and not read again.
 
     Args:
         area: (west, south, east, north) in degrees, east < west across the 180th meridian; (longitude, latitude) with
@@ -47,20 +47,20 @@ def fetch(
         product: its name (``orograph.fetching.products``).
         radius: metres around a place.
         output: a GeoTIFF (.tif) or a store (.oro) to write; None: only the Dem.
-        zoom: of web-mercator tiles; None: the product's. absent: "sea" or "missing", instead of what the product says
+        zoom: of web-mercator tiles; None: the product's. absent: "sea" or "missing", overriding what the product says
             an absent tile is. table: a file of more products.
-        to_vertical, geoid: as of ``orograph.build``.
-        most: bytes of heights that may be read; None: any number. connections: requests at once.
-        overwrite: replace an output that is there. resume: finish an interrupted store.
+        to_vertical, geoid: as for ``orograph.build``.
+        most: bytes of heights that may be read; None: any number. connections: simultaneous requests.
+        overwrite: replace an existing output. resume: finish an interrupted store.
         max_memory, jobs: bytes and threads that building a store may take.
-        progress: hears of it; False: nothing is said.
+        progress: gets progress reports; False: silent.
 
     Returns:
         a Dem on the product's own grid (metres, above its vertical datum), or the store.
 
     Raises:
-        UsageError: the area is none, there is no such product, or it is more than ``most``.
-        ReadError: a server does not give a tile; the message names it, and what to do.
+        UsageError: the area is invalid, there is no such product, or it is more than ``most``.
+        ReadError: a server does not deliver a tile; the message names it, and what to do.
         OutputError, StoreError: a result cannot be written.
     """
     max_memory, most = bytes_of(max_memory), bytes_of(most, "most")
@@ -72,7 +72,9 @@ def fetch(
         )  # fmt: skip
     out = None if output is None else Path(os.fspath(output))
     if out is not None and out.suffix.lower() not in (".tif", ".tiff", ".oro"):
-        raise UsageError("What is fetched is written as a GeoTIFF or a store.", path=out, remedy="Use .tif or .oro.")
+        raise UsageError(
+            "The result can only be written as a GeoTIFF or a store.", path=out, remedy="Use .tif or .oro."
+        )
     request = Request(
         area, product, radius=radius, table=table, zoom=zoom, absent=absent, to_vertical=to_vertical, geoid=geoid,
         most=most, connections=connections, progress=reporting(progress),

@@ -1,7 +1,7 @@
-"""The area that is asked for, as a box of longitudes and latitudes: of a box, a circle, or GeoJSON.
+"""The requested area as a box of longitudes and latitudes, from a box, a circle, or GeoJSON.
 
-A box may lie across the 180th meridian: its east is then beyond 180. Of geometries the box around them is taken: the
-smallest arc of longitudes that holds them, whichever way round the globe. Units: degrees; metres on the ground.
+A box may cross the 180th meridian: its east is then beyond 180. For geometries the box around them is used: the
+smallest arc of longitudes that contains them, whichever way around the globe. Units: degrees; metres on the ground.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Box:
 
     @property
     def across(self) -> bool:
-        """Whether it lies across the 180th meridian."""
+        """Whether it crosses the 180th meridian."""
         return self.east > 180
 
     def __str__(self) -> str:
@@ -40,7 +40,7 @@ class Box:
 
 
 def area_of(area: Any, radius: float | None, body: Ellipsoid) -> Box:
-    """The box of what a user asks for.
+    """The box of the area that a user asks for.
 
     Args:
         area: (west, south, east, north); (longitude, latitude), with ``radius``; or a GeoJSON object, or one that has
@@ -53,19 +53,22 @@ def area_of(area: Any, radius: float | None, body: Ellipsoid) -> Box:
     described = getattr(area, "__geo_interface__", area)
     if isinstance(described, Mapping):
         if radius is not None:
-            raise UsageError("A radius goes with a place, (longitude, latitude), not with a geometry.")
+            raise UsageError("A radius needs a place, (longitude, latitude), not a geometry.")
         return _around(described)
     numbers = _numbers(area)
     if len(numbers) == 2:
         if radius is None or not (math.isfinite(radius) and radius > 0):
-            raise UsageError("A place needs a radius, in metres, above 0.", remedy="Give `radius=5000`, say.")
+            raise UsageError(
+                "A place needs a radius of more than 0 metres.", remedy="Give a radius, such as `radius=5000`."
+            )
         return _circle(numbers[0], numbers[1], radius, body)
     if len(numbers) != 4:
         raise UsageError(
-            f"An area is west, south, east, north; or longitude, latitude and a radius; not {len(numbers)} numbers."
+            f"An area must be west, south, east, north; or longitude, latitude and a radius; not {len(numbers)} "
+            "numbers."
         )
     if radius is not None:
-        raise UsageError("A radius goes with a place, (longitude, latitude), not with a box.")
+        raise UsageError("A radius needs a place, (longitude, latitude), not a box.")
     west, south, east, north = numbers
     if east < west:
         east += 360  # across the 180th meridian
@@ -76,19 +79,19 @@ def _numbers(area: Any) -> list[float]:
     if isinstance(area, str) and "," in area:
         area = area.split(",")
     if isinstance(area, str) or not isinstance(area, (Sequence, np.ndarray)):
-        raise UsageError(f"An area is four numbers, a place with a radius, or GeoJSON, not {area!r}.")
+        raise UsageError(f"An area must be four numbers, a place with a radius, or GeoJSON, not {area!r}.")
     try:
         return [float(v) for v in area]
     except (TypeError, ValueError):
-        raise UsageError(f"The numbers of an area are degrees, not {area!r}.") from None
+        raise UsageError(f"The numbers of an area must be degrees, not {area!r}.") from None
 
 
 def _box(west: float, south: float, east: float, north: float) -> Box:
     if not all(map(math.isfinite, (west, south, east, north))):
-        raise UsageError("The bounds of an area are finite numbers.")
+        raise UsageError("The bounds of an area must be finite numbers.")
     if max(abs(west), abs(east)) > 540 or max(-south, north) > 90:
         raise UsageError(
-            f"{west:g}, {south:g}, {east:g}, {north:g} are no degrees of longitude and latitude.",
+            f"{west:g}, {south:g}, {east:g}, {north:g} are not degrees of longitude and latitude.",
             remedy="Give west, south, east, north, in degrees.",
         )
     if not (south < north and west < east):
@@ -104,7 +107,7 @@ def _box(west: float, south: float, east: float, north: float) -> Box:
 def _circle(lon: float, lat: float, radius: float, body: Ellipsoid) -> Box:
     """The box around all places within a distance."""
     if not (abs(lat) <= 90 and abs(lon) <= 540):
-        raise UsageError(f"{lon:g}, {lat:g} is no place.", remedy="Give longitude, latitude, in degrees.")
+        raise UsageError(f"{lon:g}, {lat:g} is not a place.", remedy="Give longitude, latitude, in degrees.")
     globe = Geod(a=body.a, b=body.b)
     azimuths = np.arange(0, 360, 0.25)
     ones = np.ones_like(azimuths)
@@ -112,7 +115,7 @@ def _circle(lon: float, lat: float, radius: float, body: Ellipsoid) -> Box:
     pole = min(globe.inv(lon, lat, lon, sign * 90)[2] for sign in (-1, 1))
     if radius >= pole or radius >= math.pi * body.b / 2:
         raise UsageError(
-            f"A circle of {radius / 1000:g} km around {lon:g}, {lat:g} holds a pole, or half of the globe.",
+            f"A circle of {radius / 1000:g} km around {lon:g}, {lat:g} contains a pole, or half of the globe.",
             remedy="Give a smaller radius, or a box.",
         )
     apart = (np.asarray(lons) - lon + 180) % 360 - 180
@@ -132,7 +135,9 @@ def _around(geometry: Mapping[str, Any]) -> Box:
         spans.append((float(points[:, 0].min()), float(points[:, 0].max())))
         lats += [float(points[:, 1].min()), float(points[:, 1].max())]
     if not spans:
-        raise UsageError("The geometry has no coordinates.", remedy="Give a polygon, say.")
+        raise UsageError(
+            "The geometry has no coordinates.", remedy="Give a geometry with coordinates, such as a polygon."
+        )
     west, east = _arc(spans)
     return _box(west, min(lats), east, max(lats))
 
@@ -140,7 +145,7 @@ def _around(geometry: Mapping[str, Any]) -> Box:
 def _rings(part: Any, depth: int) -> Iterator[Sequence[Any]]:
     """Lists of positions of a GeoJSON object."""
     if depth > MOST_NESTED or not isinstance(part, Mapping):
-        raise UsageError("This is no GeoJSON geometry.", remedy="Give a Geometry, a Feature or a FeatureCollection.")
+        raise UsageError("This is not a GeoJSON geometry.", remedy="Give a Geometry, a Feature or a FeatureCollection.")
     for key in ("features", "geometries"):
         for one in part.get(key) or ():
             yield from _rings(one, depth + 1)
@@ -163,7 +168,7 @@ def _lists(nested: Any, depth: int) -> Iterator[Sequence[Any]]:
 
 
 def _arc(spans: list[tuple[float, float]]) -> tuple[float, float]:
-    """The shortest arc of longitudes that holds all spans."""
+    """The shortest arc of longitudes that contains all spans."""
     if any(east - west >= 360 for west, east in spans):
         return -180.0, 180.0
     ordered = sorted((_turned(west), _turned(west) + east - west) for west, east in spans)

@@ -1,8 +1,8 @@
-"""Asking a server about a tile: whether it is there, its size and state; politely, and again where it may go well.
+"""Ask a server about a tile: whether it exists, its size and state; politely, and with retries where they may help.
 
-GDAL reads the samples (``reading``); what it does not tell, the code of an answer and the ETag, is asked for by one
-request of a single byte. Accounts are those that GDAL knows, too: ``~/.netrc`` (or ``$NETRC``), GDAL_HTTP_USERPWD,
-GDAL_HTTP_BEARER, GDAL_HTTP_HEADERS.
+GDAL reads the samples (``reading``); what it does not report, the status code and the ETag, comes from one request of a
+single byte. Accounts are those that GDAL uses too: ``~/.netrc`` (or ``$NETRC``), GDAL_HTTP_USERPWD, GDAL_HTTP_BEARER,
+GDAL_HTTP_HEADERS.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from orograph.fetching.products import Product
 from orograph.folders import temporary
 
 PAUSES = [0.5, 2.0, 6.0]
-"""Seconds before a request is made again."""
+"""Seconds before each retry."""
 
 LONGEST = 60.0
-"""Seconds that a server may ask to wait."""
+"""Maximum seconds that a server may ask to wait."""
 
 SILENCE = 30.0
-"""Seconds without a byte after which a server does not answer."""
+"""Seconds without a byte after which a server counts as not answering."""
 
 PASSING = {408, 425, 429, 500, 502, 503, 504}
-"""Answers after which another attempt may go well."""
+"""Status codes after which a retry may succeed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a server says of a file.
+    """A server's answer about a file.
 
     Attributes:
         code: of the answer; 0: there is none. etag, modified: its state. size: bytes, None if it does not say.
-        cause: why there is no answer, or what the code means.
+        cause: the reason for no answer, or the meaning of the code.
     """
 
     code: int
@@ -62,12 +62,12 @@ class Answer:
 
     @property
     def passing(self) -> bool:
-        """Whether it may be another one in a moment."""
+        """Whether a retry may give another answer."""
         return self.code == 0 or self.code in PASSING
 
     @property
     def state(self) -> tuple[str, str, int | None]:
-        """What changes when the file does."""
+        """The state of the file, which changes with it."""
         return self.etag, "" if self.etag else self.modified, self.size
 
     def __str__(self) -> str:
@@ -88,10 +88,10 @@ def public(url: str) -> str:
 
 
 def ask(url: str, *, etag: str = "", modified: str = "", again: bool = True) -> Answer:
-    """Ask for the first byte of a file; with what is known of its state, whether that is still so (code 304).
+    """Ask for the first byte of a file; given its known state, ask whether that is still valid (code 304).
 
     Args:
-        again: ask again where that may help, ``PAUSES`` later or when the server says.
+        again: retry where that may help, after ``PAUSES`` or when the server says.
     """
     for pause in [*(PAUSES if again else []), None]:
         answer, wait = _ask(url, etag, modified)
@@ -148,7 +148,7 @@ def _cause(reason: object) -> str:
 
 
 def _authorization(url: urllib.parse.SplitResult) -> dict[str, str]:
-    """The headers that GDAL's settings ask for, or the user and the password of a URL."""
+    """The headers from GDAL's settings, or the user and the password of a URL."""
     said = {}
     for line in re.split(r"\r?\n|\\r\\n|,(?=[\w-]+:)", os.environ.get("GDAL_HTTP_HEADERS", "")):
         name, colon, value = line.partition(":")
@@ -168,7 +168,7 @@ def _login(url: urllib.parse.SplitResult) -> str:
 
 
 class _Netrc(urllib.request.HTTPPasswordMgrWithDefaultRealm):
-    """Passwords of ``~/.netrc``, by the host that asks for one."""
+    """Passwords of ``~/.netrc`` by host."""
 
     def find_user_password(self, realm: Any, authuri: str) -> tuple[str | None, str | None]:
         host = urllib.parse.urlsplit(authuri if "://" in authuri else f"//{authuri}").hostname or ""
@@ -190,20 +190,20 @@ def _opener() -> urllib.request.OpenerDirector:
 
 @contextmanager
 def gdal_settings(product: Product) -> Iterator[dict[str, Any]]:
-    """What GDAL is told while it reads from a server; what the environment says of the same goes before."""
+    """GDAL's settings for reading from a server; those in the environment take precedence."""
     with temporary() as folder:
         settings: dict[str, Any] = {
             "GDAL_HTTP_USERAGENT": user_agent(),
             "GDAL_HTTP_CONNECTTIMEOUT": SILENCE,
             "GDAL_HTTP_LOW_SPEED_TIME": max(1, round(SILENCE)),
             "GDAL_HTTP_LOW_SPEED_LIMIT": 1,
-            "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # nothing lies beside a tile
+            "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # a tile has no companion files
             "GDAL_INGESTED_BYTES_AT_OPEN": 65536,  # all directories of a COG
-            "CPL_VSIL_CURL_NON_CACHED": f"/vsicurl/{product.base}",  # what failed once is asked for again
+            "CPL_VSIL_CURL_NON_CACHED": f"/vsicurl/{product.base}",  # retry what failed once
         }
         if Path(_netrc_file()).is_file():
             settings["GDAL_HTTP_NETRC_FILE"] = _netrc_file()
-        if product.account:  # a login is a way through several servers
+        if product.account:  # a login leads through several servers
             jar = Path(folder) / "cookies"
             settings |= {"GDAL_HTTP_COOKIEFILE": str(jar), "GDAL_HTTP_COOKIEJAR": str(jar)}
             if os.environ.get("GDAL_HTTP_BEARER"):

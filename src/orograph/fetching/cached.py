@@ -1,10 +1,10 @@
-"""What was read of tiles, kept in the cache folder: a record of each tile, and parts of it as small GeoTIFFs.
+"""Cached parts of tiles: a record of each tile, and its parts as small GeoTIFFs.
 
     tiles/PRODUCT-HASH/TILE/tile.json     what its server said, and when; of one that is there its header
     tiles/PRODUCT-HASH/TILE/r0-c1024.tif  a part, in the tile's own numbers: its first row and column
 
-The hash is of the product's URL rule, so another mirror is another folder. Each file appears whole (``Beside``), so a
-run that is killed loses the part it was at. While an area is put together a lock on ``tiles`` keeps what it needs from
+The hash is of the product's URL rule, so another mirror has another folder. Each file appears whole (``Beside``), so a
+killed run loses only the current part. While an area is assembled, a lock on ``tiles`` protects what it needs from
 being removed to make room (``store.kept``).
 """
 
@@ -33,19 +33,19 @@ from orograph.output import Beside, remove
 from orograph.store.kept import TILES
 
 FRESH = 7 * 86400.0
-"""Seconds for which what a server said is not asked for again."""
+"""Seconds for which a server's answer counts as current."""
 
 Status = Literal["there", "absent", "withheld"]
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a tile's file says of itself.
+    """The header of a tile's file.
 
     Attributes:
         shape: its (rows, cols). row, col: of the first sample that the tile owns. block: of its parts.
         transform, crs: where it lies; crs as WKT, "" if it has none.
-        dtype, nodata: of the numbers that parts are kept in; nodata None is NaN.
+        dtype, nodata: of the numbers stored in parts; nodata None is NaN.
     """
 
     shape: tuple[int, int]
@@ -65,12 +65,12 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What is known of a tile.
+    """The record of a tile.
 
     Attributes:
-        status: "there"; "absent"; "withheld": its makers have it, and do not give it away.
-        asked: when its server was asked, seconds since 1970. etag, modified, size: what it said.
-        header: None: it was not opened yet.
+        status: "there"; "absent"; "withheld": its makers have it but do not publish it.
+        asked: when its server was asked, seconds since 1970. etag, modified, size: its answer.
+        header: None: not opened yet.
     """
 
     status: Status
@@ -103,7 +103,7 @@ class KeptTile:
         self.tile, self.path = tile, tiles_folder() / place / tile.key
 
     def record(self) -> Record | None:
-        """What is known of it; None: nothing."""
+        """Its record; None: unknown."""
         try:
             told = json.loads((self.path / "tile.json").read_text(encoding="utf-8"))
             header = told.pop("header")
@@ -116,13 +116,13 @@ class KeptTile:
             part.write_text(json.dumps(asdict(record)), encoding="utf-8")
 
     def touch(self, record: Record) -> Record:
-        """Note that it was asked for just now and is what it was."""
+        """Record that its server was just asked and that it is unchanged."""
         now = replace(record, asked=time.time())
         self.put_record(now)
         return now
 
     def use(self) -> None:
-        """Note that it is used now: what was used longest ago is removed first."""
+        """Record that it is in use: the least recently used is removed first."""
         with contextlib.suppress(OSError):
             os.utime(self.path)
 
@@ -169,19 +169,19 @@ class KeptTile:
         except (OSError, OutputError) as error:
             cause = error.what if isinstance(error, OutputError) else f"{error.strerror or error}."
             raise OutputError(
-                f"What was read cannot be kept: {cause}", path=self.path,
-                remedy="Set OROGRAPH_CACHE to a folder with room that is yours to write in.",
+                f"What was read cannot be cached: {cause}", path=self.path,
+                remedy="Set OROGRAPH_CACHE to a writable folder with enough room.",
             ) from error  # fmt: skip
 
 
 def tiles_folder() -> Path:
-    """Where tiles are kept."""
+    """The folder of cached tiles."""
     return cache_folder() / TILES
 
 
 @contextlib.contextmanager
 def in_use() -> Any:
-    """While it is open no tile is removed from the cache to make room."""
+    """Protects all tiles in the cache from removal while it is open."""
     from orograph.store.kept import Use
 
     folder = tiles_folder()
@@ -190,7 +190,7 @@ def in_use() -> Any:
     except OSError as error:
         raise OutputError(
             f"The cache folder cannot be made: {error.strerror}.", path=folder,
-            remedy="Set OROGRAPH_CACHE to a folder with room that is yours to write in.",
+            remedy="Set OROGRAPH_CACHE to a writable folder with enough room.",
         ) from error  # fmt: skip
     use = Use(folder)
     try:

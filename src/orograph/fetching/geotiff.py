@@ -1,8 +1,8 @@
 """A fetched area as one GeoTIFF: tiled, compressed, cloud-optimised, with its datum, unit and attribution.
 
-The numbers are those of the product's tiles (whole metres in 16 bits stay so); the CRS is compound where the vertical
-datum is one that PROJ knows. Tags: ATTRIBUTION, LICENSE, PRODUCT, SOURCE, MODEL, YEARS, VERTICAL_DATUM, and
-TIFFTAG_COPYRIGHT for tools that look there.
+The numbers are those of the product's tiles (whole metres in 16 bits stay so); the CRS is compound if PROJ knows the
+vertical datum. Tags: ATTRIBUTION, LICENSE, PRODUCT, SOURCE, MODEL, YEARS, VERTICAL_DATUM, and TIFFTAG_COPYRIGHT for
+tools that look there.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CODES = {"EGM96 height": 5773, "EGM2008 height": 3855, "EGM84 height": 5798}
 
 
 class Rows(Protocol):
-    """What rows are read of."""
+    """A source of rows."""
 
     @property
     def code(self) -> tuple[str, float]: ...
@@ -91,7 +91,7 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
 
 
 def tags(raster: Fetched, vertical: str | None) -> dict[str, str]:
-    """What a file says of where its heights come from."""
+    """The description of a file's sources."""
     product = raster.product
     said = {
         **copyright_tags(raster.attribution),
@@ -107,7 +107,7 @@ def tags(raster: Fetched, vertical: str | None) -> dict[str, str]:
 
 
 def full_crs(raster: Fetched, vertical: str | None) -> CRS:
-    """The CRS with its vertical datum, if that is one that PROJ knows; else the horizontal one."""
+    """The CRS with its vertical datum, if PROJ knows that; else the horizontal one."""
     crs = raster.grid.crs
     assert crs is not None
     if vertical is None:

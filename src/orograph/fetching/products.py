@@ -1,4 +1,4 @@
-"""What is known of open elevation products: where their tiles lie, by what rule they are named, and what they hold.
+"""Open elevation products: where their tiles are, how they are named, and what they contain.
 
 The table is ``products.toml``. A file of the same form (TOML or JSON), named by ``$OROGRAPH_PRODUCTS`` or an option,
 adds products and changes fields of known ones (``base`` of a mirror, say); ``register`` does so from Python.
@@ -32,7 +32,7 @@ CHOICES = {
     "dtype": ("int16", "float32"),
     "encoding": ("", "terrarium", "mapbox"),
 }
-"""Fields that take one of a few words."""
+"""Fields with a fixed choice of words."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class Product:
     """An elevation product.
 
     Attributes:
-        name: what it is asked for by. title: for people.
+        name: its identifier. title: for people.
         base, url: where its tiles lie. ``url`` is a format of {base}, {NS}, {EW}, {ns}, {ew} (letters of the
             hemispheres), {lat}, {lon} (whole degrees, without sign), {folder}, {z}, {x}, {y}.
         member: of tiles that are zip archives, the file within, a format like ``url``.
@@ -56,13 +56,13 @@ class Product:
         dtype: of its numbers. nodata: that means "missing", if not what its files declare. scale: metres of one.
         encoding: how colours hold heights, "" if they do not.
         zoom, most_zoom: of web-mercator tiles: usual, and deepest.
-        absent: what a tile that is not there means: "sea" (0 m) or "missing". absent_codes: the answers that say so.
-        witness: the product whose tile of that place, if it is there, says that an absent one is no sea.
+        absent: the meaning of an absent tile: "sea" (0 m) or "missing". absent_codes: the status codes of absent tiles.
+        witness: a product whose tile at the same place, if it exists, shows that an absent one is not sea.
         vertical: the vertical datum: an EPSG code, a name, "" if it is not one.
         model: "surface" (with trees and houses) or "terrain".
-        years: when it was measured. licence, attribution: what its makers ask for. home: its page.
-        account: whose account it needs, "" for none; machine: what that is called in ~/.netrc.
-        sample: longitude and latitude of a place that it has (``--try-products``).
+        years: when it was measured. licence, attribution: as its makers require. home: its page.
+        account: the account that it needs, "" for none; machine: its name in ~/.netrc.
+        sample: longitude and latitude of a place that it covers (``--try-products``).
     """
 
     name: str
@@ -102,7 +102,7 @@ class Product:
 
     @property
     def datum(self) -> str | None:
-        """The name of the vertical datum, None if it has not one."""
+        """The name of the vertical datum; None if it has none."""
         if not self.vertical.upper().startswith("EPSG:"):
             return self.vertical or None
         from pyproj import CRS
@@ -115,7 +115,7 @@ class Product:
         return bool(self.member or self.encoding) or self.url.endswith((".gz", ".zip"))
 
     def width(self, south: float, north: float) -> float:
-        """How many times as far apart as rows the columns of a tile between two latitudes are."""
+        """How many times wider apart than rows the columns of a tile between two latitudes are."""
         nearest = 0.0 if south < 0 < north else min(abs(south), abs(north))
         return max((entry for entry in self.widths if entry[0] <= nearest), key=lambda entry: entry[0])[1]
 
@@ -129,7 +129,7 @@ def register(name: str, **given: Any) -> Product:
 
     Args:
         name: of the product.
-        given: its fields (``Product``), and ``like``, the product it takes all others from.
+        given: its fields (``Product``), and ``like``, the product that supplies all others.
 
     Raises:
         UsageError: a field is unknown, missing or wrong.
@@ -169,12 +169,12 @@ def product_named(name: str, table: str | os.PathLike[str] | None = None) -> Pro
     """One product.
 
     Raises:
-        UsageError: there is none of that name. Others: as ``products``.
+        UsageError: there is no such product. Others: as ``products``.
     """
     known = products(table)
     if name not in known:
         raise UsageError(
-            f"There is no product {name!r}; there are {', '.join(known)}.",
+            f"There is no product {name!r}; the products are {', '.join(known)}.",
             remedy=f"Choose one, or add yours in a file that {TABLE} names.",
         )
     return known[name]
@@ -192,14 +192,14 @@ def _loaded(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
     except OSError as error:
         raise ReadError(f"The table of products cannot be read: {error.strerror}.", path=path) from None
     except (ValueError, json.JSONDecodeError) as error:
-        raise ReadError(f"The table of products is not what its ending says: {error}.", path=path) from None
+        raise ReadError(f"The table of products does not match its file ending: {error}.", path=path) from None
     if not isinstance(found, dict) or not all(isinstance(entry, dict) for entry in found.values()):
-        raise ReadError("A table of products has fields under each product's name.", path=path)
+        raise ReadError("A table of products must have fields under each product's name.", path=path)
     return found
 
 
 def _made(name: str, entries: Mapping[str, Mapping[str, Any]], below: frozenset[str] = frozenset()) -> Product:
-    """A product of its entry, and of those that it is like."""
+    """A product from its entry and those that it is like."""
     values = _values(name, entries, below)
     known = {field.name: field for field in fields(Product)}
     if unknown := sorted(set(values) - set(known)):
@@ -212,11 +212,11 @@ def _made(name: str, entries: Mapping[str, Mapping[str, Any]], below: frozenset[
         like = known[key].default
         if isinstance(like, tuple):
             if not isinstance(value, (list, tuple)):
-                raise UsageError(f"{key} of the product {name} is a list, not {value!r}.")
+                raise UsageError(f"{key} of the product {name} must be a list, not {value!r}.")
             made[key] = tuple(tuple(v) if isinstance(v, list) else v for v in value)
         elif isinstance(like, (bool, int, float)):
             if not isinstance(value, (int, float)):
-                raise UsageError(f"{key} of the product {name} is a number, not {value!r}.")
+                raise UsageError(f"{key} of the product {name} must be a number, not {value!r}.")
             made[key] = type(like)(value)
         else:
             made[key] = str(value)
@@ -232,19 +232,19 @@ def _values(name: str, entries: Mapping[str, Mapping[str, Any]], below: frozense
     if like is None:
         return entry
     if like not in entries or like in below | {name}:
-        raise UsageError(f"The product {name} is like {like!r}, which is no other product.")
+        raise UsageError(f"The product {name} is like {like!r}, which is not another product.")
     return {**_values(like, entries, below | {name}), **entry}
 
 
 def _check_rule(name: str, made: Mapping[str, Any]) -> None:
     if not made["base"].startswith(("http://", "https://")):
-        raise UsageError(f"base of the product {name} is a URL of http or https, not {made['base']!r}.")
+        raise UsageError(f"base of the product {name} must be an http or https URL, not {made['base']!r}.")
     if made.get("spacing", 1.0) <= 0:
-        raise UsageError(f"spacing of the product {name} is more than 0, not {made['spacing']:g}.")
+        raise UsageError(f"spacing of the product {name} must be more than 0, not {made['spacing']:g}.")
     for key in ("url", "member"):
         try:
             used = {part for _, part, _, _ in string.Formatter().parse(made.get(key, "")) if part is not None}
         except ValueError as error:
-            raise UsageError(f"{key} of the product {name} is no rule: {error}.") from None
+            raise UsageError(f"{key} of the product {name} is not a valid rule: {error}.") from None
         if unknown := sorted(used - _FORMAT - {"base"}):
             raise UsageError(f"{key} of the product {name} has {{{unknown[0]}}}; there are {sorted(_FORMAT)}.")

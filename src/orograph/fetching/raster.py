@@ -1,9 +1,9 @@
-"""An area's heights out of the cache: the pieces of its tiles on one grid.
+"""An area's heights from the cache: the pieces of its tiles on one grid.
 
-A sample is its tile's own number, to the bit, where its band of tiles has the grid's columns; polewards of that rows
-are interpolated linearly between their two neighbours (float64, rounded once). What an absent tile should have owned is
-0 m of sea, or missing, as the product says; a row or column that another tile shares with it is that one's. Units:
-metres; samples.
+A sample is its tile's own number, to the bit, where its band of tiles has the grid's columns; towards the poles rows
+are interpolated linearly between their two neighbours (float64, rounded once). Samples of an absent tile are 0 m of
+sea, or missing, as the product says; a row or column that another tile shares comes from that tile. Units: metres;
+samples.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class _Spot:
 
 
 class Fetched:
-    """A raster of an area, as a mosaic or a store is made of it; reads what ``Reader.read`` has brought into the cache.
+    """A raster of an area, for a mosaic or a store; reads what ``Reader.read`` has put into the cache.
 
     Attributes:
-        grid: of the area. name, vertical, attribution: as of a ``Dem``. product: whose heights.
+        grid: of the area. name, vertical, attribution: as for a ``Dem``. product: the source.
         code: (dtype, nodata) of the smallest numbers that hold all of them.
-        sea, missing: how many tiles are absent, and what that means.
+        sea, missing: number of absent tiles, by their meaning.
     """
 
     def __init__(self, product: Product, layout: Layout, reader: Reader, name: str, sea: bool) -> None:
@@ -95,7 +95,7 @@ class Fetched:
         return out
 
     def fingerprint(self) -> str:
-        """A hash of the parts it is made of and their places."""
+        """A hash of its parts and their places."""
         said = [self.product.name, repr(self.grid.transform[:6]), repr(self.grid.shape)]
         for spots in self._spots:
             for spot in spots:
@@ -113,7 +113,7 @@ class Fetched:
         return _Spot(piece, parts, header.row, header.col, header.shape, fill)
 
     def _code(self, reader: Reader) -> tuple[str, float]:
-        """That of its tiles if they have one, and no number between theirs is needed."""
+        """The type and nodata value of its tiles, if they have one and need no numbers in between."""
         headers = [record.header for record in reader.records.values() if record.header is not None]
         codes = {FLOAT if header.nodata is None else (header.dtype, header.nodata) for header in headers}
         return codes.pop() if len(codes) == 1 and not self.resampled else FLOAT
@@ -190,7 +190,7 @@ class Fetched:
         except ReadError as error:
             remove(path)
             raise ReadError(
-                error.what, path=path, remedy="It was a copy that was kept, and is removed: run it again."
+                error.what, path=path, remedy="It was a cached copy and has been removed: run it again."
             ) from error
 
     def _file(self, path: Path) -> Source:

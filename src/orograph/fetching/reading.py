@@ -1,9 +1,9 @@
-"""Reading tiles from their servers into the cache: what of them is there, their headers, and the parts that are needed.
+"""Read tiles from their servers into the cache: which exist, their headers, and the needed parts.
 
-Three rounds, each of several tiles or parts at once: servers are asked for tiles (``asking``); GDAL opens those that
-are there (range reads, ``/vsicurl/``); and it reads the parts, blocks of the file's own, that the area needs and the
-cache lacks. Parts that fail are read again, ``asking.PAUSES`` later; before that the server is asked what is the
-matter, so that an error can say it. Units: samples of the tile's file.
+There are three rounds, each for several tiles or parts at once: servers are asked about tiles (``asking``); GDAL opens
+those that exist (range reads, ``/vsicurl/``); and it reads the parts, blocks of the file, that the area needs and the
+cache lacks. Failed parts are retried after ``asking.PAUSES``; before that the server is asked for the reason, so that
+an error can state it. Units: samples of the tile's file.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 
 CONNECTIONS = 4
-"""How many requests are made at once."""
+"""Default number of simultaneous requests."""
 
 PART = 512
-"""Rows and columns of a part, at least, where the file's blocks are smaller."""
+"""Minimum rows and columns of a part, if the file's blocks are smaller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +52,13 @@ class Reader:
     """Reads a product's tiles into the cache.
 
     Args:
-        product: whose tiles.
+        product: the product.
         others: all products, for witnesses.
         connections: requests at once.
 
     Attributes:
-        records: what is known of each tile, by its key.
-        stale: tiles whose server could not be asked again, and that are taken as they are kept.
+        records: the record of each tile, by its key.
+        stale: tiles whose server could not be asked again, used as cached.
     """
 
     def __init__(
@@ -76,15 +76,15 @@ class Reader:
         with self._gdal():
             record = self._prepared(tile, ())
         if record.header is None:
-            raise self._error(tile, "it is not there", "See whether its makers have moved it, and set its base.")
+            raise self._error(tile, "it is not there", "Check whether its makers have moved it, and set its base.")
         crs = CRS.from_wkt(record.header.crs) if record.header.crs else CRS.from_user_input(self.product.crs)
         return Grid(record.header.shape, Affine(*record.header.transform), crs)
 
     def read(self, pieces: Sequence[Piece]) -> None:
-        """Bring into the cache what these pieces need.
+        """Put into the cache what these pieces need.
 
         Raises:
-            ReadError: a server does not give it. OutputError: the cache cannot be written.
+            ReadError: a server does not deliver it. OutputError: the cache cannot be written.
         """
         by_tile: dict[str, list[Piece]] = {}
         for piece in pieces:
@@ -140,7 +140,7 @@ class Reader:
                 self._sources.clear()
 
     def _prepared(self, tile: Tile, pieces: Sequence[Piece]) -> Record:
-        """What is known of a tile, asked for if that is needed; with a header if it is there."""
+        """The record of a tile, requested if needed; with a header if it exists."""
         if not tile.covered:
             return Record("withheld", time.time())
         kept = KeptTile(self.product, tile)
@@ -154,7 +154,7 @@ class Reader:
         if known is not None and known.status == "there" and answer.code == 304:
             known = kept.touch(known)
         elif known is not None and complete and not answer.there and answer.passing:
-            self.stale.append(tile.key)  # there is no network: what is kept is good enough
+            self.stale.append(tile.key)  # there is no network: the cached record must do
             return known
         else:
             known = self._judged(kept, known, answer)
@@ -180,7 +180,7 @@ class Reader:
         return record
 
     def _withheld(self, tile: Tile) -> bool:
-        """Whether another product has this tile, so that it is no sea."""
+        """Whether another product has this tile, so that it is not sea."""
         witness = self.others.get(self.product.witness)
         if witness is None or self.product.absent != "sea" or tile.grid is None:
             return False
@@ -251,7 +251,7 @@ class Reader:
         kept.put_part(header, part.row, part.col, heights)
 
     def _attempted(self, tile: Tile, work: Any, what: str) -> Any:
-        """What GDAL makes of a file, tried again where that may help."""
+        """Run a GDAL operation on a file, with retries where they may help."""
         import rasterio
 
         for pause in [*asking.PAUSES, None]:
@@ -268,14 +268,15 @@ class Reader:
                         raise self._refused(tile, answer) from error
                     cause = self._own(error)
                     raise self._error(
-                        tile, f"it cannot be {what}, time and again: {cause}",
-                        "Run it again later (what was read is kept); if it stays so, the tile is damaged there.",
+                        tile, f"it repeatedly cannot be {what}: {cause}",
+                        "Run it again later (what was read is kept); if the error persists, the tile is damaged on "
+                        "the server.",
                     ) from error  # fmt: skip
             time.sleep(pause)
         raise AssertionError
 
     def _own(self, error: OrographError) -> str:
-        """What an error of GDAL's says, without the URL."""
+        """GDAL's error message, without the URL."""
         return error.what.replace(f"/vsicurl/{self.product.base}", "").rstrip(".")
 
     def _refused(self, tile: Tile, answer: Answer) -> ReadError:
@@ -283,17 +284,17 @@ class Reader:
         if account and answer.code in (401, 403):
             return self._error(
                 tile, f"{answer}, for it needs an account: {account}",
-                "Make one there, and put a line into ~/.netrc: machine "
-                f"{self.product.machine} login NAME password WORD (or set GDAL_HTTP_BEARER to a token); or take a "
-                "mirror that needs none (`orograph.fetching.products()`).",
+                f"Create one there, and add a line to ~/.netrc: machine {self.product.machine} login NAME password "
+                "WORD (or set GDAL_HTTP_BEARER to a token); or use a mirror that needs none "
+                "(`orograph.fetching.products()`).",
             )  # fmt: skip
         if answer.passing:
             return self._error(
-                tile, str(answer), "Run it again later: what was read is kept, and it goes on from there."
+                tile, str(answer), "Run it again later: what was read is kept, and it continues from there."
             )
         return self._error(
-            tile, str(answer), "See whether its makers have moved it, and set its base then; or, if that answer means "
-            "that there is no such tile, add it to absent_codes (docs/fetching.md)."
+            tile, str(answer), "Check whether its makers have moved it, and then set its base; or, if that answer "
+                               "means that there is no such tile, add it to absent_codes (docs/fetching.md)."
         )  # fmt: skip
 
     def _error(self, tile: Tile, cause: str, remedy: str) -> ReadError:
@@ -302,7 +303,7 @@ class Reader:
         )  # fmt: skip
 
 
-_REPORT = "The product's entry in the table of products does not fit what lies there."
+_REPORT = "The product's entry in the table of products does not match its files."
 
 
 def _same_tile(witness: Product, tile: Tile) -> Tile:
@@ -324,7 +325,7 @@ def _part_shape(block: tuple[int, int], shape: tuple[int, int]) -> tuple[int, in
 
 
 def _described(grid: Grid) -> str:
-    """Where samples lie, for people."""
+    """The place of samples, for people."""
     (x, y), (west, _, _, north) = grid.spacing, grid.bounds()
     return f"{x:.9g} × {y:.9g}° apart from {west:.9g}, {north:.9g}"
 

@@ -1,5 +1,5 @@
-"""What is fetched: planned first, so that its size is told before anything is read; then read, and made a Dem, a
-GeoTIFF or a store."""
+"""A request: planned first, so that its size is known before anything is read; then read, and made a Dem, a GeoTIFF or
+a store."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from orograph.progress import SILENT, Progress
 from orograph.store.kept import make_room
 
 MOST = 1 << 30
-"""Bytes of heights that are fetched unless more is allowed."""
+"""Default maximum bytes of heights to fetch."""
 
 STRIP = 512
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a request comes to.
+    """The plan of a request.
 
     Attributes:
-        product: whose heights. box: the area. layout: its grid and tiles.
+        product: the product. box: the area. layout: its grid and tiles.
     """
 
     product: Product
@@ -56,7 +56,7 @@ class Plan:
 
     @property
     def bytes(self) -> int:
-        """Bytes to read at most, as they are before compression; of tiles that are read whole all of theirs."""
+        """Maximum bytes to read, before compression; tiles that are read whole count completely."""
         item = np.dtype(self.product.dtype).itemsize
         pieces = [piece for band in self.layout.bands for piece in band.pieces]
         if not self.product.by_file:
@@ -74,17 +74,17 @@ class Plan:
 
 
 class Request:
-    """An area of a product.
+    """A request for an area of a product.
 
     Args:
-        area, radius: as of ``fetch``. product: its name. table: a file of products.
-        zoom: of web-mercator tiles. absent: "sea" or "missing", instead of what the product says.
-        to_vertical, geoid: as of ``Mosaic.open``.
+        area, radius: as for ``fetch``. product: its name. table: a file of products.
+        zoom: of web-mercator tiles. absent: "sea" or "missing", overriding what the product says.
+        to_vertical, geoid: as for ``Mosaic.open``.
         most: bytes of heights that may be read; None: any number.
         connections: requests at once.
 
     Attributes:
-        plan: what it comes to. product: what it is of.
+        plan: its size. product: the product.
     """
 
     def __init__(
@@ -104,12 +104,12 @@ class Request:
     ) -> None:
         check_request(to_vertical, geoid)
         if absent not in (None, "sea", "missing"):
-            raise UsageError(f"A tile that is absent is sea or missing, not {absent!r}.")
+            raise UsageError(f"An absent tile must be sea or missing, not {absent!r}.")
         self.product = product_named(product, table)
         body = BODIES[self.product.body.lower()]
         box = area_of(area, radius, body)
         if zoom is not None and self.product.tiling != "web-mercator":
-            raise UsageError(f"{product} has no zooms.", remedy="Leave `zoom` away.")
+            raise UsageError(f"{product} has no zooms.", remedy="Leave out `zoom`.")
         self.sea = (absent or self.product.absent) == "sea"
         self.to_vertical, self.progress = to_vertical, progress
         self.geoid = None if to_vertical is None or geoid is None else _geoid(self.product, box, to_vertical, geoid)
@@ -139,7 +139,7 @@ class Request:
             raster = Fetched(plan.product, plan.layout, self.reader, name, self.sea)
             if raster.missing == len(plan.layout.tiles):
                 raise ReadError(
-                    f"{plan.product.title} has no heights at {plan.box}: none of its tiles is there.",
+                    f"{plan.product.title} has no heights at {plan.box}: none of its tiles exists.",
                     remedy="Choose another product (`orograph.fetching.products()`).",
                 )
             self._tell(raster)
@@ -162,7 +162,7 @@ class Request:
         """Write a GeoTIFF.
 
         Raises:
-            OutputError: it cannot be written, or something is there.
+            OutputError: it cannot be written, or the file exists.
         """
         check_vacant(path, overwrite)
         with self.fetched() as raster:
@@ -181,7 +181,7 @@ class Request:
             return build(mosaic, url, progress=self.progress, **options)
 
     def check_memory(self) -> None:
-        """Raise UsageError if the heights are more than a Dem holds."""
+        """Raise UsageError if the heights exceed the limit of a Dem."""
         if self.plan.samples * 4 > MAX_READ_BYTES:
             raise UsageError(
                 f"{self.plan}. That is more than fits into a Dem ({MAX_READ_BYTES >> 30} GiB).",
@@ -195,13 +195,13 @@ class Request:
         return self.geoid.ellipsoidal_datum if self.to_vertical == "ellipsoidal" else self.geoid.datum
 
     def _converted(self, raster: Fetched) -> Fetched | ConvertedLattice:
-        """The raster above the datum that is asked for."""
+        """The raster above the requested datum."""
         if self.to_vertical is None or self.geoid is None:
             return raster
         return ConvertedLattice(group([raster], [raster.grid])[0], self.geoid, self.to_vertical)
 
     def _flat(self, raster: Fetched) -> CRS | None:
-        """A CRS true to scale instead of the web's Mercator; None: that which a mosaic chooses."""
+        """A CRS that is true to scale instead of web Mercator; None: the one that a mosaic chooses."""
         if self.product.tiling != "web-mercator":
             return None
         box = self.plan.box
@@ -209,23 +209,23 @@ class Request:
         return flat_crs(CRS.from_epsg(4326), lon.ravel(), lat.ravel()).crs
 
     def _tell(self, raster: Fetched) -> None:
-        """What a user should know of what was fetched."""
+        """Messages for the user about what was fetched."""
         tell, product = self.progress.warn, self.product
         tiles = len(self.plan.layout.tiles)
         if raster.sea:
-            self.progress.note(f"{raster.sea} of {tiles} tiles are not there: sea, at 0 m")
+            self.progress.note(f"{raster.sea} of {tiles} tiles are absent: sea, at 0 m")
         if raster.missing:
             withheld = sum(record.status == "withheld" for record in self.reader.records.values())
             other = f"; {product.witness} has some of them" if withheld and product.witness else ""
-            tell(f"{raster.missing} of {tiles} tiles of {product.name} are not there: heights are missing{other}.")
+            tell(f"{raster.missing} of {tiles} tiles of {product.name} are absent: heights are missing{other}.")
         if raster.resampled:
             tell(
-                "Columns of the northern or southern tiles lie farther apart: their rows are interpolated on the "
+                "Columns of the northern or southern tiles are farther apart: their rows are interpolated to the "
                 "columns of the others."
             )
         if self.reader.stale:
             tell(
-                f"{product.base} cannot be reached: {len(self.reader.stale)} tiles are taken as they were kept over a "
+                f"{product.base} cannot be reached: {len(self.reader.stale)} tiles are used as cached more than a "
                 "week ago."
             )
 
@@ -234,12 +234,12 @@ def _geoid(product: Product, box: Box, to: Direction, geoid: Geoid | str | os.Pa
     """The geoid grid that converts a product's heights, before any is read.
 
     Raises:
-        UsageError: it is not of their datum. ReadError: it cannot be read.
+        UsageError: it is not for their datum. ReadError: it cannot be read.
     """
     if product.datum is None:
         raise UsageError(
-            f"The heights of {product.name} are above no one datum, and cannot be converted.",
-            remedy="Choose another product (`orograph.fetching.products()`), or leave `to_vertical` away.",
+            f"The heights of {product.name} have no single datum, so they cannot be converted.",
+            remedy="Choose another product (`orograph.fetching.products()`), or leave out `to_vertical`.",
         )
     grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid, latitudes=(box.south - 0.1, box.north + 0.1))
     check_datums([_Named(product.name, product.datum)], to, grid)
@@ -248,7 +248,7 @@ def _geoid(product: Product, box: Box, to: Direction, geoid: Geoid | str | os.Pa
 
 @dataclass(frozen=True, slots=True)
 class _Named:
-    """What ``check_datums`` looks at."""
+    """The properties that ``check_datums`` uses."""
 
     name: str
     vertical: str

@@ -1,4 +1,4 @@
-"""Which samples of which tiles an area needs, and the one grid they are put on: index arithmetic, no network.
+"""Which samples of which tiles an area needs, and their common grid: index arithmetic, no network.
 
 All samples of a product lie on one lattice around the globe, cut into tiles; each sample has one tile that owns it, so
 rows and columns at the seams appear once. A tile of degrees whose south-west corner is (L, W) owns the samples of
@@ -95,7 +95,7 @@ class Layout:
 
     @property
     def tiles(self) -> list[Tile]:
-        """Each tile once."""
+        """All tiles, each once."""
         return list({piece.tile.key: piece.tile for band in self.bands for piece in band.pieces}.values())
 
 
@@ -112,7 +112,7 @@ def lay_out(product: Product, box: Box, zoom: int | None = None, header: Grid | 
     _, south, _, north = product.extent
     if box.north <= south or box.south >= north:
         raise UsageError(
-            f"{product.title} covers latitudes {south:g} to {north:g}, and the area has {box.south:g} to "
+            f"{product.title} covers latitudes {south:g} to {north:g}, but the area has {box.south:g} to "
             f"{box.north:g}.",
             remedy="Choose another product (`orograph.fetching.products()`).",
         )
@@ -221,7 +221,7 @@ def _one(product: Product, box: Box, whole: Grid) -> Layout:
     col, row = whole.index(*there.transform([0.0, 1.0, 0.0, 0.0], [middle, middle, box.north, box.south]))
     per_degree = float(col[1] - col[0])
     if not (per_degree > 0 and whole.transform.b == 0 and whole.transform.d == 0):
-        raise UsageError(f"{product.title} is not cylindrical, so no box of it can be cut out.")
+        raise UsageError(f"{product.title} is not cylindrical, so a box cannot be cut from it.")
     around = round(360 * per_degree)
     full = abs(360 * per_degree - around) < 0.01 and whole.cols >= around
     # Rows and columns of cells that the box meets: sample i covers i − ½ to i + ½.

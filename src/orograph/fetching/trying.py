@@ -1,4 +1,4 @@
-"""Whether the rules by which products name their tiles still hold: servers are asked for a tile that they must have."""
+"""Check whether the rules for the names of products' tiles still hold: ask servers for a tile that they must have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a place lies outside of a grid, in words: "412 km beyond the terrain's northern border"."""
+"""How far a place lies outside a grid, in words: "412 km beyond the terrain's northern border"."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CORNERS = ("north-eastern", "south-eastern", "south-western", "north-western")
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """A place outside of a grid. ``metres``: to its nearest sample; ``border``: which that is of, in words."""
+    """A place outside a grid. ``metres``: to its nearest sample; ``border``: which that is of, in words."""
 
     metres: float
     border: str

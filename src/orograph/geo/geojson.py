@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def load(given: Any) -> tuple[dict[str, Any], str]:
-    """A GeoJSON object and what to call it: from a file, a mapping, or what has ``__geo_interface__``.
+    """A GeoJSON object and its name: from a file, a mapping, or an object with ``__geo_interface__``.
 
     Raises:
         ReadError: the file cannot be read, or is not JSON. UsageError: it is none of these.
@@ -28,14 +28,14 @@ def load(given: Any) -> tuple[dict[str, Any], str]:
         return _with_crs(given), f"the {type(given).__name__}"
     if not isinstance(given, str | os.PathLike):
         raise UsageError(
-            f"A geometry is a GeoJSON file or object, or what has __geo_interface__, not {type(given).__name__}."
+            f"A geometry must be a GeoJSON file or object, or have __geo_interface__, not {type(given).__name__}."
         )
     try:
         return parse(Path(given).read_text(encoding="utf-8-sig")), os.fspath(given)
     except OSError as error:
         raise ReadError(f"It cannot be read: {error.strerror}.", path=given) from error
     except ValueError as error:
-        remedy = "ogr2ogr -t_srs EPSG:4326 area.geojson FILE makes GeoJSON of other formats."
+        remedy = "ogr2ogr -t_srs EPSG:4326 area.geojson FILE converts other formats to GeoJSON."
         raise ReadError(f"This is not JSON: {error}.", path=given, remedy=remedy) from error
 
 
@@ -53,7 +53,7 @@ def geometries(data: Any) -> list[dict[str, Any]]:
 
 
 def lines(parts: Any) -> list[Array]:
-    """Lists of coordinates, each (n, 2); a third coordinate is left out.
+    """Lists of coordinates, each (n, 2); a third coordinate is dropped.
 
     Raises:
         ValueError: they are no such lists.
@@ -95,12 +95,12 @@ def crs_name(data: Mapping[str, Any]) -> str | None:
     except (KeyError, TypeError):
         return None
     if not isinstance(name, str):
-        raise UsageError(f"The file's crs has no name that can be understood: {name!r}.")
+        raise UsageError(f"The file's crs has no known name: {name!r}.")
     return None if name.rstrip("/").endswith(("CRS84", "4326")) else name
 
 
 def _with_crs(given: Any) -> dict[str, Any]:
-    """The GeoJSON of an object; a GeoDataFrame says its CRS beside it."""
+    """The GeoJSON of an object; a GeoDataFrame also gives its CRS."""
     data, crs = dict(given.__geo_interface__), getattr(given, "crs", None)
     if crs is not None and "crs" not in data:
         data["crs"] = {"properties": {"name": crs.to_wkt() if hasattr(crs, "to_wkt") else str(crs)}}

@@ -1,4 +1,4 @@
-"""Whether PROJ can bring positions from one datum to another as well as is known, or does it roughly without a word.
+"""Whether PROJ transforms positions between datums as accurately as possible, or silently falls back to less.
 
 The best ways between many datums (NAD27, OSGB36, DHDN…) need a grid file. Where PROJ lacks it, it takes a lesser
 way, and where there is none, longitudes and latitudes as they are ("ballpark"): up to some hundred metres off. Between
@@ -20,11 +20,11 @@ from pyproj.transformer import TransformerGroup
 def approximation(
     source: CRS, target: CRS, bounds: tuple[float, float, float, float], tolerance: float = 0.0
 ) -> str | None:
-    """A sentence on how the best way from ``source`` to ``target`` is not the one taken; None if it is.
+    """A sentence if the best transformation from ``source`` to ``target`` is not the one used; None if it is.
 
     Args:
         bounds: (west, south, east, north) of the area in coordinates of ``source``.
-        tolerance: metres by which positions may be off without a word; roughly taken ones are always told.
+        tolerance: metres by which positions may silently be off; roughly taken ones are always told.
     """
     if _same_datum(source, target):
         return None
@@ -48,21 +48,23 @@ def approximation(
         return None
     how = f"From {_datum(source)} to {_datum(target)} "
     if rough:
-        now = "positions are taken as they are, which may put them some hundred metres off"
+        now = "positions are not transformed, which may put them some hundred metres off"
     else:
-        now = "a lesser way is taken" + (f", good to about {accuracy:g} m" if accuracy < math.inf else "")
+        now = "a less accurate transformation is used" + (
+            f", good to about {accuracy:g} m" if accuracy < math.inf else ""
+        )
     if best is None:
-        return how + f"PROJ knows no way here: {now}."
+        return how + f"PROJ has no transformation here: {now}."
     missing = [g.short_name for g in best.grids if not g.available]
     good = f" (good to {best.accuracy:g} m)" if best.accuracy > 0 else ""
     return how + (
-        f"the best way{good} needs {' and '.join(missing)}, which PROJ does not have; {now} "
-        f"(PROJ's projsync fetches it, or set PROJ_NETWORK=ON)."
+        f"the best transformation{good} needs {' and '.join(missing)}, which PROJ lacks; {now} (PROJ's projsync "
+        "fetches it, or set PROJ_NETWORK=ON)."
     )
 
 
 def same_body(a: CRS, b: CRS) -> bool:
-    """Whether two CRSs may be of one planet or moon: their ellipsoids' radii differ by less than one in a hundred.
+    """Whether two CRSs may belong to one planet or moon: their ellipsoids' radii differ by less than 1 %.
 
     The ellipsoids in use for Earth differ by one in ten thousand; Venus, the body most like it, by one in twenty.
     """

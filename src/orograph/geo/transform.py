@@ -1,4 +1,5 @@
-"""Moving positions between coordinate reference systems, horizontally, in (x, y) = (longitude, latitude) order."""
+"""Transforming positions between coordinate reference systems, horizontally, in (x, y) = (longitude, latitude)
+order."""
 
 from __future__ import annotations
 
@@ -37,16 +38,18 @@ def transformer(source: Any, target: Any) -> Callable[[ArrayLike, ArrayLike], tu
         UsageError: one is None or unknown, or no operation between them exists (other planet, local CRS).
     """
     if source is None or target is None:
-        raise UsageError("Positions cannot be brought to another CRS: the terrain has none. Give `assume_crs`.")
+        raise UsageError("Positions cannot be transformed: the terrain has no CRS. Give `assume_crs`.")
     a, b = crs_of(source), crs_of(target)
     if a == b:
         return lambda x, y: (np.asarray(x, np.float64), np.asarray(y, np.float64))
     if not same_body(a, b):
-        raise UsageError(f"There is no way from {a.name} to {b.name}: they are not of the same celestial body.")
+        raise UsageError(
+            f"There is no transformation from {a.name} to {b.name}: they belong to different celestial bodies."
+        )
     try:
         operation = Transformer.from_crs(a, b, always_xy=True)
     except ProjError as error:
-        raise UsageError(f"There is no way from {a.name} to {b.name}: {error}") from error
+        raise UsageError(f"There is no transformation from {a.name} to {b.name}: {error}") from error
 
     def move(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
         u, v = operation.transform(np.asarray(x, np.float64), np.asarray(y, np.float64))
@@ -59,7 +62,7 @@ def place(grid: Grid, lon: float, lat: float) -> tuple[float, float]:
     """A longitude and a latitude (WGS 84, degrees) in a grid's CRS.
 
     Raises:
-        UsageError: the grid has no CRS, the place cannot be brought to it, or its two numbers seem to be swapped.
+        UsageError: the grid has no CRS, the place cannot be transformed to it, or its two numbers seem to be swapped.
     """
     move = transformer("EPSG:4326", grid.crs)
 
@@ -75,7 +78,7 @@ def place(grid: Grid, lon: float, lat: float) -> tuple[float, float]:
             remedy=f"Give the longitude first: {lat:g},{lon:g}.",
         )
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
+        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be transformed to the terrain's CRS.")
     return x, y
 
 

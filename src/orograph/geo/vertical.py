@@ -62,7 +62,7 @@ class Geoid:
 
     @property
     def ellipsoidal_datum(self) -> str:
-        """What heights above the grid's ellipsoid are called: "ellipsoidal height (WGS 84)"."""
+        """The name of heights above the grid's ellipsoid: "ellipsoidal height (WGS 84)"."""
         crs = self.grid.crs
         return f"{ELLIPSOIDAL} ({'WGS 84' if crs is None else crs.name})"
 
@@ -74,7 +74,7 @@ class Geoid:
             latitudes: south and north of what is needed (degrees); None reads the whole (EGM2008 at 1′: 1.8 GB).
 
         Raises:
-            ReadError: the file is missing or broken, or is not a north-up geographic grid.
+            ReadError: the file is missing or damaged, or is not a north-up geographic grid.
         """
         import rasterio
         from rasterio.errors import RasterioError
@@ -100,9 +100,7 @@ class Geoid:
         except RasterioError as error:
             raise ReadError(f"The geoid grid cannot be read: {error}", path=text, remedy=remedy) from None
         if transform.b or transform.d or transform.e >= 0 or (crs is not None and not crs.is_geographic):
-            raise ReadError(
-                "A geoid grid must be geographic and north up, which this is not.", path=text, remedy=remedy
-            )
+            raise ReadError("A geoid grid must be geographic and north up; this one is not.", path=text, remedy=remedy)
         stem = Path(text).stem
         datum = known_datum(f"height above {stem}")
         grid = Grid((height, width), transform, crs).window(first, last, 0, width)

@@ -26,7 +26,7 @@ def parse(data: bytes | None) -> list[Part]:
     try:
         found, _ = _geometry(memoryview(data), 0)
     except (struct.error, IndexError) as error:
-        raise ValueError("a geometry is cut off") from error
+        raise ValueError("a geometry is truncated") from error
     return found
 
 
@@ -54,7 +54,7 @@ def _geometry(data: memoryview, at: int) -> tuple[list[Part], int]:
             rings.append(ring)
         return ([("polygons", rings)] if rings and len(rings[0]) > 2 else []), at
     if kind not in COLLECTIONS:
-        raise ValueError(f"geometries of type {kind} are none of points, lines and polygons")
+        raise ValueError(f"geometries of type {kind} are not points, lines or polygons")
     found: list[Part] = []
     for _ in range(count):
         inner, at = _geometry(data, at)

@@ -21,13 +21,13 @@ from orograph.output import Beside
 
 PREFIX = "xyz:"
 FRESH = 7 * 86400
-"""Seconds for which a tile that was read is not asked for again."""
+"""Seconds for which a tile that was read is not requested again."""
 WORLD = 20037508.342789244
 """Metres from the middle of Web Mercator to its border."""
 FINEST = 18
-"""Zoom of a service that does not say its finest."""
+"""Finest zoom of a service that does not declare one."""
 PATIENCE, CONNECTIONS = 15, 4
-"""Seconds for which an answer is waited for; tiles that are asked for at once."""
+"""Seconds to wait for an answer; simultaneous requests for tiles."""
 
 DESCRIPTION = """<GDAL_WMS>
   <!-- {called} -->
@@ -52,7 +52,7 @@ class Basemap:
     """A tile service.
 
     Attributes:
-        name: what to call it. url: with {z}, {x} and {y}. attribution: whom it wants to be named.
+        name: its name. url: with {z}, {x} and {y}. attribution: the credit that it asks for.
         coarsest, finest: its zoom levels. side: pixels of a tile. bottom: whether rows are counted from the south.
     """
 
@@ -66,23 +66,23 @@ class Basemap:
 
     @classmethod
     def of(cls, text: str) -> Basemap:
-        """The service of ``xyz:NAME`` or ``xyz:URL``; ``?key=value&…`` after a name says what the service asks for.
+        """The service of ``xyz:NAME`` or ``xyz:URL``; ``?key=value&…`` after a name supplies the service's parameters.
 
         Raises:
-            UsageError: there is none of that name, or it asks for a token.
+            UsageError: there is no such service, or it needs a token.
         """
         what = text.removeprefix(PREFIX)
         if "{" in what:
             lacking = [part for part in ("{z}", "{x}") if part not in what]
             if lacking or not ("{y}" in what or "{-y}" in what):
-                raise UsageError(f"A URL of tiles has {{z}}, {{x}} and {{y}}: {what}.")
+                raise UsageError(f"A URL of tiles must have {{z}}, {{x}} and {{y}}: {what}.")
             name = re.sub(r"^\w+://(www\.)?", "", what).partition("/")[0] if "://" in what else Path(what).parts[0]
             return cls(name, what.replace("{-y}", "{y}"), bottom="{-y}" in what)
         name, _, said = what.partition("?")
         return _of_catalogue(name, dict(part.partition("=")[::2] for part in said.split("&") if part))
 
     def description(self, cache: Path) -> str:
-        """What GDAL reads."""
+        """The description for GDAL."""
         url = self.url.replace("{z}", "${z}").replace("{x}", "${x}").replace("{y}", "${y}")
         return DESCRIPTION.format(
             called=f"{PREFIX}{self.name}".replace("--", "-"), url=escape(url), world=WORLD, finest=self.finest,
@@ -93,7 +93,7 @@ class Basemap:
 
 
 def location_of(path: str) -> str:
-    """The file of a service or of packed tiles that GDAL opens; any other path as it is."""
+    """The file of a service or of packed tiles for GDAL; any other path unchanged."""
     if path.startswith(PREFIX):
         found = Basemap.of(path)
         if "://" not in found.url:
@@ -130,15 +130,15 @@ def _of_catalogue(name: str, said: dict[str, str]) -> Basemap:
     found = found.copy()
     unknown = sorted(set(said) - set(found))
     if unknown:
-        raise UsageError(f"{found.name} asks for no {unknown[0]!r}.")
+        raise UsageError(f"{found.name} has no parameter {unknown[0]!r}.")
     found.update(said)
     if found.requires_token():
         wanted = next((key for key, value in found.items() if "<insert" in str(value)), "token")
         raise UsageError(
-            f"{found.name} asks for a token of yours.", remedy=f"Write it after the name: xyz:{found.name}?{wanted}=…"
+            f"{found.name} needs a token of yours.", remedy=f"Add it after the name: xyz:{found.name}?{wanted}=…"
         )
     if str(found.get("crs", "EPSG:3857")) != "EPSG:3857":
-        raise UsageError(f"{found.name} is in {found['crs']}; only Web Mercator is read.")
+        raise UsageError(f"{found.name} is in {found['crs']}; only Web Mercator can be read.")
     template = {key: f"{{{key}}}" for key in ("x", "y", "z")}
     url = found.build_url(**template) if "{-y}" not in found["url"] else found["url"].replace("{-y}", "{y}")
     bottom = "{-y}" in found["url"] or bool(found.get("tms"))

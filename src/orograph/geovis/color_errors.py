@@ -38,7 +38,7 @@ Floats = NDArray[np.float32]
 SUN = (315.0, 45.0)
 CODE = 15.9
 SKY = 0.35
-"""The part of the light that comes from everywhere."""
+"""The ambient part of the light."""
 
 _XYZ = np.array(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
@@ -166,12 +166,12 @@ def blank(terrain: Terrain) -> Surface:
 class ColorErrors(Colors):
     """Color errors of a terrain's diamonds, called as methods want them: ``(level, row0, row1, col0, col1) → float32``.
 
-    Computed at once and kept in memory; see ``color_store`` for those kept with the terrain.
+    Computed at once and held in memory; see ``color_store`` for those stored with the terrain.
 
     Args:
         terrain, drape, colormap, sun, relief, max_memory: see ``Colors``.
         jobs: threads.
-        progress: hears of the work.
+        progress: gets progress reports.
 
     Raises:
         ReadError: the image cannot be read, or lies elsewhere.

@@ -66,7 +66,7 @@ class ColorState:
         if colors.step != told["step"] or made.get("drape") != told["drape"]:
             raise StoreError(
                 "A worker finds another image under its name than the process that makes color errors.",
-                path=recipe.drape, remedy="See that all of them have the same file system.",
+                path=recipe.drape, remedy="Check that all of them share one file system.",
             )  # fmt: skip
         writer = ShardWriter(guarded(storage_at(url, said), PLAN, recipe.plan))
         self._stage = ColorStage(colors, writer, terrain.record)

@@ -76,7 +76,7 @@ def stored(
     wanted = made_with(drape, **options)
     if wanted is not None and same(wanted, COLORS.of(terrain.record)):
         return StoredColorErrors(terrain)
-    progress.note("The store has color errors of other colours; those of these are computed.")
+    progress.note("The store's color errors are of other colours; new ones are computed.")
     return None
 
 
@@ -117,7 +117,7 @@ def store_colors(
     wanted = made_with(drape, **options)
     if wanted is None:
         raise UsageError(
-            f"{os.fspath(drape or '')} is no file, so that it could not be told from another image later.",
+            f"{os.fspath(drape or '')} is not a file, so a changed image could not be detected later.",
             remedy="Fetch the image, and name the copy.",
         )
     check_workers(workers, dask, "A store's color errors")
@@ -136,7 +136,7 @@ def store_colors(
                     storage.remove(PARTIAL)
                     storage.put(f"{PARTIAL}/plan.json", [plan])
                 at_once = max(1, min(threads_for(jobs), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
-                writer = ShardWriter(storage)
+                writer = ShardWriter(storage, before.digests.keyed)
                 stage = ColorStage(colors, writer, before)
                 with _executor(storage, drape, options, plan, at_once, (workers, dask, jobs, max_memory)) as executor:
                     executor.run(stage, progress)

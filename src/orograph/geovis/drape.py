@@ -1,5 +1,5 @@
-"""A layer laid over the terrain, as the CPU draws it: from a place in the terrain's CRS to the colour of an image in
-any CRS.
+"""A layer over the terrain, as the CPU draws it: from a place in the terrain's CRS to the colour of an image in any
+CRS.
 
 The image stays in its own projection; positions go to it (``placement``). What is seen of it is looked up over the
 footprint of a pixel of the picture: the ellipse that is the pixel's image on the ground. Of means at all resolutions
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 Colors = NDArray[np.float32]
 
 BUDGET = 1 << 30
-"""Bytes of texels where no limit is given."""
+"""Default bytes of texels."""
 
 WHOLE = 4
 """Of the bytes of an image that does not fit, the part (one of so many) that holds coarse levels of all of it."""
@@ -75,7 +75,7 @@ class Drape:
         *,
         metres: float | None = None,
     ) -> Drape:
-        """Lay an image over a terrain, and read it where it fits into the memory allowed.
+        """Lay an image over a terrain, and read it if it fits into the allowed memory.
 
         Args:
             layer: what is shown, or the path of an image.

@@ -1,4 +1,4 @@
-"""Images and rasters in memory as files in GDAL's memory, so that what draws layers knows one kind of them: files.
+"""Images and rasters in memory as files in GDAL's memory, so that layers are always files.
 
 Arrays, DataArrays, and datasets without a file of their own. A file is there as long as its ``Held`` is.
 """
@@ -65,7 +65,7 @@ def held(given: Any, transform: Any = None, crs: Any = None) -> tuple[str, Held 
         transform, crs: where an array lies; without them it spans the terrain.
 
     Raises:
-        UsageError: it is nothing of these.
+        UsageError: it is none of these.
     """
     if is_dataset(given):
         path = file_of(given)
@@ -122,7 +122,7 @@ def _bands(given: Any) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
     hidden = np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else None
     if raw.dtype.kind not in "iufb" or raw.ndim not in (2, 3) or 0 in raw.shape:
         raise UsageError(
-            "A layer is a path, an open dataset, or an array (rows, cols) or (rows, cols, 3 or 4) of real numbers, "
+            "A layer must be a path, an open dataset, or array (rows, cols) or (rows, cols, 3 or 4) of real numbers, "
             f"not {type(given).__name__} of {raw.dtype}, {raw.shape}."
         )
     if raw.ndim == 2:

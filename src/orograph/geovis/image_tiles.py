@@ -26,13 +26,13 @@ Places = NDArray[np.int64]
 Colors = NDArray[np.float32]
 
 LEAST = 2 * mipmap.TAPS
-"""Tiles that one footprint may take."""
+"""The most tiles that one footprint may take."""
 
 MOST = 1 << 12
-"""Tiles that are looked up at once, at most."""
+"""The most tiles looked up at a time."""
 
 FULL = 1 << 16
-"""Tiles that are counted, at most."""
+"""The most tiles that are counted."""
 
 BYTES = 4 * EDGE * EDGE
 """Of a tile."""
@@ -115,14 +115,14 @@ class ImageTiles:
 
     @contextmanager
     def _held(self, keys: Places) -> Iterator[Places]:
-        """The slots (n,) of tiles that do not leave meanwhile; reads those that are not there."""
+        """The slots (n,) of tiles, which stay meanwhile; reads those that are absent."""
         given, own, awaited = np.empty(len(keys), np.int64), [], []
         with self._changed:
             for n, key in enumerate(keys.tolist()):
                 slot = self._slots.find(key)
                 if slot < 0:
                     slot, _ = self._slots.take(key, HELD)
-                    assert slot >= 0, "tiles of all threads together are more than there is room for"
+                    assert slot >= 0, "the tiles of all threads together exceed the available memory"
                     self._ready[slot] = False
                     self._reading.add(slot)
                     own.append((key, slot))
@@ -158,7 +158,7 @@ class ImageTiles:
                             self._slots.release(key)
 
     def _read(self, key: int, slot: int) -> None:
-        """Bring a tile to its slot, its border from the tiles beside it, or going on where there are none."""
+        """Load a tile into its slot, with its border from adjacent tiles, or extrapolated where there are none."""
         texels, (k, r0, r1, c0, c1) = self.texels, self.window(key)
         block = texels.read(k, r0, r1, c0, c1)
         # From the tile's first texel, border included, to the first that there is.

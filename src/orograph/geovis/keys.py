@@ -29,7 +29,7 @@ class Scale:
 
     @property
     def words(self) -> str:
-        """What stands above it."""
+        """The heading above it."""
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
@@ -69,7 +69,7 @@ class Legend:
 
     @property
     def words(self) -> str:
-        """All that is written in it, but for numbers."""
+        """All text in it, except numbers."""
         named = [words for words, _ in (*self.classes, *self.swatches)]
         both = [words for one in self.squares for words in (one.across, one.up)]
         return " ".join([*(scale.words for scale in self.scales), *both, *named])
@@ -81,6 +81,6 @@ UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "
 
 
 def written_unit(told: str) -> str:
-    """A unit of a file as people write it."""
+    """A file's unit as people write it."""
     bare = told.strip().strip("[]")
     return UNITS.get(bare.lower(), bare)

@@ -88,32 +88,32 @@ class Layer:
         if isinstance(self.path, str | os.PathLike):
             object.__setattr__(self, "path", os.fspath(self.path))
             if transform is not None or crs is not None:
-                raise self._error("Its transform and CRS are a file's own; they are for arrays.")
+                raise self._error("A file has its own transform and CRS; these are for arrays.")
         else:
             path, keep = held(self.path, transform, crs)
             object.__setattr__(self, "path", path)
             object.__setattr__(self, "held", keep)
         if norm is not None or not isinstance(self.colormap, str | Table | None):
             if self.colormap is None:
-                raise self._error("A norm is a colour map's.", "Give a colormap, such as viridis.")
+                raise self._error("A norm needs a colour map.", "Give a colormap, such as viridis.")
             object.__setattr__(self, "colormap", Table.of(self.colormap, norm))
         if not self.path:
             raise UsageError("A layer has no path.", remedy="Name an image or a raster.")
         if not 0 <= self.opacity <= 1:
-            raise self._error(f"An opacity is a number from 0 to 1, not {self.opacity:g}.")
+            raise self._error(f"The opacity must be a number from 0 to 1, not {self.opacity:g}.")
         if self.blend not in get_args(Blend):
-            raise self._error(f"There is no blend {self.blend!r}; there are {', '.join(get_args(Blend))}.")
+            raise self._error(f"Unknown blend {self.blend!r}; the blends are {', '.join(get_args(Blend))}.")
         if self.band < 1:
             raise self._error(f"Bands are counted from 1; there is no band {self.band}.")
         if self.range is not None:
             low, high = (float(v) for v in self.range)
             object.__setattr__(self, "range", (low, high))
             if not (math.isfinite(low) and math.isfinite(high) and low != high):
-                raise self._error(f"A range goes from one value to another one, not from {low:g} to {high:g}.")
+                raise self._error(f"A range needs two different finite values, not {low:g} and {high:g}.")
         if self.colormap is None and (self.range is not None or self.band != 1):
             raise self._error(
-                "A range and a band are those of a raster that a colour map colours.",
-                remedy="Give a colormap, such as viridis, or leave them away.",
+                "A range and a band apply only to a raster with a colour map.",
+                remedy="Give a colormap, such as viridis, or omit them.",
             )
         if isinstance(self.colormap, str):
             from orograph.geovis.color import color_table
@@ -187,7 +187,7 @@ class Layer:
         """
         path, keys = keyed(text)
         if "path" in keys:
-            raise UsageError("path is said twice.", path=text)
+            raise UsageError("path is given twice.", path=text)
         values: dict[str, Any] = {"path": path, **keys}
         return cls.from_dict(values)
 
@@ -212,7 +212,7 @@ class Layer:
             if "band" in given:
                 band = _number(given["band"], "band")
                 if band != int(band):
-                    raise UsageError(f"A band is a whole number, not {band:g}.")
+                    raise UsageError(f"A band must be an integer, not {band:g}.")
                 given["band"] = int(band)
             if "visible" in given:
                 given["visible"] = _truth(given["visible"])
@@ -220,7 +220,7 @@ class Layer:
                 given["range"] = _range(given["range"])
             for key in ("name", "blend", "colormap"):
                 if key in given and not isinstance(given[key], str):
-                    raise UsageError(f"The {key} is a text, not {given[key]!r}.")
+                    raise UsageError(f"The {key} must be a text, not {given[key]!r}.")
         except UsageError as error:
             raise UsageError(error.what, path=path, remedy=error.remedy) from error
         return cls(**given)
@@ -259,7 +259,7 @@ def keyed(text: str) -> tuple[str, dict[str, str]]:
         key, _, value = part.partition("=")
         key = key.strip().lower()
         if key in values:
-            raise UsageError(f"{key} is said twice.", path=text)
+            raise UsageError(f"{key} is given twice.", path=text)
         values[key] = value.strip()
     return path, values
 
@@ -362,7 +362,7 @@ def _number(value: Any, name: str) -> float:
         try:
             return float(value)
         except ValueError:
-            raise UsageError(f"The {name} is a number, not {value!r}.") from None
+            raise UsageError(f"The {name} must be a number, not {value!r}.") from None
     return number(value, f"The {name}")
 
 
@@ -370,12 +370,12 @@ def _truth(value: Any) -> bool:
     words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
     found = value if isinstance(value, bool) else words.get(str(value).lower())
     if found is None:
-        raise UsageError(f"visible is true or false, not {value!r}.")
+        raise UsageError(f"visible must be true or false, not {value!r}.")
     return found
 
 
 def _range(value: Any) -> tuple[float, float]:
     ends = value.split(":") if isinstance(value, str) else list(value) if isinstance(value, list | tuple) else []
     if len(ends) != 2:
-        raise UsageError(f"A range is two values, LOW:HIGH, not {value!r}.")
+        raise UsageError(f"A range must be two values, LOW:HIGH, not {value!r}.")
     return _number(ends[0], "low end of the range"), _number(ends[1], "high end of the range")

@@ -1,4 +1,4 @@
-"""A layer's file over a terrain: where it lies, which part of it is wanted, what its bands mean.
+"""A layer's file over a terrain: where it lies, which part of it is needed, what its bands mean.
 
 This is what every backend knows of a layer before it reads pixels. Units: pixels of the file.
 """
@@ -16,10 +16,10 @@ from orograph.geovis.layers import Layer
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
 LEAST = 64
-"""Texels along a side of the area at its coarsest level, at most."""
+"""At most this many texels along a side of the area at its coarsest level."""
 
 OFF = 0.1
-"""Image pixels: positions that are farther off than this are worth a warning."""
+"""Image pixels: a larger position error is worth a warning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Laid:
         """Find a layer's place over a terrain with this grid.
 
         Raises:
-            ReadError: the file is missing or broken, or lies beside the terrain.
+            ReadError: the file is missing or damaged, or does not overlap the terrain.
             UsageError: its CRS cannot be reached from the terrain's.
         """
         from rasterio.errors import RasterioError
@@ -73,10 +73,10 @@ class Laid:
                 f"The image does not overlap the terrain: it covers {extent(placement.image)}, and the terrain "
                 f"{extent(grid)}.",
                 path=name,
-                remedy="Name an image of the same area, or mend its georeference (gdal_edit.py).",
+                remedy="Name an image of the same area, or fix its georeference (gdal_edit.py).",
             )
         if lattice.error > OFF:
-            warnings.append(f"{name} may lie up to {lattice.error:.1f} of its pixels beside its place.")
+            warnings.append(f"{name} may lie up to {lattice.error:.1f} of its pixels off.")
         try:
             with HANDLES.borrow(location) as file:
                 bands = bands.spanned(file, layer, area)
@@ -84,8 +84,8 @@ class Laid:
             raise unreadable(location, error) from None
         if bands.classes:
             warnings.append(
-                f"{name} has {bands.classes} different values and no colours, as classes have: it is drawn in greys. "
-                "Give it a colormap, or show it as data."
+                f"{name} has {bands.classes} distinct values and no colours, so it may hold classes: it is drawn in "
+                "greys. Give it a colormap, or show it as data."
             )
         return cls(layer, location, placement, lattice, area, bands, overviews, tuple(warnings))
 
@@ -106,7 +106,7 @@ class Laid:
 
 
 def empty(path: str) -> ReadError:
-    """What is said of an image that has nothing to show."""
+    """The error for an image that has nothing to show."""
     return ReadError(
         "The image has no valid pixel over the terrain (all is masked, transparent or nodata).",
         path=path,
@@ -115,7 +115,7 @@ def empty(path: str) -> ReadError:
 
 
 def _window(placement: Placement, bounds: tuple[float, float, float, float]) -> ImageWindow | None:
-    """Pixels of the image around ``bounds`` with a margin for its means, None if there are none."""
+    """Pixels of the image around ``bounds`` with a margin for its means; None if there are none."""
     rows, cols = placement.image.shape
     u0, u1, v0, v1 = bounds
     if v1 <= 0 or v0 >= rows or not (placement.cyclic or (u1 > 0 and u0 < cols)):

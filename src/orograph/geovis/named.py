@@ -1,4 +1,4 @@
-"""Answers to keywords that a description of data does not have: the one that is meant, where that can be told."""
+"""Errors for unknown keywords of a description of data; they name the intended keyword where they can."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ MEANT = {
     **dict.fromkeys(("units",), "unit"),
     **dict.fromkeys(("error", "sigma", "std"), "uncertainty"),
 }
-"""What attributes are called elsewhere, and here."""
+"""Names of attributes elsewhere → here."""
 
 
 def remedy(name: str, known: Iterable[str]) -> str:
-    """What to use instead of a name that is none of ``known``."""
+    """What to use instead of a name that is not in ``known``."""
     names = list(known)
     if MEANT.get(name) in names:
         return f"It is called {MEANT[name]} here."
@@ -34,10 +34,10 @@ def remedy(name: str, known: Iterable[str]) -> str:
 
 
 def named(called: str) -> Callable[[type[T]], type[T]]:
-    """Have a class answer a keyword that it does not take with a UsageError that names the right one.
+    """Make a class answer an unknown keyword with a UsageError that names the right one.
 
     Args:
-        called: what its objects are called in messages ("A layer").
+        called: the name of its objects in messages ("A layer").
     """
 
     def answering(cls: type[T]) -> type[T]:

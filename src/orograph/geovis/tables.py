@@ -1,6 +1,6 @@
-"""Colour maps that have no name: matplotlib's, those of ``cmap``, with norms, and tables of classes.
+"""Colour maps without a name: those of matplotlib and ``cmap``, with norms, and tables of classes.
 
-A norm is folded into the table, whose entries lie evenly between its ends, so that what draws knows one kind of map.
+A norm is folded into the table, whose entries are evenly spaced, so that drawing code knows one kind of map.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Table:
     Attributes:
         name: what to call it.
         rgba: (n, 4) uint8 sRGB and opacity, row by row.
-        span: the values of the first and the last entry; None: whatever is coloured decides.
+        span: the values of the first and the last entry; None: the coloured data decides.
         classes: whether each entry is a class of its own.
     """
 
@@ -49,19 +49,19 @@ class Table:
 
     @classmethod
     def of(cls, given: Any, norm: Any = None) -> Table:
-        """A table of what people have.
+        """A table from what a user gives.
 
         Args:
-            given: matplotlib's or cmap's colour map; its name, with a norm; or classes: colours (names, "#rrggbb", or
-                3 or 4 numbers up to 1) by whole numbers. Values of no class are clear.
+            given: matplotlib's or cmap's colour map; its name, with a norm; or classes: colours (names, "#rrggbb", or 3
+                or 4 numbers up to 1) by whole numbers. Values without a class are transparent.
             norm: matplotlib's, with its ends (``vmin`` and ``vmax``).
 
         Raises:
-            UsageError: it is nothing of these.
+            UsageError: it is none of these.
         """
         if isinstance(given, Mapping):
             if norm is not None:
-                raise UsageError("A table of classes has no norm: it says the colour of each value.")
+                raise UsageError("A table of classes takes no norm: it gives the colour of each value.")
             return _classes(given)
         colors = _callable(given)
         name = str(getattr(given, "name", given)).rpartition(":")[2]
@@ -69,7 +69,7 @@ class Table:
             return cls(name, _bytes(colors(np.linspace(0, 1, ENTRIES))))
         low, high = getattr(norm, "vmin", None), getattr(norm, "vmax", None)
         if not callable(norm) or low is None or high is None or not low < high:
-            raise UsageError(f"A norm is one of matplotlib's, with its vmin and vmax, not {norm!r}.")
+            raise UsageError(f"A norm must be one of matplotlib's, with vmin and vmax, not {norm!r}.")
         places = np.ma.getdata(norm(np.linspace(low, high, FINE)))
         if isinstance(places.flat[0], np.integer):  # BoundaryNorm gives indices of colours
             colors = given if callable(given) else colors
@@ -78,7 +78,7 @@ class Table:
 
 
 def quiet_colormap(given: Any) -> Any:
-    """``cmap.Colormap``, which of several maps of one name takes the first and says nothing."""
+    """``cmap.Colormap``, silent where it takes the first of several maps of one name."""
     import cmap
 
     logger = logging.getLogger("cmap")
@@ -94,30 +94,30 @@ def _not_of_aliases(record: logging.LogRecord) -> bool:
 
 
 def _callable(given: Any) -> Any:
-    """What makes colours of numbers from 0 to 1."""
+    """A function from numbers in [0, 1] to colours."""
     if callable(given) and hasattr(given, "N"):
         return given
     try:
         return quiet_colormap(given)
     except (ValueError, TypeError, KeyError) as error:
         raise UsageError(
-            f"{given!r} is no colour map.",
-            remedy="Give a name, one of matplotlib's or cmap's, or colours by value: {1: 'green', 2: '#08f'}.",
+            f"{given!r} is not a colour map.",
+            remedy="Give a name, a colour map of matplotlib or cmap, or colours by value: {1: 'green', 2: '#08f'}.",
         ) from error
 
 
 def _classes(given: Mapping[Any, Any]) -> Table:
     if not given or not all(isinstance(v, Real) and float(v).is_integer() for v in given):
-        raise UsageError(f"Classes are colours by whole numbers, {{1: 'green', 2: '#08f'}}, not {given!r}.")
+        raise UsageError(f"Classes must be colours by integers, {{1: 'green', 2: '#08f'}}, not {given!r}.")
     low, high = int(min(given)), int(max(given))
     if high - low >= FINE:
-        raise UsageError(f"Classes lie within {FINE} of each other, not from {low} to {high}.")
+        raise UsageError(f"Classes must lie within {FINE} of each other, not from {low} to {high}.")
     colors = np.zeros((max(2, high - low + 1), 4), np.uint8)
     for value, color in given.items():
         try:
             red, green, blue, opacity = _color(color).rgba
         except (ValueError, TypeError) as error:
-            raise UsageError(f"{color!r}, of class {value}, is no colour.") from error
+            raise UsageError(f"{color!r}, of class {value}, is not a colour.") from error
         colors[int(value) - low] = np.round(np.array([red, green, blue, opacity]) * 255)
     return Table("classes", colors.tobytes(), (float(low), float(low + len(colors) - 1)), True)
 
@@ -129,7 +129,7 @@ def _bytes(colors: Any) -> bytes:
 
 
 def _color(given: Any) -> Any:
-    """A colour of a name, or of numbers from 0 to 1."""
+    """A colour from a name, or from numbers in [0, 1]."""
     import cmap
 
     return cmap.Color(given if isinstance(given, str) else np.array(given, np.float64))

@@ -1,4 +1,4 @@
-"""An image over a terrain at any resolution: means of 2^k × 2^k of its pixels, whatever the file holds.
+"""An image over a terrain at any resolution: means of 2^k × 2^k of its pixels, whatever overviews the file has.
 
 Texel (i, j) of level k is the mean of the pixels [i·2^k, (i+1)·2^k) × [j·2^k, (j+1)·2^k) of the file that exist, of
 linear light weighted by opacity, in register with its upper left corner, as overviews are. Levels from ``base`` on are
@@ -53,18 +53,18 @@ class Texels:
 
     @property
     def hint(self) -> str:
-        """What a user should know before coarse levels are made, a full sentence, or ""."""
+        """What the user should know before coarse levels are made, a full sentence, or ""."""
         kept = self.kept
         if kept is None or kept.complete:
             return ""
         rows, cols = self.shape(0)
         return (
-            f"{self.laid.layer.path} has no overviews: coarse levels are made of its {rows * cols / 1e6:,.0f} million "
-            f"pixels, once, and kept in {kept.folder.parent} (gdaladdo makes overviews in the file itself)."
+            f"{self.laid.layer.path} has no overviews: coarse levels are made from its {rows * cols / 1e6:,.0f} "
+            f"million pixels, once, and kept in {kept.folder.parent} (gdaladdo makes overviews in the file itself)."
         )
 
     def hold(self, progress: Progress = SILENT) -> None:
-        """Have the levels from ``base`` on in memory; safe from any thread.
+        """Load the levels from ``base`` on into memory; safe from any thread.
 
         Raises:
             ReadError: the file cannot be read, or shows nothing there.
@@ -114,7 +114,7 @@ class Texels:
     def _made(
         kept: CoarseLevels, k: int, r0: int, r1: int, c0: int, c1: int, progress: Progress = SILENT
     ) -> Bytes:  # fmt: skip
-        """Texels of a level that is kept; what is not there yet is made."""
+        """Texels of a level that is kept; missing ones are made."""
         while True:
             kept.make(kept.under(k, r0, r1, c0, c1), progress)
             found, whole = kept.read(k, r0, r1, c0, c1)

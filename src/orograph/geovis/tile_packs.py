@@ -31,11 +31,11 @@ def of_folder(pattern: str, *, bottom: bool = False) -> Path:
         pattern: "FOLDER/{z}/{x}/{y}.png", with any file names in between. bottom: rows are counted from the south.
 
     Raises:
-        ReadError: there is no tile.
+        ReadError: there are no tiles.
     """
     files = sorted(_files(pattern))
     if not files:
-        raise ReadError("There are no tiles.", path=pattern, remedy="Name them as FOLDER/{z}/{x}/{y}.png.")
+        raise ReadError("There are no tiles.", path=pattern, remedy="Give them as FOLDER/{z}/{x}/{y}.png.")
     newest = max(path.stat().st_mtime_ns for *_, path in files)
     out = kept_folder(Path(pattern).parts[-4] if len(Path(pattern).parts) > 3 else "tiles", pattern, bottom,
                       len(files), newest) / "tiles.mbtiles"  # fmt: skip
@@ -48,13 +48,13 @@ def of_pmtiles(path: Path) -> Path:
     """The MBTiles of a PMTiles archive of pictures.
 
     Raises:
-        ReadError: it is missing, damaged, or of vectors. UsageError: what reads it is not installed.
+        ReadError: it is missing, damaged, or of vectors. UsageError: the package that reads it is not installed.
     """
     try:
         from pmtiles.reader import MmapSource, Reader, all_tiles
         from pmtiles.tile import TileType
     except ImportError:
-        raise UsageError("PMTiles are read by pmtiles, which is not installed.", path=path,
+        raise UsageError("Reading PMTiles needs the package pmtiles, which is not installed.", path=path,
                          remedy="pip install pmtiles") from None  # fmt: skip
     try:
         stat = path.stat()
@@ -65,7 +65,9 @@ def of_pmtiles(path: Path) -> Path:
             source = MmapSource(file)  # type: ignore[no-untyped-call]
             kind = Reader(source).header()["tile_type"]  # type: ignore[no-untyped-call]
             if kind in (TileType.MVT, TileType.UNKNOWN):
-                raise ReadError("Its tiles are no pictures.", path=path, remedy="Name PMTiles of PNG, JPEG or WebP.")
+                raise ReadError(
+                    "Its tiles are not pictures.", path=path, remedy="Name PMTiles that hold PNG, JPEG or WebP."
+                )
             _write(out, ((*zxy, data) for zxy, data in all_tiles(source)))  # type: ignore[no-untyped-call]
     except OSError as error:
         raise ReadError(f"It cannot be read: {error.strerror}.", path=path) from error
@@ -108,14 +110,14 @@ def _write(out: Path, tiles: Iterable[Tile]) -> None:
 
 
 def _format(data: bytes) -> str:
-    """What an encoded picture is."""
+    """The format of an encoded picture."""
     if data.startswith(b"\xff\xd8"):
         return "jpg"
     return "webp" if data[8:12] == b"WEBP" else "png"
 
 
 def kept_folder(name: str, *said: object) -> Path:
-    """A folder of the cache for a map, which stays while this process lives."""
+    """A folder of the cache for a map; it stays while this process lives."""
     plain = re.sub(r"[^\w.-]+", "-", name)[:40]
     folder = cache_folder() / IMAGES / f"{plain}-{sha256(repr(said).encode()).hexdigest()[:12]}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -66,7 +66,7 @@ class DeviceLimitError(OrographError):
     exit_code = 6
 
 
-LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or have the CPU do it."
+LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or use the CPU."
 """What to do where a device has not enough for what is asked of it, if nothing better is known."""
 
 
@@ -182,6 +182,15 @@ class Device:
     @property
     def queue(self) -> Any:
         return self.handle.queue
+
+    @property
+    def computes(self) -> bool:
+        """Whether compute shaders do what pixels need one by one (rays, light), and not fragments.
+
+        On most GPUs either takes as long. On those of data centers few processors run fragments (on an H100 or H200 2
+        of 66 clusters). Software runs fragments as fast, and spares the copy.
+        """
+        return not self.adapter.software
 
     @property
     def record(self) -> str:
@@ -384,7 +393,7 @@ def open_device(wanted: str | None = None, *, portable: bool = False) -> Device:
                 )
             except Exception as error:
                 raise NoAdapterError(
-                    f"{adapter.name} gives no device: {error}.", remedy="See orograph doctor."
+                    f"{adapter.name} provides no device: {error}.", remedy="See orograph doctor."
                 ) from error
             device = Device(adapter, handle, frozenset(features), portable)
             _OPEN[key] = device

@@ -47,14 +47,14 @@ class Front:
         """A front of any triangles, in any order.
 
         Raises:
-            UsageError: one of them is no triangle of the hierarchy.
+            UsageError: one of them is not a triangle of the hierarchy.
         """
         gx, gy, gL, gomega = (np.ravel(v).astype(np.int64) for v in np.broadcast_arrays(x, y, L, omega))
         given = gx, gy, gL, gomega
         wrong = ~triangles.exists(*given, n)
         if wrong.any():
             first = tuple(int(v[np.argmax(wrong)]) for v in given)
-            raise UsageError(f"(x, y, L, ω) = {first} is no triangle of a square of side 2^{n}.")
+            raise UsageError(f"(x, y, L, ω) = {first} is not a triangle of a square of side 2^{n}.")
         unordered = cls(n, *given)
         begin, end = unordered.spans()
         order = np.lexsort((-end, begin))
@@ -128,7 +128,7 @@ def front_of(active: NDArray[np.bool_]) -> Front:
     missing = diamonds.closure(active) & ~active
     if missing.any():
         row, col = np.argwhere(missing)[0]
-        raise UsageError(f"Active vertices need their parents: that at row {row}, column {col} is not active.")
+        raise UsageError(f"Active vertices need active parents: the one at row {row}, column {col} is not active.")
     front = coarsest(n)
     for _ in range(2 * n):
         row, col = diamonds.of_triangle(*front.arrays)
@@ -141,7 +141,7 @@ def front_of(active: NDArray[np.bool_]) -> Front:
 
 @dataclass(frozen=True, slots=True)
 class PartitionFaults:
-    """Where a set of triangles is no partition of the square.
+    """Where a set of triangles fails to partition the square.
 
     Attributes:
         overlaps: (k, 2) int64, pairs of triangles of the front (by index) with one inside the other or equal to it:
@@ -279,9 +279,7 @@ def merge(front: Front, row: ArrayLike, col: ArrayLike) -> Front:
     illegal = np.setdiff1d(asked, _id(front.n, *mergeable(front)))
     if len(illegal):
         r, c = divmod(int(illegal[0]), (1 << front.n) + 1)
-        raise UsageError(
-            f"The diamond at row {r}, column {c} cannot be merged: its bottom triangles are not all there."
-        )
+        raise UsageError(f"The diamond at row {r}, column {c} cannot be merged: not all of its bottom triangles exist.")
     x, y = triangles.apex(*front.arrays)
     return _joined(front, np.isin(_id(front.n, y, x), asked))
 
@@ -309,7 +307,7 @@ def mergeable(front: Front) -> tuple[IndexArray, IndexArray]:
 
 
 def steps(start: Front, goal: Front) -> list[tuple[Literal["merge", "split"], int, int]]:
-    """What turns one valid front into another: merges and splits of one diamond (row, col) each, in a legal order.
+    """The steps from one valid front to another: merges and splits of one diamond (row, col) each, in a legal order.
 
     First what only ``start`` has is merged, from the finest level; then what only ``goal`` has is split, from the
     coarsest: no merge is illegal, no split forces another, every front on the way is valid.
@@ -318,7 +316,7 @@ def steps(start: Front, goal: Front) -> list[tuple[Literal["merge", "split"], in
         UsageError: the two are fronts of different squares.
     """
     if start.n != goal.n:
-        raise UsageError(f"Fronts of squares of side 2^{start.n} and 2^{goal.n} do not lead to each other.")
+        raise UsageError(f"Fronts of squares of side 2^{start.n} and 2^{goal.n} cannot be transformed into each other.")
     ours, theirs = (_id(front.n, *front.vertices()) for front in (start, goal))
     surplus = _by_level(np.setdiff1d(ours, theirs), start.n)
     lacking = _by_level(np.setdiff1d(theirs, ours), start.n)

@@ -3,14 +3,14 @@
 Oat & Sander 2007, "Ambient aperture lighting", I3D. *Before*: for every sample the sky that is visible (above the
 horizon and above the ground's own plane) is replaced by a cap, whose direction is the mean of the visible directions
 and whose solid angle is theirs, so that cos(radius) = 1 − Ω / 2π. *Then*, for any lights, as often as they move: a sun
-is a disc, so what is seen of it is the overlap of two caps (``caps``): all of it, nothing, or a smoothstep in between
-(or the exact lens), and the cosine of incidence is taken in the middle of the overlap. Point lights are seen inside the
-cap and hidden outside. The sky is an area light over the whole hemisphere: through a cap it gives sin²(radius) ⟨n, c⟩
-of what level open ground receives (exact for a cap above the ground's plane), less what suns cover of it.
+is a disc, so its visible part is the overlap of two caps (``caps``): all, nothing, or a smoothstep in between (or the
+exact lens), and the cosine of incidence is taken in the middle of the overlap. Point lights are visible inside the cap
+and hidden outside. The sky is an area light over the whole hemisphere: through a cap it gives sin²(radius) ⟨n, c⟩ of
+what level open ground receives (exact for a cap above the ground's plane), less what suns cover of it.
 
 Bands of the product: ``east``, ``north``, ``up`` (a unit vector), ``radius`` (degrees). Where nothing is seen the
 radius is 0 and the direction up. From horizons (``azimuths`` of them) or from ``rays``, spread evenly over the upper
-hemisphere. What one cap cannot say: which side of a valley is open and how far down; see the manual for the errors.
+hemisphere. One cap cannot express which side of a valley is open and how far down; see the manual for the errors.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class Lamp:
         away, square to it; four times that at half the distance.
 
         Raises:
-            UsageError: the reach is no positive number of metres.
+            UsageError: the reach is not a positive number of metres.
         """
         if not 0 < reach < math.inf:
-            raise UsageError(f"A lamp's reach is a positive number of metres, not {reach:g}.")
+            raise UsageError(f"A lamp's reach must be a positive number of metres, not {reach:g}.")
         col, row = grid.index(x, y)
         red, green, blue = (c * reach * reach for c in color)
         return cls(float(col), float(row), float(height), (red, green, blue))
@@ -72,7 +72,7 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True)
 class Lights:
-    """Everything that shines on a terrain.
+    """All light sources of a terrain.
 
     Attributes:
         suns: discs, with the irradiance of a surface square to each, all of it seen.
@@ -118,10 +118,10 @@ def make(context: Context) -> Blocks | Sweep:
 
 
 def check(options: Options) -> None:
-    """Raise UsageError where the method, rays and curvature of the options do not go together."""
+    """Raise UsageError if the method, rays and curvature of the options do not go together."""
     method: Method = options.more.get("method", "horizon")
     if method not in ("horizon", "rays"):
-        raise UsageError(f"There is no method {method!r} of apertures; there are horizon and rays.")
+        raise UsageError(f"There is no method {method!r} for apertures; the methods are horizon and rays.")
     if method == "rays":
         flat_only(options)
         if options.rays < 1:

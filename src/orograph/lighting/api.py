@@ -4,8 +4,8 @@
 >>> lighting.slope(np.zeros((3, 3)), cell=30.0)                                # doctest: +SKIP
 >>> lighting.sky_view_factor(orograph.read("dem.tif"), azimuths=32).save("sky.tif")  # doctest: +SKIP
 
-What comes back is what was given: an array for an array, a DataArray for a DataArray; for a Dem, a Terrain or files a
-``Map``, whose grid is the terrain's. Heights in degrees or feet are brought to a metric CRS first, as everywhere.
+The result has the type of the input: an array for an array, a DataArray for a DataArray; for a Dem, a Terrain or files
+a ``Map`` on the terrain's grid. Heights in degrees or feet are first converted to a metric CRS, as everywhere.
 
 A DataArray keeps its dimensions, in their order, and its scalar coordinates; where its coordinates were degrees the
 map's are metres, along ``y`` and ``x``. Its attributes are the map's own (units, long_name). Lazy arrays (Dask) are
@@ -134,7 +134,7 @@ def make(
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
         jobs: threads; None: all processors. max_memory: bytes the process should stay within.
-        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
+        progress: gets progress reports; None: bars in terminals and notebooks, and Python's warnings; False: silent.
         options: how the data are read, as for ``orograph.terrain`` (``crs``, ``band``, ``transform``…: an array with
             its place gives a ``Map``); and those of ``products.Options``: azimuths, radius, lights, curvature…, and of
             its ``more``. The ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
@@ -145,7 +145,7 @@ def make(
 
     Raises:
         UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
-        ReadError: the data do not say what is needed of them.
+        ReadError: the data lack something that is needed.
     """
     progress, max_memory = reporting(progress), bytes_of(max_memory)
     wanted = product(name)
@@ -157,7 +157,7 @@ def make(
     if is_array:
         if cell is None:
             raise UsageError(
-                "An array does not say how far its samples are apart.",
+                "An array does not define the distance between its samples.",
                 remedy="Give cell=…, in metres; or transform= and crs=, for a Map with its place.",
             )
         from orograph.lighting.arrays import terrain_of
@@ -165,7 +165,7 @@ def make(
         terrain: Terrain = terrain_of(data, _linear(cell))
     else:
         if cell is not None:
-            raise UsageError("The cell size is for plain arrays; other data say it themselves.")
+            raise UsageError("The cell size applies to plain arrays only; other data have their own.")
         terrain = terrain_given(data, progress, max_memory=max_memory, jobs=jobs, called="light", **reading)
     if options.get("sun") is not None:
         sun = sun_of(options["sun"], terrain.grid)
@@ -183,13 +183,13 @@ def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64
     if size.shape == (2, 2):
         return size
     if size.shape not in ((), (2,)) or not (size > 0).all():
-        raise UsageError(f"A cell is one or two positive numbers of metres, or a 2 × 2 matrix, not {cell!r}.")
+        raise UsageError(f"A cell must be one or two positive numbers of metres, or a 2 × 2 matrix, not {cell!r}.")
     x, y = np.broadcast_to(size, 2)
     return np.array([[x, 0.0], [0.0, -y]])
 
 
 def _like(made: xr.DataArray, given: xr.DataArray) -> xr.DataArray:
-    """With the scalar coordinates of what was given; on the same grid also with its dimensions, in their order."""
+    """Add the scalar coordinates of the input; on the same grid also its dimensions, in their order."""
     from orograph.dem.dataarray import axes_of
 
     scalars = {k: v.variable for k, v in given.coords.items() if v.ndim == 0 and k not in ("spatial_ref", "band")}
@@ -201,7 +201,7 @@ def _like(made: xr.DataArray, given: xr.DataArray) -> xr.DataArray:
             return made
         if len(values) > 1 and (values[-1] - values[0]) * float(made[ours][-1] - made[ours][0]) < 0:
             made = made.isel({ours: slice(None, None, -1)})
-        # Coordinates may be float32: the same to a hundredth of a cell.
+        # Coordinates may be float32: compare them to a hundredth of a cell.
         apart = np.abs(made[ours].values - values).max()
         if (len(values) > 1 and apart > 0.01 * abs(values[1] - values[0])) or (len(values) == 1 and apart > 1e-3):
             return made
@@ -270,7 +270,8 @@ def ambient_occlusion(
 
     Args:
         radius: metres beyond which nothing occludes; None: unlimited (a step only).
-        rho: what an occluder at a distance lets through: "step", "linear" or a function of metres (``lighting.rho``).
+        rho: how much an occluder at a distance lets through: "step", "linear" or a function of metres
+        (``lighting.rho``).
         method: "horizon" (of ``azimuths``), "rays", "shadow-maps" (``rays`` each) or "cone-tracing" (``cones``).
         data, options: and the result: ``make``.
     """
@@ -278,7 +279,7 @@ def ambient_occlusion(
 
 
 def apertures(data: Any, azimuths: int = 32, *, method: str = "horizon", **options: Any) -> Any:
-    """The sky that is seen as one cap, four bands: its direction (east, north, up) and radius in degrees.
+    """The visible sky as one cap, four bands: its direction (east, north, up) and radius in degrees.
 
     ``method``: "horizon" or "rays". Further arguments and result: ``make``.
     """
@@ -286,7 +287,7 @@ def apertures(data: Any, azimuths: int = 32, *, method: str = "horizon", **optio
 
 
 def shadows(data: Any, sun: Given, **options: Any) -> Any:
-    """The part of the sun's disc that is seen, and a code (``lighting.shadow``): two bands.
+    """The visible part of the sun's disc, and a code (``lighting.shadow``): two bands.
 
     Args:
         sun: (azimuth, altitude) in degrees; a datetime with its zone, or such a time as text: the real sun over the
@@ -304,6 +305,6 @@ def insolation(data: Any, date: str, azimuths: int = 64, **options: Any) -> Any:
         data, options: and the result: ``make``. Further: ``step`` (minutes), ``turbidity`` (Linke's).
 
     Raises:
-        UsageError: also where the data do not say where on Earth they lie, as plain arrays do not.
+        UsageError: also if the data have no place on Earth, as plain arrays do not.
     """
     return make(data, "insolation", date=date, azimuths=azimuths, **options)

@@ -1,4 +1,4 @@
-"""Arrays as terrain: a context for products out of heights and the linear part of a geotransform."""
+"""Arrays as terrain: a context for products from heights and the linear part of a geotransform."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def terrain_of(heights: ArrayLike, linear: ArrayLike) -> MemoryTerrain:
         linear: (2, 2) linear part of the geotransform [[a, b], [d, e]]: metres east and north per column and per row.
 
     Raises:
-        UsageError: other shapes, what are no real numbers, or cells that are degenerate.
+        UsageError: wrong shapes, values that are not real numbers, or degenerate cells.
     """
     given = heights if isinstance(heights, np.ndarray) else np.asarray(heights)
     if given.dtype.kind not in "iufb":
-        raise UsageError(f"Heights are real numbers, not {given.dtype}.")
+        raise UsageError(f"Heights must be real numbers, not {given.dtype}.")
     surface = np.ascontiguousarray(np.ma.getdata(given), np.float32)
     missing = np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros((), np.bool_)
     missing = missing | np.isinf(surface)
@@ -35,7 +35,7 @@ def terrain_of(heights: ArrayLike, linear: ArrayLike) -> MemoryTerrain:
     if surface.ndim != 2 or surface.size == 0:
         raise UsageError(f"Heights must have the shape (rows, cols), not {surface.shape}.")
     if cells.shape != (2, 2) or not np.isfinite(cells).all() or abs(np.linalg.det(cells)) == 0:
-        raise UsageError("Cells are the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
+        raise UsageError("Cells must be the invertible 2 × 2 linear part of a geotransform, in metres.")
     (a, b), (d, e) = cells.tolist()
     return MemoryTerrain(surface, Grid((surface.shape[0], surface.shape[1]), Affine(a, b, 0, d, e, 0)), "array")
 

@@ -1,4 +1,4 @@
-"""What a cloudless sky sends down: the clear-sky model of the European Solar Radiation Atlas, as in r.sun.
+"""Irradiance under a cloudless sky: the clear-sky model of the European Solar Radiation Atlas, as in r.sun.
 
 Sources: Rigollier, Bauer & Wald 2000, *Solar Energy* 68(1); Hofierka & Šúri 2002, "The solar radiation model for open
 source GIS" (r.sun), eqs. 1–17 and 21–26. The haze of the air is the Linke turbidity T (at air mass 2): how many clean

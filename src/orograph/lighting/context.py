@@ -1,6 +1,6 @@
-"""What products of light are made from: terrain, options, threads, memory, progress, and horizons as they are swept.
+"""The context of light products: terrain, options, threads, memory, progress, and swept horizons.
 
-Whatever is made does not depend on blocks, threads or memory, to the bit.
+Results do not depend on blocks, threads or memory, to the bit.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ MORE = ("rho", "method", "seed", "cones", "strips", "diameter", "date", "step", 
 """Options of single products."""
 
 REFRACTION = 0.13
-"""Of rays over the Earth's ground, in survey practice (Gauss)."""
+"""Usual coefficient of refraction over the Earth's ground in surveying (Gauss)."""
 
 _EARTH = 6378137.0
 
 MEMORY = 1 << 30
 BASE = 320 << 20
-"""What the interpreter, its libraries, compiled kernels and a store's cache take."""
+"""Bytes of the interpreter, its libraries, compiled kernels and a store's cache."""
 _PIECE = 1024
-"""Columns read at a time where the same tiles are read again."""
+"""Columns read at a time if the same tiles are read repeatedly."""
 
 
 def _number(value: Any, above: float = -math.inf) -> bool:
@@ -55,7 +55,7 @@ def _number(value: Any, above: float = -math.inf) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is asked of products; each uses what concerns it.
+    """Options of products; each uses those that apply to it.
 
     Attributes:
         azimuths: how many directions horizons are swept in, evenly spread, the first in the north.
@@ -67,7 +67,7 @@ class Options:
             the Earth, 0 on bodies whose air is thin or none.
         exaggeration: heights are multiplied by this for hillshade only.
         rays: per sample, for Monte Carlo products.
-        more: what single products need, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
+        more: options of single products, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
             occlusion), ``strips``, ``diameter`` (shadow), ``date``, ``step``, ``turbidity`` (insolation).
     """
 
@@ -92,7 +92,7 @@ class Options:
         for name in given:
             if name not in known and name not in MORE:
                 close = difflib.get_close_matches(name, [*known, *MORE], 2, 0.6)
-                there = f"There are {', '.join(sorted({*known, *MORE}))}."
+                there = f"The options are {', '.join(sorted({*known, *MORE}))}."
                 if name in ("azimuth", "altitude", "az", "alt", "angle_altitude", "elevation"):
                     remedy = "The sun's place is `sun=(azimuth, altitude)`, degrees: `sun=(315, 45)`."
                 else:
@@ -107,18 +107,18 @@ class Options:
         if self.radius is not None and not _number(self.radius, above=0.0):
             raise UsageError(f"The radius must be a positive number of metres, not {self.radius!r}.")
         if not _number(self.exaggeration, above=0.0):
-            raise UsageError(f"Heights are stretched by a positive number, not {self.exaggeration!r}.")
+            raise UsageError(f"The exaggeration must be a positive number, not {self.exaggeration!r}.")
         if self.refraction is not None and (not _number(self.refraction) or abs(self.refraction) > 1.0):
             raise UsageError(
-                f"The coefficient of refraction lies between -1 and 1 (0.13 as a rule), not {self.refraction}."
+                f"The coefficient of refraction must be between -1 and 1 (usually 0.13), not {self.refraction}."
             )
         if any(len(light) != 3 or not all(map(_number, light)) for light in self.lights):
-            raise UsageError("A light of several is (azimuth, altitude, weight), all of them numbers.")
+            raise UsageError("Each of several lights must be (azimuth, altitude, weight), all numbers.")
         for _, altitude, weight in self.lights:
             if abs(altitude) > 90:
-                raise UsageError(f"A light's altitude lies between -90 and 90 degrees, not {altitude:g}.")
+                raise UsageError(f"A light's altitude must be between -90 and 90 degrees, not {altitude:g}.")
             if weight < 0:
-                raise UsageError(f"Lights need weights that are positive, not {weight:g}.")
+                raise UsageError(f"Lights need positive weights, not {weight:g}.")
         if self.lights and not any(weight for *_, weight in self.lights):
             raise UsageError("Lights need weights that are not all 0.")
 
@@ -135,13 +135,13 @@ class Options:
 
 
 class Context:
-    """What a product is made from.
+    """The inputs of a product.
 
     Args:
         terrain: in metres.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors.
-        kept: where sweeps keep what they have done, and find it again; None: nowhere.
+        kept: where sweeps store partial results and find them again; None: nowhere.
         only: the window (row0, row1, col0, col1) that products made window by window are made for; None: all.
 
     Attributes:
@@ -170,7 +170,7 @@ class Context:
 
     @property
     def budget(self) -> int:
-        """Bytes that blocks may take: what is allowed less the process itself, its terrain and canvases in memory."""
+        """Bytes available for blocks: the limit less the process itself, its terrain and canvases in memory."""
         return max(self.max_memory - BASE - self._held, 32 << 20)
 
     def heights(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
@@ -178,13 +178,13 @@ class Context:
         return self.terrain.read(0, row0, row1, col0, col1)
 
     def gradient(self, row0: int, row1: int, col0: int, col1: int) -> tuple[Values, Values]:
-        """Rise per metre east and north of a window, as of the whole raster."""
+        """Rise per metre east and north of a window, the same as for the whole raster."""
         from orograph.lighting.normal import gradient
 
         r0, c0 = max(row0 - 1, 0), max(col0 - 1, 0)
         r1, c1 = min(row1 + 1, self.shape[0]), min(col1 + 1, self.shape[1])
         inner = np.s_[row0 - r0 : row1 - r0, col0 - c0 : col1 - c0]
-        # Strips of rows next to one another want the same tiles: pieces of a few tiles come from the store's cache.
+        # Adjacent strips of rows need the same tiles; pieces of a few tiles come from the store's cache.
         cuts = [c0, c1]
         if not isinstance(self.terrain, MemoryTerrain):
             cuts[1:1] = range((c0 // _PIECE + 1) * _PIECE, c1, _PIECE)
@@ -194,7 +194,7 @@ class Context:
         return east[inner], north[inner]
 
     def canvas(self, bands: int) -> Canvas:
-        """A canvas of so many bands; in memory if it takes no more than half of what is left."""
+        """A canvas of ``bands`` bands; in memory if it takes at most half of what is left."""
         from orograph.lighting.raster import Canvas
 
         size = 4 * bands * self.shape[0] * self.shape[1]
@@ -241,7 +241,7 @@ class Context:
         )
 
     def terms(self, lowest: float = 0.0, below: bool = False) -> Terms:
-        """What a horizon is, by the options."""
+        """The kind of horizons, from the options."""
         from orograph.lighting.sweep import curvature_of
         from orograph.lighting.sweep_pass import Terms
 
@@ -254,7 +254,7 @@ class Context:
 
         Args:
             make: (row0, row1, col0, col1) → (bands, rows, cols) float32.
-            what: to call it on the progress line.
+            what: for the progress line.
         """
         from orograph.lighting.raster import rectangles
 

@@ -1,9 +1,9 @@
-"""What products have in common that add up something over horizons, and how several of them share one sweep.
+"""The common part of products that sum over horizons, and how several of them share one sweep.
 
-A product that is a sum over horizons says so by a ``Sweep``: in which azimuths, what to add to a canvas, and what comes
-of the sums. Products that sweep the same azimuths in the same way (sky-view factor, visible sky, apertures, horizons)
-are swept together: the terrain is read and its hulls are built once for all of them. With ``Context.kept`` the canvases
-are kept after each pass.
+A product that is a sum over horizons is described by a ``Sweep``: its azimuths, what to add to a canvas, and how to
+finish the sums. Products that sweep the same azimuths in the same way (sky-view factor, visible sky, apertures,
+horizons) are swept together: the terrain is read and its hulls are built once for all of them. With ``Context.kept``
+the canvases are kept after each pass.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 _AROUND = 1 << 16
 """Bytes that the system maps around a touched place of a file."""
 _TOUCHED = 16 << 20
-"""Bytes of a canvas on disk that a thread may have in memory before it lets go of them."""
+"""Bytes of a canvas on disk that a thread may have in memory before releasing them."""
 _WINDOW = 1 << 20
-"""Values of a window that is finished by a thread."""
+"""Values of a window that a thread finishes at once."""
 
 Add = Callable[[Values, Block, int, int], None]
 """(canvas (bands, rows, cols), block, first, last): add a block's rows [first, last); from threads, rows apart."""
@@ -60,7 +60,7 @@ class Sweep:
 
     @property
     def group(self) -> tuple[Any, ...]:
-        """The same for sweeps that can be shared."""
+        """The key of sweeps that can be shared."""
         return self.azimuths.tobytes(), self.lowest, self.below
 
 
@@ -80,7 +80,7 @@ def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int
     """Make products: (which of them, row0, col0, values (bands, rows, cols)), one after the other.
 
     Raises:
-        UsageError: what is asked of a product makes no sense (said before any of them is made).
+        UsageError: an option of a product makes no sense (raised before any is made).
     """
     made, canvases = _begun(context, products)
     for k, each in enumerate(made):
@@ -98,9 +98,9 @@ def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int
 
 
 def readers(context: Context, products: Sequence[Product]) -> Iterator[Callable[[Window], Values]]:
-    """Make products, each as a function that gives any window of it: window → values (bands, rows, cols).
+    """Make products, each as a function that returns any window of it: window → values (bands, rows, cols).
 
-    A function holds what its product takes; it is let go of with the last reference to the function.
+    A function holds its product's data until the last reference to the function is gone.
     """
     made, canvases = _begun(context, products)
     for k, each in enumerate(made):
@@ -125,7 +125,7 @@ def _finisher(sweep: Sweep | None, canvas: Canvas) -> Callable[[Window], Values]
 
 
 def _begun(context: Context, products: Sequence[Product]) -> tuple[list[Blocks | Sweep], dict[int, Canvas]]:
-    """What the products make of a context, and the canvases of those that are swept, by their place."""
+    """The prepared products, and the canvases of those that are swept, by their place."""
     made = [p.make(context) for p in products]
     canvases: dict[int, Canvas] = {}
     for k, each in enumerate(made):

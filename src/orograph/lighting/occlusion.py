@@ -12,8 +12,8 @@ through (``rho``; Zhukov, Iones & Kronin 1998). Two ways of getting L here, two 
   so a walk that keeps every rise of the horizon knows L for all of them. Without a radius (step only) horizons are
   swept, which costs the same however far they reach.
 
-Light comes from the whole hemisphere around the normal, also from below the horizon where the ground falls away, and
-what lies beyond the terrain's border is free: an inclined plane has A = 1, where its sky-view factor is (1 + cos) / 2.
+Light comes from the whole hemisphere around the normal, including from below the horizon where the ground falls away,
+and space beyond the terrain's border is free: an inclined plane has A = 1, where its sky-view factor is (1 + cos) / 2.
 Missing samples occlude nothing. Lengths in metres, A between 0 and 1.
 """
 
@@ -47,8 +47,8 @@ ELSEWHERE = {
     "shadow-maps": "orograph.lighting.gpu.occlusion_maps",
     "cone-tracing": "orograph.lighting.gpu.cone_tracing",
 }
-"""Methods of later layers: modules with a ``run(context) → blocks``. They are known here by name only, and imported
-when one of them is asked for: without a GPU and its extra, this layer is whole."""
+"""Methods of later layers: modules with ``run(context) → blocks``. They are known here only by name, and imported on
+demand: this layer works without a GPU and its extra."""
 
 LIFT = 1e-4
 """Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
@@ -171,17 +171,17 @@ def lift(context: Context) -> float:
 
 
 def flat_only(of: Context | Options) -> None:
-    """Raise UsageError where the Earth is to be round: rays and walks are straight over a plane."""
+    """Raise UsageError if curvature is requested: rays and walks are straight over a plane."""
     options = of.options if isinstance(of, Context) else of
     if options.curvature:
         raise UsageError(
-            "Rays and walks go over flat ground; only swept horizons know the curvature of the Earth.",
+            "Rays and walks assume a flat Earth; only swept horizons support its curvature.",
             remedy='Leave out `curvature`, or sweep horizons: `method="horizon"`, without a radius.',
         )
 
 
 def check_reach(context: Context, reach: float, height: int, width: int, jobs: int) -> None:
-    """Raise UsageError if ``jobs`` blocks of height × width samples with what is within reach do not fit in memory."""
+    """Raise UsageError if ``jobs`` blocks of height × width samples with their neighbourhoods do not fit in memory."""
     tall, wide = context.shape
     if math.isfinite(reach):
         over, down = (math.ceil(reach * float(np.linalg.norm(v))) + 2 for v in np.linalg.inv(context.linear))
@@ -189,8 +189,8 @@ def check_reach(context: Context, reach: float, height: int, width: int, jobs: i
     need = _PER_SAMPLE * tall * wide * (jobs if math.isfinite(reach) else 1)
     if need > context.budget:
         raise UsageError(
-            f"What is within reach of a block of samples is {tall} × {wide} samples, which takes {need >> 20} MiB in "
-            f"{jobs} threads, more than the {context.budget >> 20} MiB there are.",
+            f"The neighbourhood of a block of samples is {tall} × {wide} samples, which takes {need >> 20} MiB in "
+            f"{jobs} threads, more than the {context.budget >> 20} MiB available.",
             remedy="Give a radius or a smaller one, allow more memory (`max_memory`), or use fewer threads (`jobs`).",
         )
 
@@ -310,10 +310,10 @@ def make(context: Context) -> Blocks | Sweep:
 
 
 def check(options: Options) -> None:
-    """Raise UsageError where the method, ρ, radius and rays of the options do not go together."""
+    """Raise UsageError if the method, ρ, radius and rays of the options do not go together."""
     method: Method = options.more.get("method", "horizon")
     if method != "horizon" and method != "rays" and method not in ELSEWHERE:
-        raise UsageError(f"There is no method {method!r}; there are horizon, rays, {' and '.join(ELSEWHERE)}.")
+        raise UsageError(f"There is no method {method!r}; the methods are horizon, rays, {' and '.join(ELSEWHERE)}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)
     if method == "rays" and options.rays < 1:
         raise UsageError(f"At least one ray is needed, not {options.rays}.")

@@ -1,11 +1,11 @@
 """The products of light, by name: rasters on a terrain's grid, each made by blocks within a memory limit.
 
-A ``Product`` says what its bands are called and in which unit they are, and has a function that makes it: given a
-``Context`` (terrain, options, threads, memory, progress, and the horizons as they are swept) it yields blocks
-``(row0, col0, values (bands, rows, cols) float32)``, in any order, that cover the raster once. A module that makes
-products lists them in its ``PRODUCTS``; it is imported when one of them is wanted (``_HOMES``).
+A ``Product`` defines the names and units of its bands, and has a function that makes it: given a ``Context`` (terrain,
+options, threads, memory, progress, and the horizons as they are swept) it yields blocks ``(row0, col0, values (bands,
+rows, cols) float32)``, in any order, that cover the raster once. A module that makes products lists them in its
+``PRODUCTS``; it is imported when one of them is wanted (``_HOMES``).
 
-Whatever is made does not depend on blocks, threads or memory, to the bit.
+Results do not depend on blocks, threads or memory, to the bit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HOMES = {
     "shadow": "orograph.lighting.shadow",
     "insolation": "orograph.lighting.energy",
 }
-"""The module that has a product, by the product's name."""
+"""The module of each product, by the product's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +51,11 @@ class Product:
         name: as on the command line.
         bands: options → the names of its bands.
         unit: of its values ("degrees", "1"…).
-        doc: one sentence that says what it is.
+        doc: a one-sentence description.
         make: context → blocks (row0, col0, values (bands, rows, cols)), in any order, covering the raster once; or a
             ``gather.Sweep``, for sums over horizons.
         byte: the values that 8-bit files show as 1 and as 255 (0 is missing).
-        about: (band, options) → what is different about a band: ``unit``, ``byte`` or ``codes`` of its ``Band``.
+        about: (band, options) → the specifics of a band: ``unit``, ``byte`` or ``codes`` of its ``Band``.
         check: raises UsageError where options make no sense, before there is a terrain; ``make`` does so as well.
     """
 
@@ -99,20 +99,20 @@ MEANT = {
     **dict.fromkeys(("shadows", "cast-shadow"), "shadow"),
     **dict.fromkeys(("radiation", "solar", "irradiation"), "insolation"),
 }  # fmt: skip
-"""What products are called elsewhere, and here."""
+"""Names of products in other tools, and here."""
 
 
 def product(name: str) -> Product:
     """A product by its name.
 
     Raises:
-        UsageError: there is none of that name.
+        UsageError: there is no such product.
     """
     if name not in _HOMES:
         plain = name.lower().replace("_", "-").replace(" ", "-")
         close = MEANT.get(plain) or next(iter(difflib.get_close_matches(plain, _HOMES, 1, 0.6)), None)
         remedy = f"Did you mean {close}?" if close else ""
-        raise UsageError(f"There is no product {name!r}; there are {', '.join(_HOMES)}.", remedy=remedy)
+        raise UsageError(f"There is no product {name!r}; the products are {', '.join(_HOMES)}.", remedy=remedy)
     found: Sequence[Product] = importlib.import_module(_HOMES[name]).PRODUCTS
     return next(p for p in found if p.name == name)
 

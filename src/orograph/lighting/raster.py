@@ -1,8 +1,8 @@
-"""Rasters of light: canvases while they are made, in memory or in a scratch file, and GeoTIFFs when they are done.
+"""Rasters of light: canvases during their making, in memory or in a scratch file, and GeoTIFFs when done.
 
-A canvas as large as the terrain is kept in memory while it fits in what is allowed; beyond that it is a file in the
-temporary folder, mapped into memory, whose pages are let go of after each block. The file has no name once it is open:
-nothing is left of it however the process ends.
+A canvas as large as the terrain is kept in memory if it fits the limit; otherwise it is a file in the temporary folder,
+mapped into memory, whose pages are released after each block. The file has no name once it is open, so nothing is left
+of it however the process ends.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from orograph.progress import SILENT, Progress
 Values = NDArray[np.float32]
 
 _GDAL_CACHE = 1 << 20
-"""Bytes of GDAL's block cache while a file is written: its blocks are written once, so nothing need wait there."""
+"""Bytes of GDAL's block cache while a file is written: its blocks are written once, so nothing needs to wait there."""
 _LEVEL = 4
-"""Of DEFLATE: twice as fast as its default, 1 % larger."""
+"""Compression level of DEFLATE: twice as fast as its default, 1 % larger."""
 _HEADER, _PER_TILE = 1 << 12, 16
-"""Bytes of a plain TIFF beside its samples: about."""
+"""Approximate bytes of a plain TIFF in addition to its samples."""
 
 
 class Canvas:
@@ -62,14 +62,14 @@ class Canvas:
             self.values = np.zeros(size, np.float32)
 
     def release(self) -> None:
-        """Let go of the memory of a canvas on disk; what was written stays."""
+        """Release the memory of a canvas on disk; what was written stays."""
         if self._release is not None:
             self._release()
 
 
 def trim() -> None:
-    """Give memory that is free back to the system, where the C library would keep it: glibc does so with what many
-    arrays of up to 32 MiB took, however much that was together."""
+    """Return free memory to the system, since the C library would keep it: glibc does so with many arrays of up to 32
+    MiB, however much they take together."""
     if sys.platform == "linux":
         give_back = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if give_back is not None:
@@ -87,7 +87,7 @@ def rectangles(shape: tuple[int, int], height: int, width: int | None = None) ->
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """What is said of a band in a file.
+    """The description of a band in a file.
 
     Attributes:
         name: its description.
@@ -105,14 +105,14 @@ class Band:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Step and offset that turn an 8-bit file's bytes back."""
+        """Scale and offset that convert an 8-bit file's bytes back."""
         if self.codes:
             return 1.0, 0.0
         step = (self.byte[1] - self.byte[0]) / 254.0
         return step, self.byte[0] - step
 
     def to_bytes(self, values: Values) -> NDArray[np.uint8]:
-        """Values (rows, cols) as 8-bit files have them."""
+        """Values (rows, cols) as in 8-bit files."""
         if self.codes:
             return np.nan_to_num(values, nan=0.0).astype(np.uint8)
         return to_bytes(values, *self.byte)
@@ -138,7 +138,8 @@ def write(
 ) -> None:
     """Write a Cloud Optimized GeoTIFF, block by block, whole or not at all.
 
-    Blocks go to a plain tiled file beside the place first, which is copied into the order of a COG, with overviews.
+    Blocks first go to a plain tiled file beside the destination, which is then copied into the order of a COG, with
+    overviews.
 
     Args:
         bands: of the file.
@@ -149,7 +150,7 @@ def write(
         jobs: threads of the compression.
 
     Raises:
-        OutputError: it cannot be written. What was there before is there still.
+        OutputError: it cannot be written; a previous file is still there.
     """
     import rasterio
     from rasterio.shutil import copy
@@ -191,6 +192,6 @@ def write(
                 )  # fmt: skip
         finally:
             remove(plain)
-            # What the copy leaves when it is interrupted.
+            # Remove what an interrupted copy leaves.
             for left in out.parent.glob(f"{part.name}*.tmp"):
                 remove(left)

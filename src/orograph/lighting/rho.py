@@ -1,4 +1,4 @@
-"""What an occluder at a distance lets through: the function ρ of ambient occlusion.
+"""How much an occluder at a distance lets through: the function ρ of ambient occlusion.
 
 ρ maps the free path L in [0, R] to [0, 1] (Zhukov, Iones & Kronin 1998, sec. 2, their function of distance):
 
@@ -54,7 +54,7 @@ def transmission(rho: Rho, radius: float | None) -> Transmission:
         radius: R, metres; None: unlimited, which only a step can be.
 
     Raises:
-        UsageError: no such ρ, an R that is none, values outside [0, 1], or an unlimited ρ that is no step.
+        UsageError: no such ρ, an invalid R, values outside [0, 1], or an unlimited ρ that is not a step.
     """
     reach = math.inf if radius is None else float(radius)
     if not reach > 0:
@@ -63,9 +63,9 @@ def transmission(rho: Rho, radius: float | None) -> Transmission:
         if rho == "step":
             return Transmission(np.zeros(2), 1.0, reach, True)
         if rho != "linear":
-            raise UsageError(f"There is no ρ called {rho!r}; there are step and linear, or give a function.")
+            raise UsageError(f"There is no ρ called {rho!r}; use step, linear, or a function.")
     if not math.isfinite(reach):
-        raise UsageError("Only a step ρ can do without a radius.", remedy="Give the radius in metres.")
+        raise UsageError("Only a step ρ works without a radius.", remedy="Give the radius in metres.")
     if isinstance(rho, str):
         return Transmission(np.array([0.0, 1.0]), 1.0, reach, False)
     lengths = np.linspace(0.0, reach, SAMPLES)

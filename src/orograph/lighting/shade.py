@@ -1,4 +1,4 @@
-"""Light: how much of the sun's disc is seen over a horizon, what colour sun and sky have.
+"""Light: the part of the sun's disc above a horizon, and the colours of sun and sky.
 
 Angles in degrees; colours are linear RGB, relative to the same light at a sun 45° high; pure functions on arrays.
 """

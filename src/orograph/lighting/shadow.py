@@ -1,4 +1,4 @@
-"""Shadows of a sun that is a disc: how much of it each sample sees over the horizon, and why it sees no more.
+"""Shadows of a sun that is a disc: how much of it each sample sees over the horizon, and why no more.
 
 Two bands:
 
@@ -54,7 +54,7 @@ def make(context: Context) -> Sweep:
     options = context.options
     strips = int(options.more.get("strips", 1))
     if strips < 1:
-        raise UsageError(f"A sun's disc is cut into at least one strip, not {strips}.")
+        raise UsageError(f"The sun's disc must be cut into at least one strip, not {strips}.")
     sun = Sun(*options.sun, *([options.more["diameter"]] if "diameter" in options.more else []))
     azimuths, halves, weights = strips_of(sun, strips)
     east, north, up = sun.direction

@@ -1,4 +1,4 @@
-"""Where the sun stands: a direction given by hand, or the real sun at a moment and a place.
+"""The position of the sun: a given direction, or the real sun at a time and place.
 
 The sun's declination and the equation of time are NOAA's (Meeus, *Astronomical Algorithms*, 1998, ch. 25, without
 nutation's small terms), computed by the library ``astral``; from there a rotation leads to the sky of any place, the
@@ -55,11 +55,11 @@ class Sun:
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.azimuth):
-            raise UsageError(f"The sun's azimuth is an angle in degrees, not {self.azimuth:g}.")
+            raise UsageError(f"The sun's azimuth must be an angle in degrees, not {self.azimuth:g}.")
         if not -90 <= self.altitude <= 90:
-            raise UsageError(f"The sun's altitude lies between −90 and 90 degrees, not {self.altitude:g}.")
+            raise UsageError(f"The sun's altitude must be between −90 and 90 degrees, not {self.altitude:g}.")
         if not 0 <= self.diameter < 90:
-            raise UsageError(f"The sun's diameter is an angle in degrees, not {self.diameter:g}.")
+            raise UsageError(f"The sun's diameter must be an angle in degrees, not {self.diameter:g}.")
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -81,7 +81,7 @@ class Placed:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The real sun at a time, which has a zone."""
+    """The real sun at a time with a time zone."""
 
     when: datetime.datetime
 
@@ -115,11 +115,11 @@ def parse(text: str) -> Placed | Moment:
 
 
 Given = Sun | Placed | Moment | datetime.datetime | str | tuple[float, float]
-"""What a sun may be given as: see ``sun_of``."""
+"""What a sun may be given as (see ``sun_of``)."""
 
 
 def sun_of(given: Given, grid: Grid) -> Sun:
-    """The sun over a terrain, however it was said.
+    """The sun over a terrain, however it was given.
 
     Args:
         given: a ``Sun``; (azimuth, altitude) in degrees; a datetime with its zone; or text as for ``parse``.
@@ -149,7 +149,7 @@ def sun_of(given: Given, grid: Grid) -> Sun:
 def _zoned(when: datetime.datetime) -> datetime.datetime:
     if when.utcoffset() is None:
         raise UsageError(
-            f"{when.isoformat()} has no time zone, and the sun depends on it.",
+            f"{when.isoformat()} has no time zone, but the sun depends on it.",
             remedy=f"Add the offset from UTC: {when.isoformat()}+02:00, or Z for UTC.",
         )
     return when
@@ -158,7 +158,7 @@ def _zoned(when: datetime.datetime) -> datetime.datetime:
 def position(
     when: datetime.datetime, longitude: float, latitude: float, *, refraction: bool = True
 ) -> tuple[float, float]:
-    """Where the sun stands in the sky of a place.
+    """The sun's position in the sky at a place.
 
     Args:
         when: with a time zone.
@@ -194,7 +194,7 @@ def _above(when: datetime.datetime) -> tuple[float, float]:
 
 
 def refracted(altitude: float) -> float:
-    """By how many degrees the air lifts what stands at a geometric altitude, at 1010 hPa and 10 °C (Sæmundsson 1986).
+    """Degrees by which refraction lifts an object at a geometric altitude, at 1010 hPa and 10 °C (Sæmundsson 1986).
 
     Below −1°, where nothing is seen from level ground, it stays what it is there.
     """
@@ -203,7 +203,7 @@ def refracted(altitude: float) -> float:
 
 
 def positions(times: Iterable[datetime.datetime], longitude: float, latitude: float) -> Array:
-    """The sun at many moments: (n, 3) float64, azimuth from true north, apparent and geometric altitude, in degrees."""
+    """The sun at many times: (n, 3) float64, azimuth from true north, apparent and geometric altitude, in degrees."""
     found = []
     for when in times:
         azimuth, altitude = position(when, longitude, latitude, refraction=False)
@@ -231,13 +231,13 @@ def _earthly(grid: Grid) -> CRS:
     crs = grid.crs
     if crs is None or crs.geodetic_crs is None:
         raise UsageError(
-            "The terrain does not say where on Earth it lies, so a time does not tell where the sun stands.",
+            "It is unknown where on Earth the terrain lies, so a time does not determine the sun's position.",
             remedy="Give the sun as azimuth,altitude, or the CRS with `assume_crs`.",
         )
     body = crs.geodetic_crs.ellipsoid
     if body is None or abs(body.semi_major_metre / _EARTH - 1.0) > 0.01:
         raise UsageError(
-            f"{crs.name} is not on the Earth, and only the Earth's sun is known.",
+            f"{crs.name} is not on the Earth; the sun's position is known for the Earth only.",
             remedy="Give the sun as azimuth,altitude.",
         )
     return crs

@@ -1,4 +1,4 @@
-"""What the ground itself is like: normals, slope, aspect, and hillshades by Lambert's cosine law.
+"""Properties of the ground itself: normals, slope, aspect, and hillshades by Lambert's cosine law.
 
 All come from one gradient (``normal``): central differences between a sample's neighbours along its row and its column
 (Zevenbergen & Thorne 1987), one-sided beside missing samples and at the border, turned into metres per metre towards
@@ -52,7 +52,7 @@ def hillshade_of(east: Values, north: Values, lights: Sequence[Light], exaggerat
     """Brightness (1, rows, cols) in [0, 1] under lights (azimuth, altitude, weight)."""
     total = sum(weight for _, _, weight in lights)
     if not lights or total <= 0 or any(weight < 0 for _, _, weight in lights):
-        raise UsageError("Lights need weights that are positive and not all 0.")
+        raise UsageError("Weights of lights must not be negative, nor all 0.")
     factor = np.float32(exaggeration)
     p, q = east * factor, north * factor
     out = np.zeros_like(p)

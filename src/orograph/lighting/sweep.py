@@ -39,7 +39,7 @@ from orograph.parallel import for_groups, threads_for
 from orograph.progress import SILENT, Progress
 
 EARTH = 6_371_008.8
-"""Mean radius, metres (IUGG), where no CRS names a body."""
+"""Mean radius of the Earth, metres (IUGG), for terrain without a CRS."""
 
 _STRIP = 1 << 16
 """Samples of a strip of rows."""
@@ -107,7 +107,7 @@ def horizons(
     skip: Collection[int] = (),
     band: int | None = None,
 ) -> Iterator[Block]:
-    """Sweep a raster in every azimuth, by blocks whose work is left to who asks for them (``fold``, ``swept``).
+    """Sweep a raster in every azimuth, in blocks whose work is left to the caller (``fold``, ``swept``).
 
     Args:
         read: (row0, row1, col0, col1) → heights of a window, float32 metres, NaN where missing; from any thread.

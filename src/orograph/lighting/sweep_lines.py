@@ -77,7 +77,7 @@ class Lines:
 
 
 class Pool:
-    """The stacks of a share of an azimuth's lines, between two bands; ``clear`` it first."""
+    """The stacks of a share of an azimuth's lines, between two bands; call ``clear`` first."""
 
     def __init__(self) -> None:
         self.top = np.empty(0, np.int64)
@@ -109,14 +109,14 @@ class Pool:
         self.free = free
 
     def clear(self, lines: int) -> None:
-        """Begin with so many empty stacks, and one of the line before them."""
+        """Begin with empty stacks for ``lines`` and one for the line before them."""
         self.top = np.full(lines + 1, -1, np.int64)
         self.free[0] = len(self.link)
         self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
 
     @property
     def stacks(self) -> Stacks:
-        """They as kernels take them."""
+        """The stacks as kernels take them."""
         return Stacks(self.top, self.position, self.height, self.link, self.free)
 
     @property

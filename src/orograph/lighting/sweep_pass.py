@@ -73,7 +73,7 @@ class Strip:
 
 
 class Terms(NamedTuple):
-    """What a horizon is, as ``sweep.horizons`` takes it."""
+    """The terms of a horizon, as in ``sweep.horizons``."""
 
     lowest: float = 0.0
     below: bool = False
@@ -141,7 +141,7 @@ class Pass:
             raise UsageError(
                 f"A radius of {radius:g} m is {reach} samples of a terrain {self.lanes} samples wide, for which "
                 f"{memory >> 20} MiB of memory are not enough.",
-                remedy="Allow more memory (`max_memory`), or leave the radius unlimited, which takes less.",
+                remedy="Allow more memory (`max_memory`), or omit the radius, which takes less.",
             )
         self.lines, self.radius, self.stacks = group[:count], radius, third
         self.indices = np.array([a.index for a in self.lines])
@@ -163,7 +163,7 @@ class Pass:
         return cols if self.by_columns else pitch(cols)
 
     def begin(self, spare: list[Pool]) -> None:
-        """Take pools of passes before, and leave them for passes to come."""
+        """Reuse pools of earlier passes, and leave them for later ones."""
         if sum(p.size for p in spare) > self.stacks // 2:
             spare.clear()
         self._spare = spare
@@ -178,10 +178,10 @@ class Pass:
         if self.radius is not None:
             reaches = [reach_of(a, self.radius, s0, s1) for a in self.lines]
             first, last = min(h0 for _, h0, _ in reaches), max(h1 for _, _, h1 in reaches)
-        if self.backward:  # samples' own cells reach one step farther towards the light
-            last = min(max(last, s1 + 1), self.steps)
+        if self.backward:  # cells reach one step farther towards the light
+            last = min(last + 1, self.steps)
         else:
-            first = max(min(first, s0 - 1), 0)
+            first = max(first - 1, 0)
         heights = read(*self.window(first, last))
         rows, cols = heights.shape
         wide, stride = self.pitch(cols), heights.strides[0] // 4

@@ -3,12 +3,12 @@
 Cignoni, Ganovelli, Gobbetti, Marton, Ponchio & Scopigno, *BDAM – Batched Dynamic Adaptive Meshes for High Performance
 Terrain Visualization* (Computer Graphics Forum 22(3), 2003). The CPU decides about a few hundred patches, as for
 ``triangle-patches``; but a patch's triangles are where the ground needs them. Patches were simplified bottom up, two of
-a diamond at a time (``store.tin_build``): what lies along an edge of the hierarchy was decided once, for that edge, so
-patches that touch list the same vertices, whatever their levels. The finest patches are the samples as they are.
+a diamond at a time (``store.tin_build``): the vertices along an edge of the hierarchy were decided once, for that edge,
+so adjacent patches list the same vertices, whatever their levels. The finest patches are the samples themselves.
 
 A diamond is split if its error, measured on the surface and saturated, projected over its nested sphere, exceeds the
-tolerance, and its parents are split. Nothing is kept from frame to frame but patches that were unpacked. Diamonds over
-ground and missing ground have no TINs: there it is refined to the samples. Geomorphs (which print has not) are those of
+tolerance, and its parents are split. Only unpacked patches are kept from frame to frame. Diamonds over both ground and
+missing ground have no TINs: there the mesh is refined to the samples. Geomorphs (not in the paper) are those of
 ``tin_morphs``. Pixels, samples, metres.
 """
 
@@ -73,13 +73,13 @@ class BdamOptions(RightTriangleOptions):
     error: str = option("exact", "Errors of TINs are measured on the surface; there are no others.", choices=("exact",))
     metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic"))
     legs: int = option(
-        LEGS, "Segments along a finest patch's leg; the square of it is the number of a patch's triangles.",
+        LEGS, "Segments along the leg of a finest patch; their square is the number of a patch's triangles.",
         choices=ALL_LEGS,
     )  # fmt: skip
 
     geomorph: bool = option(
-        False, "Patches grow into those below them while the bound of their error grows from four fifths of the "
-        "tolerance to the whole, which they keep all the time; those that do have several times the triangles.",
+        False, "Patches morph into those below them while the bound of their error grows from four fifths of the "
+               "tolerance to all of it, which they always keep; morphing patches have several times the triangles.",
     )  # fmt: skip
 
 
@@ -127,7 +127,7 @@ class Bdam(TrianglePatches):
         return (Need("tins", {"legs": options.legs}),)
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TinBatches:  # type: ignore[override]
-        """The patches of a view. What they need is read, whatever is ``ready``; of that, ``lacking`` says what is not.
+        """The patches of a view. What they need is read, whatever is ``ready``; ``lacking`` lists what is not.
 
         Raises:
             UsageError: more pages are needed than memory allows.
@@ -145,7 +145,7 @@ class Bdam(TrianglePatches):
         patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
         bounded = goal.triangles is None or patches.within
         if not bounded:
-            # Around an eye near the ground errors have no bound: where they count for all that, it takes too many.
+            # Around an eye near the ground errors have no bound; refining all of these would take too many patches.
             patches = by_tolerance(partial(at, estimated=True), goal, self._last)
         tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance if bounded else None
         promised = self.conservative and patches.within and bounded
@@ -198,7 +198,7 @@ class Bdam(TrianglePatches):
         return [batch for batch in (*found, *self._finest(instances[finest])) if len(batch.triangles)]
 
     def _meshes(self, names: list[Name]) -> list[TinBatch]:
-        """The meshes of any patches, finest ones too."""
+        """The meshes of any patches, including finest ones."""
         kinds = [int(diamonds.kind(row, col)) for row, col, _ in names]
         extents = [int(diamonds.spacing(row, col)) for row, col, _ in names]
         finest = [kind == diamonds.SQUARE and 2 * s == self.legs for kind, s in zip(kinds, extents)]
@@ -223,7 +223,7 @@ class Bdam(TrianglePatches):
         return found
 
     def _unpack(self, keys: list[Diamond]) -> None:
-        """Have the TINs of diamonds ready, by several threads."""
+        """Prepare the TINs of diamonds, in several threads."""
         lacking = list(dict.fromkeys(key for key in keys if key not in self._kept))
         for key in keys:
             if key in self._kept:

@@ -1,16 +1,16 @@
 """CDLOD: a quadtree of one small grid; levels by distance alone, and vertices that slide as the next level comes near.
 
 Strugar, *Continuous Distance-Dependent Level of Detail for Rendering Heightmaps* (Journal of Graphics, GPU, and Game
-Tools 14, 2009). Level l has the range r_l. From the root down, a square whose box the sphere of the range of the next
-finer level meets is drawn by those of its quarters that meet it, and by itself over the others (``LODSelect``). All are
-instances of one grid. In the last third of its level's range a vertex of odd number slides to the even one before it,
-so that a level has become the next one where that begins.
+Tools 14, 2009). Level l has the range r_l. From the root down, if the sphere of the next finer level's range meets a
+square's box, the quarters that it meets are drawn in the finer level and the rest in the square's own (``LODSelect``).
+All are instances of one grid. In the last third of its level's range a vertex of odd number slides to the even one
+before it, so that a level has become the next one where that begins.
 
-*Ranges.* In print they are the user's, each twice the one before. Here they follow from the tolerance: a level is left
-where the next one's largest error on the terrain, at the distance where vertices begin to slide, is as many pixels.
-Vertices that slide leave the samples, and nothing bounds what they are off by: no promise. *Seams*: two levels meet
-without one if vertices of the finer have all arrived there and none of the coarser has begun, which holds if a range
-is longer than the one before by 1.5 diagonals of the finer's squares. ``seams=closed`` lengthens ranges until they are.
+*Ranges.* In the paper the user sets them, each twice the one before. Here they follow from the tolerance: a level ends
+where the next one's largest error on the terrain, at the distance where vertices begin to slide, equals the tolerance
+in pixels. Sliding vertices leave the samples, and nothing bounds their error: no guarantee. *Seams*: two levels meet
+without one if vertices of the finer have all arrived there and none of the coarser has begun, which holds if a range is
+longer than the one before by 1.5 diagonals of the finer's squares. ``seams=closed`` lengthens ranges until they are.
 Metres, pixels.
 """
 
@@ -36,7 +36,7 @@ START = 2 / 3
 """The part of a level's range after which its vertices slide."""
 
 STEPS = 4096
-"""In so many steps vertices slide, so that their places are exact numbers."""
+"""Vertices slide in this many steps, so that their places are exact numbers."""
 
 QUARTER = np.dtype([("row", "<i4"), ("col", "<i4"), ("level", "<i4")])
 """A quarter of the grid: its upper left sample, and its level."""
@@ -52,12 +52,13 @@ class CdlodOptions:
         32, "Cells along a side of the grid; fewer where the raster is smaller.", choices=(8, 16, 32, 64)
     )
     seams: str = option(
-        "closed", "Ranges so long that levels meet without a seam (closed), or no longer than the tolerance asks "
-        "(open).", choices=("closed", "open"),
+        "closed", "Ranges long enough that levels meet without a seam (closed), or no longer than the tolerance "
+                  "requires (open).", choices=("closed", "open"),
     )  # fmt: skip
     cells: str = option(
-        "alike", "How cells are cut: all alike, so that four become one where they slide, or by turns as the terrain's "
-        "surface is (surface), so that the finest level is the terrain; cells then turn over where a level begins.",
+        "alike", "How cells are cut: all alike, so that four become one where they slide, or alternating like the "
+                 "terrain's surface (surface), so that the finest level is the terrain; cells then flip where a "
+                 "level begins.",
         choices=("alike", "surface"),
     )  # fmt: skip
 
@@ -113,7 +114,7 @@ class Cdlod(QuadtreePatches):
         return Pieces(quarters, np.zeros(len(quarters), np.uint8), nodes, triangles)
 
     def ranges(self, camera: Camera, tolerance: float) -> Array:
-        """(top + 1,) metres of stretched space: how far each level reaches; the last one reaches everywhere."""
+        """(top + 1,) the reach of each level, metres of stretched space; the last one reaches everywhere."""
         view, x = camera.view, camera.exaggeration
         if view.projection == "plan":
             return np.append(np.zeros(self.top), np.inf)
@@ -129,7 +130,7 @@ class Cdlod(QuadtreePatches):
         return found
 
     def _diagonal(self, level: int, exaggeration: float) -> float:
-        """No square of a level has a longer one, metres of stretched space."""
+        """The longest diagonal of a level's squares, metres of stretched space."""
         p = level + self.exponent
         rows, cols = (-((1 - side) >> p) for side in self.terrain.grid.shape)
         row, col = (a.ravel() for a in np.mgrid[: max(rows, 1), : max(cols, 1)])
@@ -144,7 +145,7 @@ class Cdlod(QuadtreePatches):
         return in_frustum(self.terrain, camera.view, camera.exaggeration, self._heights.of(squares))
 
     def _within(self, camera: Camera, squares: Squares, reach: float) -> NDArray[np.bool_]:
-        """Whose boxes a sphere around the eye meets."""
+        """Which boxes a sphere around the eye meets."""
         boxes: Boxes = self._heights.of(squares)
         return np.asarray(distances(self.terrain, camera.view, camera.exaggeration, boxes) < reach)
 
@@ -163,7 +164,7 @@ class Cdlod(QuadtreePatches):
         corners = corners[~np.isnan(corners[..., 2]).any(1)]
         vertices, where = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         triangles = where.reshape(-1, 3).astype(np.int32)
-        one, two, three = triangles.T  # (upright ones stay: they fill what opens beside a vertex that slides on alone)
+        one, two, three = triangles.T  # (vertical ones stay: they fill the gaps beside a vertex that slides on alone)
         triangles = triangles[(one != two) & (two != three) & (three != one)]
         if turn(self.terrain.grid) < 0:  # rows run southwards: clockwise as drawn is clockwise from above
             triangles = triangles[:, ::-1]
@@ -202,7 +203,7 @@ class Cdlod(QuadtreePatches):
         return np.asarray(np.rint(slid * STEPS) / STEPS)
 
     def _at_level(self, level: int, i: Index, j: Index) -> Heights:
-        """Heights of entries of a level (those beyond the last are the last); levels coarser than stored ones, too."""
+        """Heights of entries of a level (those beyond the last repeat it); also for levels coarser than stored ones."""
         stored = min(level, self.terrain.levels - 1)
         rows, cols = self.terrain.shape(stored)
         up = level - stored

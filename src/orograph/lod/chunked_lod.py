@@ -1,14 +1,14 @@
-"""Chunked LOD: a quadtree of ready meshes, each as fine as its level asks; which are drawn, distance says; skirts.
+"""Chunked LOD: a quadtree of prebuilt meshes, each as fine as its level requires, chosen by distance; with skirts.
 
 Ulrich, *Rendering Massive Terrains using Chunked Level of Detail Control* (SIGGRAPH 2002 course *Super-size it!*). Each
-chunk of the quadtree has a mesh of its own, simplified ahead to the error of its level, which halves from level to
-level (``store.chunked``). With D the distance from the eye to a chunk's box, its error is worth ρ = error · K / D
-pixels; where ρ exceeds the tolerance τ, its four children are drawn instead. A chunk's vertices move, all alike, to
-where they are in its parent's mesh: by morph = clamp(2ρ/τ − 1, 0, 1) they have left it. When a parent is split its
-children look as it did. Skirts hide what opens between chunks. Errors of vertices are no bound: no promise.
+chunk of the quadtree has its own mesh, simplified in advance to the error of its level, which halves from level to
+level (``store.chunked``). With D the distance from the eye to a chunk's box, its error covers ρ = error · K / D pixels;
+if ρ exceeds the tolerance τ, its four children are drawn instead. A chunk's vertices all move together between their
+places in its parent's mesh and in its own: morph = clamp(2ρ/τ − 1, 0, 1). When a parent is split its children look as
+it did. Skirts hide gaps between chunks. Errors of vertices are not a bound: no guarantee.
 
-Chunks beside each other are kept within two levels, for a skirt covers no more: where distance alone asks for more,
-the coarser one is split. Metres, pixels.
+Adjacent chunks are kept within two levels, since a skirt covers no more: where distance alone asks for more, the
+coarser one is split. Metres, pixels.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ class ChunkedLodOptions:
 
     cells: int = option(CELLS, "Cells along a side of the finest chunks.", choices=ALL_CELLS)
     finest: float = option(
-        0.0, "Error of the finest chunks; 0: found from the terrain.", unit="metres", least=0.0, most=1e6
+        0.0, "Error of the finest chunks; 0: derived from the terrain.", unit="metres", least=0.0, most=1e6
     )
     morph: bool = option(True, "Whether vertices move between levels, so that nothing pops.")
     skirts: bool = option(True, "Whether skirts hang from the sides of chunks.")
     compressed: bool = option(
-        False, "Whether meshes are kept in few bytes, heights in steps, and decoded by the GPU when it draws."
+        False, "Whether meshes are compressed, with quantised heights, and decoded by the GPU for drawing."
     )
 
     def __post_init__(self) -> None:
@@ -64,11 +64,11 @@ class ChunkedLodOptions:
 
 @dataclass(slots=True)
 class Chosen:
-    """What a tolerance leads to.
+    """The selection for a tolerance.
 
     Attributes:
         names: of the chunks, and how far each has left its parent's mesh: 0 … 1.
-        triangles: of all, skirts included. skirts: of those. within, tolerance: as of a ``right_triangles.Mesh``.
+        triangles: of all, skirts included. skirts: of those. within, tolerance: as for a ``right_triangles.Mesh``.
     """
 
     names: dict[Name, float]
@@ -79,7 +79,7 @@ class Chosen:
     tolerance: float | None = None
 
     def kept(self) -> Self:
-        """Itself: nothing of it is used again."""
+        """Itself: no part of it is reused."""
         return self
 
 
@@ -163,9 +163,9 @@ class ChunkedLod(Method):
         return Chosen(names, forced)
 
     def split(self, camera: Camera, tolerance: float) -> tuple[dict[int, Index], int]:
-        """The codes of the chunks that are split, by level, and how many of them only for the sake of neighbours.
+        """The codes of the chunks that are split, by level, and how many of them only because of neighbours.
 
-        Chunks out of view are, too: one in view may have them beside it.
+        This includes chunks out of view, since one in view may be next to them.
         """
         wanted: dict[int, set[tuple[int, int]]] = {level: set() for level in range(1, self.layout.top + 1)}
         squares = self._squares(self.layout.top, np.zeros(1, np.int64), np.zeros(1, np.int64))
@@ -195,7 +195,7 @@ class ChunkedLod(Method):
         return self._heights.of(squares)
 
     def _pixels(self, camera: Camera, squares: Squares, level: int) -> Array:
-        """What the error of a level is worth at each square, pixels."""
+        """The error of a level at each square, pixels."""
         view = camera.view
         if view.projection == "plan":
             return np.zeros(len(squares))
@@ -205,7 +205,7 @@ class ChunkedLod(Method):
             return np.asarray(error / (away * view.pixel_slope))
 
     def _left(self, camera: Camera, squares: Squares, level: int, tolerance: float) -> Array:
-        """How far chunks have left their parents' meshes."""
+        """How far chunks have morphed away from their parents' meshes."""
         if not self.options.morph or level == self.layout.top or tolerance == 0:
             return np.ones(len(squares))
         return np.clip(2 * self._pixels(camera, squares, level) / tolerance - 1, 0.0, 1.0)
@@ -213,7 +213,7 @@ class ChunkedLod(Method):
     # ---- meshes ----
 
     def _fetch(self, names: list[Name]) -> None:
-        """Have chunks' meshes in memory, by several threads."""
+        """Load chunks' meshes into memory, in several threads."""
         lacking = []
         for name in names:
             if name in self._kept:
@@ -226,7 +226,7 @@ class ChunkedLod(Method):
             self._bytes += chunk.nbytes
 
     def _let_go(self) -> None:
-        """Keep no more of what was used longest ago than memory allows."""
+        """Drop the least recently used chunks beyond the memory limit."""
         while self._bytes > self.resources.max_memory // 2 and len(self._kept) > 1:
             self._bytes -= self._kept.popitem(last=False)[1].nbytes
 
@@ -244,7 +244,7 @@ class ChunkedLod(Method):
         return TinBatches(method=self.info.name, bound=None, batches=[one for one in batches if len(one.triangles)])
 
     def _coded(self, found: Chosen) -> CodedChunks:
-        """Chunks as they are kept, and by how much their heights are off at most."""
+        """Chunks in their stored form, and the maximum error of their heights."""
         names, words = list(found.names), [self._kept[name] for name in found.names]
         off = max((off_by(one) for one in words if not isinstance(one, Chunk)), default=0.0)
         return CodedChunks(
@@ -265,7 +265,7 @@ class ChunkedLod(Method):
         return TinBatches(batches=batches, **of).tessellation()
 
     def _batch(self, chunk: Chunk, left: float) -> TinBatch:
-        """A chunk's mesh where its vertices have moved to."""
+        """A chunk's mesh with its vertices moved."""
         vertices, triangles, targets = chunk.vertices, chunk.triangles, chunk.targets
         if not self.options.skirts:
             triangles = triangles[: len(triangles) - chunk.skirt]

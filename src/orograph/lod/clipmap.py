@@ -1,11 +1,11 @@
 """Geometry clipmaps: nested rings around the eye, each twice as coarse as the one within, that move with it.
 
 Losasso & Hoppe, *Geometry clipmaps: terrain rendering using nested regular grids* (SIGGRAPH 2004); Asirvatham & Hoppe
-in GPU Gems 2 (2005). A window of n × n samples of every level lies around the eye, snapped to even samples; what finer
-windows leave of it is drawn. Over the outer tenth of a ring heights become the next coarser one's, so that nothing
-pops; rings end in even vertices only, so that nothing cracks (``clipmap_mesh``). Heights are held in toroidal arrays,
-coarse first, within a budget a frame; a level that is late is left out (``clipmap_toroid``). Finest levels are left out
-where the eye is high, and where the tolerance does not ask for them. Distance alone decides: no promise.
+in GPU Gems 2 (2005). Every level has a window of n × n samples around the eye, snapped to even samples; the part
+outside finer windows is drawn. Over the outer tenth of a ring heights blend into the next coarser one's, so that
+nothing pops; rings end only in even vertices, so that nothing cracks (``clipmap_mesh``). Heights are held in toroidal
+arrays, filled coarse first, within a budget per frame; a late level is left out (``clipmap_toroid``). The finest levels
+are left out if the eye is high, or the tolerance does not need them. Distance alone decides: no guarantee.
 
 ``rings=promise`` chooses windows by the errors of the blocks they cover: outside of level l's window level l + 1 keeps
 the tolerance, and in its transition, where heights are off by both levels' errors at most, it keeps it with their sum.
@@ -42,13 +42,13 @@ from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
 BLOCK = 16
-"""Cells along a side of what is culled as one."""
+"""Side of the blocks that are culled, cells."""
 
 HIGH = 0.4
-"""A level is left out from this part of its window's extent above the ground."""
+"""A level is left out from this height above the ground on, as a part of its window's extent."""
 
 LEAST = 15
-"""Samples along a side of a window at least, where a budget asks for small ones."""
+"""Minimum samples along a side of a window, for small budgets."""
 
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -60,13 +60,13 @@ class ClipmapOptions:
 
     n: int = option(255, "Samples along a side of a window.", choices=(63, 127, 255, 511))
     rings: str = option(
-        "printed", "Windows of n × n samples around the eye (printed), or as large as the tolerance asks by the errors "
-        "of blocks (promise), which makes it a promise.", choices=("printed", "promise"),
+        "printed", "Windows of n × n samples around the eye (printed), or as large as the tolerance requires by the "
+                   "errors of blocks (promise), which guarantees the tolerance.", choices=("printed", "promise"),
     )  # fmt: skip
-    blend: bool = option(True, "Heights become the next coarser ring's over the outer tenth of one.")
+    blend: bool = option(True, "Heights blend into the next coarser ring's over the outer tenth of a ring.")
     update: float | None = option(
-        None, "Windows' worth of samples that a frame may read (1: n²); levels that are late are left out. None: all "
-        "that it needs. Of rings as printed.", least=1.0,
+        None, "Samples that a frame may read, in windows (1: n²); late levels are left out. None: all that it needs. "
+              "For rings as printed.", least=1.0,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ class ClipmapOptions:
 
 @dataclass(slots=True)
 class Found:
-    """What a tolerance leads to.
+    """The selection for a tolerance.
 
     Attributes:
         stack, blends, seen: as of ``ClipRings``. n: samples along a side of windows as printed.
@@ -91,7 +91,7 @@ class Found:
     tolerance: float | None = None
 
     def kept(self) -> Self:
-        """Itself: nothing of it is used again."""
+        """Itself: no part of it is reused."""
         return self
 
     def first(self, count: int) -> Found:
@@ -242,7 +242,7 @@ class Clipmap(Method):
         return self._counted(camera, self._culled(camera, stack, blends, self.options.n, tolerance))
 
     def _below(self, camera: Camera, found: Found) -> Found:
-        """With whole windows of all coarser levels, which show where finer ones are not there."""
+        """With the whole windows of all coarser levels, which are drawn where finer ones are absent."""
         coarser = [whole(k, self.shape) for k in range(self.coarsest, found.stack[0].level, -1)]
         stack, blends = ClipStack([*coarser, *found.stack]), [*[NO_BLEND] * len(coarser), *found.blends]
         return replace(self._culled(camera, stack, blends, found.n, found.tolerance), triangles=found.triangles)
@@ -263,7 +263,7 @@ class Clipmap(Method):
     def _counted(self, camera: Camera, found: Found) -> Found:
         if self._rims is None:
             found.triangles = sum(ring.triangles(self.shape) for ring in found.rings())
-        else:  # (how many the rims of holes have is known when they are made)
+        else:  # (the number for the rims of holes is known once they are made)
             found.triangles = len(self._corners(found, self._stored, self._limit(camera, found.tolerance))[0])
         return found
 
@@ -282,7 +282,7 @@ class Clipmap(Method):
         return np.asarray(read[np.ix_(i - i[0], j - j[0])])
 
     def _moved(self, found: Found, there: int) -> tuple[int, Any]:
-        """Move the toroidal arrays: how many levels are held now, and what reads heights of them."""
+        """Move the toroidal arrays: returns how many levels are held now, and a reader of their heights."""
         if found.n != self._toroids.n:
             self._toroids = Toroids(found.n)
         budget = sys.maxsize if self.options.update is None else int(self.options.update * found.n**2)

@@ -1,8 +1,8 @@
-"""What stored errors say of a clipmap's windows: which a tolerance asks for, and which tiles they lack.
+"""Choose a clipmap's windows from stored errors: which a tolerance requires, and which tiles they lack.
 
-Of windows as printed the errors of tiles decide, which bound the distance between a level's surface and the
+For windows as printed the errors of tiles decide, which bound the distance between a level's surface and the
 full-resolution one; of levels coarser than stored ones there is one number, the largest of the errors of their cells
-(``store.diamond_table``). Windows with a promise are chosen by blocks of 32 × 32 cells (``seamless_errors``). Metres,
+(``store.diamond_table``). Guaranteed windows are chosen by blocks of 32 × 32 cells (``seamless_errors``). Metres,
 samples, pixels.
 """
 

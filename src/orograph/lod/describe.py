@@ -1,6 +1,6 @@
-"""What the methods say of themselves, as text: for ``orograph methods``, ``orograph.methods()`` and the manual.
+"""Describe the methods as text: for ``orograph methods``, ``orograph.methods()`` and the manual.
 
-All of it is made of ``info`` and the options' fields, so a new method is described as soon as it is registered.
+Everything comes from ``info`` and the options' fields, so a new method is described as soon as it is registered.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ KINDS = {
     "triangles": "a mesh of triangles", "patches": "patches of triangles", "batches": "batches of triangles",
     "rings": "nested rings", "rays": "windows for rays: no triangles",
 }  # fmt: skip
-"""What selections are, by their kind."""
+"""Kinds of selections, in words."""
 
 PAGE = Path(__file__).parents[3] / "docs/methods/README.md"
 """The manual's page, in a checkout."""
 
 BEGIN, END = "<!-- methods: written by python -m orograph.lod.describe -->\n", "\n<!-- end of methods -->"
-"""Around the table there."""
+"""Markers around the table in the manual."""
 
 
 class Said(str):
-    """A text that is shown as it is read, and in notebooks as a table, where it has ``rows`` (their heads first)."""
+    """A text that prints as such, and in notebooks as a table if it has ``rows`` (headings first)."""
 
     rows: Sequence[Sequence[str]] = ()
 
@@ -43,7 +43,7 @@ class Said(str):
 
 
 def methods(name: str | None = None) -> Said:
-    """Which methods there are, or a method's options with their help and units: a text that shows itself.
+    """The list of methods, or a method's options with their help and units, as a text.
 
     Args:
         name: of a method; None: all of them.
@@ -83,8 +83,8 @@ def about(name: str) -> str:
     info = method_of(name).info
     lines = [
         f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.", _promise(info),
-        "It goes on from the frame before." if info.incremental else "Every frame begins anew.",
-        f"It can aim at: {', '.join(info.goals)}.",
+        "It continues from the previous frame." if info.incremental else "Every frame starts from scratch.",
+        f"Possible goals: {', '.join(info.goals)}.",
     ]  # fmt: skip
     text = "\n".join(_filled(line, "") for line in lines)
     options = described(info.options)
@@ -118,8 +118,8 @@ def _infos() -> list[MethodInfo]:
 
 def _promise(info: MethodInfo) -> str:
     if info.conservative(info.options()):
-        return "With the default options a tolerance is a promise for every sample in view."
-    return "With the default options a tolerance is no promise."
+        return "With the default options the tolerance is guaranteed for every sample in view."
+    return "With the default options the tolerance is not guaranteed."
 
 
 def _filled(text: str, indent: str = "    ") -> str:

@@ -1,10 +1,11 @@
-"""What methods refine: the vertices of the hierarchy with their diamonds' errors and spheres, in pages, out of core.
+"""The data that methods refine: the vertices of the hierarchy with their diamonds' errors and spheres, in pages, out of
+core.
 
 A vertex (row, col) of octave k lives in one page of level min(k, top): a square of 256 × 256 entries of four float32,
-(height, error, radius, color error), so that one look-up brings all that decides about its diamond, and a coarse vertex
-shares its page with its like (the hierarchical layout of Lindstrom & Pascucci 2002, by tiles). Kernels look pages up in
-a table; one that is not resident is noted as a *miss* and its diamonds pass for accurate, and the method reads the
-pages and refines again until nothing is missed. Memory is bounded: pages not used last leave first.
+(height, error, radius, color error), so that one look-up gives all that decides about its diamond, and coarse vertices
+share pages with each other (the hierarchical layout of Lindstrom & Pascucci 2002, by tiles). Kernels look pages up in a
+table; an absent page is noted as a *miss* and its diamonds count as accurate; the method reads the missed pages and
+refines again until nothing is missed. Memory is bounded: the least recently used pages leave first.
 
 In a page: height is filled where the sample is missing (spheres need one); error as in ``store.diamond_table`` (+inf
 mixed); radius negative if the diamond is empty; color error c as −1 − c if the vertex's own sample is missing.
@@ -32,10 +33,10 @@ ColorErrors = Callable[[int, int, int, int, int], NDArray[np.float32]]
 
 
 class Vertices:
-    """The vertices of a terrain by pages, as they are read.
+    """The vertices of a terrain by pages, read on demand.
 
     Args:
-        terrain: whose. kind, color: as for ``Field``.
+        terrain: the terrain. kind, color: as for ``Field``.
 
     Attributes:
         shapes: (rows, cols) of every level; the top level is a padded square. counts: of its pages.
@@ -102,7 +103,7 @@ class Field:
     """The pages of a terrain, as many as memory allows.
 
     Args:
-        terrain: what is refined.
+        terrain: the terrain to refine.
         kind: which error: exact, wedgie, midpoint.
         color: ``color(level, row0, row1, col0, col1)``, color errors in the layout of ``store.diamond_table``.
         max_memory: bytes of pages.
@@ -114,7 +115,7 @@ class Field:
         corners: float32 (2, 2), heights of the square's corners (NaN where missing).
 
     Raises:
-        UsageError: the terrain has no surface, or the memory does not suffice for the coarsest pages.
+        UsageError: the terrain has no surface, or memory is too small for the coarsest pages.
     """
 
     def __init__(
@@ -138,7 +139,7 @@ class Field:
             table[begin : begin + side * side].reshape(side, side)[:r, :c] = -1
         slots = int(min((table == -1).sum(), max(1, max_memory // PAGE_BYTES)))
         if slots < counts[-1][0] * counts[-1][1]:
-            raise UsageError(f"{max_memory >> 20} MiB do not hold the coarsest tiles; allow at least 16 MiB.")
+            raise UsageError(f"{max_memory >> 20} MiB are too few for the coarsest tiles; allow at least 16 MiB.")
         data = _aligned((slots, SIDE, SIDE, 4))
         i = np.arange(SIDE)
         # Blocks of 16 × 16 entries, in them lines of 2 × 2.
@@ -159,13 +160,13 @@ class Field:
         return len(self.slots)
 
     def begin(self) -> None:
-        """A new round: nothing is used or asked for yet."""
+        """Begin a new round: nothing is used or requested yet."""
         self._round += 1
         self.pages.used[:] = 0
         self._asked()
 
     def _asked(self) -> NDArray[np.int64]:
-        """The pages that were asked for, which then are so no more."""
+        """Return the requested pages, and clear the requests."""
         if self.pages.count[0] == 0:
             return np.zeros(0, np.int64)
         asked = np.flatnonzero(self.pages.table == -2)
@@ -174,15 +175,15 @@ class Field:
         return asked
 
     def fetch(self, *, resumes: bool = False, most: int | None = None) -> bool:
-        """Read the pages that were missed since ``begin``; whether there were any.
+        """Read the pages missed since ``begin``; returns whether there were any.
 
         Args:
-            resumes: the refinement goes on from where it missed them and asks again for what it still lacks, so any
-                other page may leave, and only as many are read as there is room for.
-            most: of those that resume, at most so many.
+            resumes: the refinement continues from where it missed them and asks again for what it still lacks, so any
+                other page may leave, and only as many are read as fit.
+            most: with ``resumes``, the maximum to read.
 
         Raises:
-            UsageError: the pages one refinement needs do not fit into the memory allowed.
+            UsageError: the pages of one refinement do not fit into the allowed memory.
         """
         wanted = self._asked()
         count = len(wanted)
@@ -214,7 +215,7 @@ class Field:
         return True
 
     def _take(self, page: int, before: int) -> int:
-        """The slot, held, that a page is to be read into, −1 if there is none; the page that had it is forgotten."""
+        """A held slot to read a page into, −1 if there is none; the page that had it is forgotten."""
         slot, gone = self.slots.take(page, before)
         if gone is not None:
             self.pages.table[gone] = -1
@@ -229,7 +230,7 @@ class Field:
 
 
 def check_surface(terrain: Terrain) -> None:
-    """Raise UsageError if a raster is too narrow for a surface."""
+    """Raise UsageError if a raster is too small for a surface."""
     rows, cols = terrain.grid.shape
     if min(rows, cols) < 2:
         raise UsageError(
@@ -238,9 +239,9 @@ def check_surface(terrain: Terrain) -> None:
 
 
 def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Memory that begins where a page of the processor's does, so that no line of entries straddles two.
+    """An array aligned to the processor's pages, so that no line of entries straddles two.
 
-    ``np.empty``, because NumPy asks for huge pages there (Linux), which halves the time of a large refinement.
+    ``np.empty``, because NumPy requests huge pages there (Linux), which halves the time of a large refinement.
     """
     size = int(np.prod(shape))
     room = np.empty(size + 4096 // 4, np.float32)

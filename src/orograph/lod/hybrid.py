@@ -1,10 +1,10 @@
 """Patches and rays in one picture: blocks of the screen are drawn by whichever is cheaper there.
 
-After Dick, Krüger & Westermann, *GPU-Aware Hybrid Terrain Rendering* (2010): what rasterised triangles cost grows with
-their number, what rays cost with the pixels they are cast through and the steps they take. Where triangles are large,
-they are cheaper; where many fall on a pixel, or hide behind what is near, rays are. The method selects both, patches
-(``lod.triangle_patches``) and windows (``lod.raycast``), each within the tolerance; the surface that draws them
-(``rendering.gpu.surface.mixed``) knows what they cost. Pixels.
+After Dick, Krüger & Westermann, *GPU-Aware Hybrid Terrain Rendering* (2010): the cost of rasterised triangles grows
+with their number, that of rays with their pixels and steps. Large triangles are cheaper; where many fall on a pixel, or
+are hidden by near ground, rays are. The method selects both, patches (``lod.triangle_patches``) and windows
+(``lod.raycast``), each within the tolerance; the surface that draws them (``rendering.gpu.surface.mixed``) measures
+their cost. Pixels.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ class HybridOptions:
 
     block: int = option(64, "Side of a block of the screen.", unit="pixels", choices=(32, 64, 128))
     shares: str = option(
-        "cost", "Who draws a block: by cost, the cheaper; turns: as on a chessboard, to look at seams.",
+        "cost", "What draws a block: cost: the cheaper of the two; turns: alternating as on a chessboard, to inspect "
+                "seams.",
         choices=("cost", "turns"),
     )  # fmt: skip
     hysteresis: float = option(
-        0.15, "How much cheaper than what drew a block the other has to be to take its place.", least=0.0, most=1.0
+        0.15, "How much cheaper the other must be to replace what drew a block before.", least=0.0, most=1.0
     )
 
     def __post_init__(self) -> None:
@@ -59,7 +60,7 @@ class Hybrid(Method):
         return TrianglePatches.needs(_PATCHES)
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchesAndRays:
-        """The windows of a view, and its patches when they are asked for: the GPU streams its own."""
+        """The windows of a view, and its patches on request: the GPU streams its own."""
         rays = self._rays.select(camera, goal, ready)
         return PatchesAndRays(
             method=self.info.name, bound=rays.bound, lacking=rays.lacking,

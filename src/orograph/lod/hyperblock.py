@@ -1,12 +1,12 @@
 """HyperBlock-QuadTIN: blocks of a QuadTIN's hierarchy, each with a triangulation ready for every error level.
 
 Lario, Pajarola & Tirado, *HyperBlock-QuadTIN: Hyper-Block Quadtree based Triangulated Irregular Networks* (VIIP 2003).
-QuadTIN decides about every vertex in every frame; here a view asks each block for one of a few error levels, and the
-strip that the block has at that level is drawn. Where a block next to it is finer, vertices near their border follow
-that one's level (``hyperblock_blocks`` says which, and why that leaves no crack); such strips are made when they are
-first asked for, and kept. A frame looks at blocks, not at vertices, and makes anew what has changed.
+QuadTIN decides about every vertex in every frame; here a view selects one of a few error levels for each block, and the
+block's strip at that level is drawn. If an adjacent block is finer, vertices near the border follow that one's level
+(``hyperblock_blocks`` says which, and why that leaves no crack); such strips are made on first use, and kept. A frame
+examines blocks, not vertices, and updates only what has changed.
 
-The paper was at hand as an abstract only: docs/methods/hyperblock.md says what was derived. Metres, pixels.
+Only the paper's abstract was available: docs/methods/hyperblock.md says what was derived. Metres, pixels.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ Key = tuple[int, bytes]
 class HyperBlockOptions(QuadTinOptions):
     """Options of ``hyperblock``."""
 
-    cells: int = option(32, "Vertices along a side of a block, about, at its finest level.", least=4, most=512)
+    cells: int = option(32, "Approximate vertices along a side of a block at its finest level.", least=4, most=512)
     levels: int = option(2, "Error levels for each factor of two.", least=1, most=7)
-    cache: bool = option(True, "Keep what is triangulated for the sake of finer blocks nearby.")
+    cache: bool = option(True, "Keep triangulations that were made because of finer blocks nearby.")
 
 
 class HyperBlock(QuadTin):

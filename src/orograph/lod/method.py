@@ -1,8 +1,8 @@
-"""The seam: a ``Method`` selects, for a camera and a goal, what is to be drawn of a terrain.
+"""The interface of methods: a ``Method`` selects, for a camera and a goal, what to draw of a terrain.
 
-A method knows its paper, its options, what it needs of a store, and whether its bound is conservative. All that comes
-after (surfaces, light, the referee, files) sees its ``Selection`` and never asks which method made it. A new method of
-a known kind is one file, and one line in ``lod.registry``.
+A method knows its paper, its options, what it needs from a store, and whether its bound is conservative. Everything
+after it (surfaces, light, the referee, files) sees only its ``Selection`` and never asks which method made it. A new
+method of a known kind is one file and one line in ``lod.registry``.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ GOALS: tuple[GoalName, ...] = ("tolerance", "triangles", "seconds")
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What a selection is to reach: exactly one of the three.
+    """The goal of a selection: exactly one of the three.
 
     Attributes:
-        tolerance: pixels. triangles: at most so many. seconds: what can be done in so much time.
+        tolerance: pixels. triangles: the maximum number. seconds: the best that this time allows.
 
     Raises:
         UsageError: none or several are given, or one makes no sense.
@@ -48,16 +48,16 @@ class Goal:
         given = [name for name in GOALS if getattr(self, name) is not None]
         if len(given) != 1:
             raise UsageError(f"Give one goal: {' or '.join(given or GOALS)}.")
-        # (They come from users: what their types promise is what is checked.)
+        # (Values come from users, so types are checked.)
         tolerance: Any = self.tolerance
         triangles: Any = self.triangles
         seconds: Any = self.seconds
         if tolerance is not None and not (isinstance(tolerance, Real) and 0 <= float(tolerance) < math.inf):
-            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
+            raise UsageError(f"The tolerance must be 0 or more pixels, not {tolerance!r}.")
         if triangles is not None and not (isinstance(triangles, Integral) and int(triangles) >= 2):
-            raise UsageError(f"A budget is a whole number of triangles, at least 2, not {triangles!r}.")
+            raise UsageError(f"A budget must be a whole number of triangles, at least 2, not {triangles!r}.")
         if seconds is not None and not (isinstance(seconds, Real) and float(seconds) > 0):
-            raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds!r}.")
+            raise UsageError(f"The allowed time must be more than 0 seconds, not {seconds!r}.")
 
     @property
     def name(self) -> GoalName:
@@ -67,13 +67,13 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ready:
-    """Which tiles are in memory, for methods whose surfaces draw out of tiles.
+    """Which tiles are in memory, for methods whose surfaces draw from tiles.
 
     Attributes:
         tiles: (t,) uint8 over all tiles of all levels, level 0 first, each row by row: not 0 where one is there; None:
             all are.
         slots: (t,) uint32, 1 + where in an atlas each lies; None: in none.
-        wait: read what is lacking of errors before selecting; else threads do, and a later selection is better.
+        wait: read missing errors before selecting; otherwise threads read them, and a later selection is better.
     """
 
     tiles: NDArray[np.uint8] | None = None
@@ -82,17 +82,17 @@ class Ready:
 
 
 EVERYTHING = Ready()
-"""All tiles are there, or are read when they are needed."""
+"""All tiles are present, or are read on demand."""
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """Derived data that a method needs of a store.
+    """Derived data that a method needs from a store.
 
     Attributes:
         name: of the derived data: "diamonds" (of an ``error``), "patches" (of an ``error``, with ``legs``), "tins"
             (with ``legs``), or "chunked" (as ``store.chunked.Kind`` has it).
-        options: what it must have been made with.
+        options: the options that it must have been made with.
     """
 
     name: str
@@ -101,11 +101,11 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class Resources:
-    """What a method may use.
+    """Resources of a method.
 
     Attributes:
         max_memory: bytes of tiles in memory. jobs: threads; None: all processors.
-        progress: hears of what takes long. color: colour errors, for methods that refine by colour (``lod.field``), or
+        progress: gets reports on long work. color: colour errors, for methods that refine by colour (``lod.field``), or
             colours (``Method.samples_colored``).
 
     Raises:
@@ -120,18 +120,18 @@ class Resources:
     def __post_init__(self) -> None:
         jobs: Any = self.jobs
         if jobs is not None and not (isinstance(jobs, Integral) and int(jobs) >= 1):
-            raise UsageError(f"Jobs are threads, a whole number from 1, not {jobs!r}.")
+            raise UsageError(f"The number of threads must be a whole number, 1 or more, not {jobs!r}.")
 
 
 @dataclass(frozen=True, slots=True)
 class MethodInfo:
-    """What a method says of itself.
+    """A method's description.
 
     Attributes:
-        name: as on the command line. title: one line that says what it is.
+        name: as on the command line. title: a one-line description.
         paper: the source, with its section. kind: of its selections. options: the dataclass of its options.
-        conservative: whether its bound is a promise with these options.
-        incremental: whether a frame goes on from the one before. goals: those that it can reach.
+        conservative: whether its bound is guaranteed with these options.
+        incremental: whether a frame continues from the previous one. goals: those that it supports.
     """
 
     name: str
@@ -144,16 +144,18 @@ class MethodInfo:
     goals: tuple[GoalName, ...] = GOALS
 
     def check_goal(self, goal: GoalName) -> None:
-        """Raise UsageError if the method cannot reach such a goal."""
+        """Raise UsageError if the method does not support such a goal."""
         if goal not in self.goals:
-            raise UsageError(f"{self.name} cannot aim at {goal}.", remedy=f"Give it {' or '.join(self.goals)}.")
+            raise UsageError(
+                f"{self.name} does not support the goal {goal}.", remedy=f"Give {' or '.join(self.goals)}."
+            )
 
 
 class Method(ABC):
-    """A way of selecting what is drawn.
+    """A way of selecting what to draw.
 
     Args:
-        terrain: what is drawn.
+        terrain: the terrain.
         options: of ``info.options``; None: the defaults. ``given``: some of them by name.
         resources: memory, threads, progress.
 
@@ -163,7 +165,7 @@ class Method(ABC):
 
     info: ClassVar[MethodInfo]
     samples_colored: ClassVar[bool] = False
-    """Whether it wants colours of samples (``geovis.color_errors.Colors``) where others want errors of diamonds."""
+    """Whether it needs colours of samples (``geovis.color_errors.Colors``) where others want errors of diamonds."""
 
     def __init__(
         self, terrain: Terrain, options: Any = None, resources: Resources | None = None, **given: Any
@@ -174,22 +176,22 @@ class Method(ABC):
 
     @classmethod
     def needs(cls, options: Any) -> tuple[Need, ...]:
-        """What it needs of a store beside heights."""
+        """What it needs from a store besides heights."""
         return ()
 
     @property
     def conservative(self) -> bool:
-        """Whether a tolerance is a promise for every point of the full-resolution surface in view."""
+        """Whether the tolerance is guaranteed for every point of the full-resolution surface in view."""
         return self.info.conservative(self.options)
 
     @abstractmethod
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> Selection:
-        """What the camera is to see.
+        """Select what the camera sees.
 
         Raises:
-            UsageError: the goal is one that the method cannot reach, or one view needs more tiles than memory allows.
+            UsageError: the method does not support the goal, or one view needs more tiles than memory allows.
             StoreError, DamagedChunkError: as ``terrain.read``.
         """
 
     def close(self) -> None:  # noqa: B027 (most methods have nothing to close)
-        """Let go of threads and tables; the method cannot be used afterwards."""
+        """Release threads and tables; the method cannot be used afterwards."""

@@ -1,6 +1,6 @@
-"""What methods need of a store beside heights: what of it is lacking is made in memory, and said.
+"""What methods need from a store besides heights: missing data are made in memory, with a message.
 
-``orograph build --for METHOD`` puts it into the store ahead. A need of a new kind is a function in ``SUPPLIERS``.
+``orograph build --for METHOD`` stores it in advance. A new kind of need is a function in ``SUPPLIERS``.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Terrain
 
 BYTES_PER_SAMPLE = 4 + 8 * 4 / 3 + 4
-"""Of heights, errors and radii of diamonds, and what is held while they are made."""
+"""Bytes per sample of heights, errors and radii of diamonds, including temporary data."""
 
 TIN_BYTES_PER_SAMPLE = 4.0
-"""Of marks, errors and radii of TINs while they are made."""
+"""Bytes per sample of marks, errors and radii of TINs during their making."""
 
 CHUNKED_BYTES_PER_SAMPLE = BYTES_PER_SAMPLE + 4 / 3
-"""Of errors of diamonds while chunks are made, and of the levels that vertices belong to."""
+"""Bytes per sample of errors of diamonds during the making of chunks, and of vertices' levels."""
 
 
 def supply(terrain: Terrain, needs: Iterable[Need], resources: Resources) -> None:
-    """Make what a terrain lacks of ``needs``.
+    """Make those ``needs`` that a terrain lacks.
 
     Raises:
         UsageError: nothing makes such data, or it does not fit into memory.
@@ -43,15 +43,15 @@ def kinds_of(needs: Iterable[Need]) -> tuple[ErrorKind, ...]:
 
 
 def _check_room(terrain: Terrain, resources: Resources, each: float, what: str, remedy: str) -> None:
-    """Raise UsageError where making what a store lacks takes more memory than is allowed.
+    """Raise UsageError if making what a store lacks takes more memory than allowed.
 
     Args:
-        each: bytes a sample.
+        each: bytes per sample.
     """
     needed = int(terrain.grid.rows * terrain.grid.cols * each)
     if needed > resources.max_memory:
         raise UsageError(
-            f"The store has no {what}, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
+            f"The store has no {what}, and making them in memory takes {needed >> 20} MiB.", path=terrain.name,
             remedy=remedy,
         )  # fmt: skip
 
@@ -117,4 +117,4 @@ SUPPLIERS: dict[str, Callable[[Terrain, Mapping[str, Any], Resources], None]] = 
     "chunked": _chunked,
     "quadtin": _quadtin,
 }
-"""By name of a need, what makes it; the options are the need's."""
+"""Suppliers by name of a need; the options are the need's."""

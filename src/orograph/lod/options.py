@@ -1,9 +1,9 @@
-"""Options, each a field of a dataclass with its help, its unit and what it may be: those of methods, and of scenes.
+"""Options of methods and scenes: each is a field of a dataclass with its help, unit and allowed values.
 
-They are declared once. ``split`` and ``parse`` read a method's as the command line has them, ``NAME[,key=value…]``; the
-window's panel, ``orograph methods``, the table of the manual and ``compare`` show ``described``. A scene's
-(``scene.parts``) become keyword arguments and options of the command line: their help names others in backticks, as
-Python does.
+Each is declared once. ``split`` and ``parse`` read a method's options in the command line's form,
+``NAME[,key=value…]``; the window's panel, ``orograph methods``, the table of the manual and ``compare`` show
+``described``. A scene's (``scene.parts``) become keyword arguments and options of the command line: their help names
+others in backticks, as Python does.
 """
 
 from __future__ import annotations
@@ -29,16 +29,15 @@ def option(
         default: a value, or a function that makes it.
         help: what it does, a sentence.
         unit: of a number ("pixels", "metres"…).
-        choices: what it may be; none: anything.
+        choices: the allowed values; none: any.
         least, most: the range of a number, ends included.
-        read: makes the value of a text, where the option is no yes or no, number or word; it raises ValueError with
-            what is wrong.
-        given: makes the value for a terrain of what a user gave and the terrain (``scene.given``).
-        flag: its name on the command line where that is not its own; None: it is not there.
-        metavar: what stands for its value in the command line's help.
-        shown: the default in words, where the value does not say it.
-        multiple: the command line takes it several times.
-        details: the dataclass of its value, whose own options with a flag go beside it on the command line.
+        read: parses a text, if the option is not yes/no, a number or a word; raises ValueError with the reason.
+        given: makes the value from what a user gave and the terrain (``scene.given``).
+        flag: its name on the command line if different; None: it is not there.
+        metavar: the placeholder of its value in the command line's help.
+        shown: the default in words, if the value does not say it.
+        multiple: the command line accepts it several times.
+        details: the dataclass of its value, whose own options with a flag accompany it on the command line.
     """
     about = {
         "help": help, "unit": unit, "choices": tuple(choices), "least": least, "most": most, "read": read,
@@ -56,7 +55,7 @@ class Described:
     Attributes:
         name: with underscores, as in Python. key: with hyphens, as on the command line.
         kind: bool, int, float, str, or of another (``read``) tuple; ``optional``: whether it may be None.
-        annotation: its type, as it is written. default: None where a function makes it.
+        annotation: its type, as written. default: None if a function makes it.
         The others: see ``option``.
     """
 
@@ -84,7 +83,7 @@ class Described:
 
     @property
     def span(self) -> str:
-        """What a value may be, in words."""
+        """The allowed values, in words."""
         if self.kind is bool:
             return "yes or no"
         if self.choices:
@@ -105,7 +104,7 @@ class Described:
         return f"{', '.join(others)} or {last}" if others else last
 
     def text(self, value: Any) -> str:
-        """A value as the command line has it."""
+        """A value in the command line's form."""
         if value is None or value == ():
             return "none"
         if isinstance(value, bool):
@@ -115,10 +114,10 @@ class Described:
         return f"{value:g}" if isinstance(value, float) else str(value)
 
     def value(self, text: str) -> Any:
-        """What a word on the command line means.
+        """The meaning of a word on the command line.
 
         Raises:
-            UsageError: it cannot be that option's value.
+            UsageError: it is not a valid value of the option.
         """
         if self.optional and text == "none":
             return None
@@ -127,17 +126,19 @@ class Described:
         if self.kind is bool:
             words = {"yes": True, "true": True, "on": True, "": True, "no": False, "false": False, "off": False}
             if text.lower() not in words:
-                raise UsageError(f"{self.key} is yes or no, not {text!r}.")
+                raise UsageError(f"{self.key} must be yes or no, not {text!r}.")
             return words[text.lower()]
         if self.kind is str:
             return text
         try:
             return self.kind(text) if self.read is None else self.read(text)
         except ValueError as error:
-            raise UsageError(f"{self.key} is {self.span}, not {text!r}." if self.read is None else str(error)) from None
+            raise UsageError(
+                f"{self.key} must be {self.span}, not {text!r}." if self.read is None else str(error)
+            ) from None
 
     def worded(self, value: Any) -> Any:
-        """A value, which where the command line reads a text for it may be that text.
+        """Convert a value, which may be the command line's text for it.
 
         Raises:
             UsageError: the text cannot be read.
@@ -150,13 +151,13 @@ class Described:
             raise UsageError(f"`{self.name}`: {error.what}", remedy=error.remedy) from error
 
     def check(self, value: Any, called: str = "") -> None:
-        """Raise UsageError unless the option may have that value; ``called``: what the error calls it."""
+        """Raise UsageError unless the option may have that value; ``called``: its name in the error."""
         called = called or self.key
         if value is None and self.optional:
             return
         if self.choices:
             if not any(isinstance(value, type(one)) and value == one for one in self.choices):
-                raise UsageError(f"{called} is {self._one_of}, not {value!r}.")
+                raise UsageError(f"{called} must be {self._one_of}, not {value!r}.")
             return
         wanted = {bool: bool, int: Integral, float: Real, str: str}.get(self.kind, object)
         fits = isinstance(value, wanted) and (self.kind not in (int, float) or not isinstance(value, bool))
@@ -165,16 +166,16 @@ class Described:
             fits = (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
             fits = fits and value == value and abs(value) != float("inf")
         if not fits:
-            raise UsageError(f"{called} is {self.span}, not {value!r}.")
+            raise UsageError(f"{called} must be {self.span}, not {value!r}.")
 
 
 def _limit(value: float) -> str:
-    """A limit of a range: all digits of a whole number."""
+    """A limit of a range, with all digits of a whole number."""
     return f"{value:,.0f}" if value == round(value) and abs(value) < 1e15 else f"{value:g}"
 
 
 def _written(value: tuple[Any, ...]) -> str:
-    """A place of numbers, or a line of places, as methods' options have them."""
+    """A place as numbers, or a line of places, as methods' options have them."""
     if isinstance(value[0], tuple):
         return "/".join(map(_written, value))
     return ":".join(repr(number).removesuffix(".0") for number in value)
@@ -207,10 +208,10 @@ def _described(options: type) -> Iterator[Described]:
 
 
 def check(options: Any, called: str = "{0.key}") -> None:
-    """Raise UsageError where a field is out of its range: call it in ``__post_init__``.
+    """Raise UsageError if a field is out of range; called in ``__post_init__``.
 
     Args:
-        called: what an error calls an option, a format of ``Described``.
+        called: an option's name in errors, a format of ``Described``.
     """
     for one in described(type(options)):
         one.check(getattr(options, one.name), called.format(one))
@@ -224,7 +225,7 @@ def make(options: type, given: Mapping[str, Any], method: str) -> Any:
         method: its name, for errors.
 
     Raises:
-        UsageError: there is no such option, or it cannot have that value.
+        UsageError: there is no such option, or its value is invalid.
     """
     known = {one.name: one for one in described(options)}
     for name in given:
@@ -235,32 +236,32 @@ def make(options: type, given: Mapping[str, Any], method: str) -> Any:
 
 
 def parse(options: type, given: Mapping[str, str], method: str) -> Any:
-    """``make`` from words, by key (``split``)."""
+    """As ``make``, from words by key (``split``)."""
     known = {one.key: one for one in described(options)}
     values = {key: known[key].value(text) if key in known else text for key, text in given.items()}
     return make(options, {key.replace("-", "_"): value for key, value in values.items()}, method)
 
 
 def split(text: str) -> tuple[str, dict[str, str]]:
-    """``NAME[,key=value…]`` taken apart: the name, and the values by key; a key alone stands for yes.
+    """Split ``NAME[,key=value…]`` into the name and the values by key; a key alone means yes.
 
     Raises:
         UsageError: there is no name, or a key is given twice.
     """
     name, *parts = (part.strip() for part in text.split(","))
     if not name or "=" in name:
-        raise UsageError(f"A method is NAME[,key=value…], not {text!r}.")
+        raise UsageError(f"A method must be NAME[,key=value…], not {text!r}.")
     given: dict[str, str] = {}
     for part in parts:
         key, _, value = part.partition("=")
         key = key.strip().replace("_", "-")
         if not key or key in given:
-            raise UsageError(f"Each option of a method is given once, as key=value: {text!r}.")
+            raise UsageError(f"Give each option of a method once, as key=value: {text!r}.")
         given[key] = value.strip()
     return name, given
 
 
 def told(options: Any) -> dict[str, str]:
-    """The options that differ from the defaults, by key, as the command line has them."""
+    """The options that differ from the defaults, by key, in the command line's form."""
     every = ((one, getattr(options, one.name)) for one in described(type(options)))
     return {one.key: one.text(value) for one, value in every if value != one.default}

@@ -1,4 +1,4 @@
-"""How long work takes, learnt as it is done, so that a frame of limited time begins no more than fits into it."""
+"""Learns how long work takes, so that a frame of limited time begins no more than fits into it."""
 
 from __future__ import annotations
 
@@ -6,27 +6,26 @@ import time
 from dataclasses import dataclass
 
 SHORTEST, LONGEST = 1e-7, 2e-5
-"""Seconds that a unit of work may be taken for: what compiles or waits for a disk tells nothing of it."""
+"""Maximum seconds counted for a unit of work: longer times are due to compiling or waiting for a disk."""
 
 LEAST = 32
-"""Units of work from which on a call tells how long one takes; as many are done at least between two looks at the
-clock, which take as long."""
+"""Minimum units for a call to count; at least as many are done between two reads of the clock, which take as long."""
 
 EASE = 0.3
-"""The share of what is learnt of the last call."""
+"""Weight of the last call in the average."""
 
 END = 0.03
-"""The share of the time in which nothing more is begun."""
+"""The part of the time after which nothing more begins."""
 
 
 @dataclass(slots=True)
 class Pace:
-    """Seconds that a unit of work takes, whatever the unit is."""
+    """Learns the seconds per unit of work."""
 
     unit: float = 2e-6
 
     def learn(self, seconds: float, units: int) -> None:
-        """So many units took so long."""
+        """Record that ``units`` took this long."""
         if units >= LEAST:
             self.unit += EASE * (min(max(seconds / units, SHORTEST), LONGEST) - self.unit)
 
@@ -37,7 +36,7 @@ class Pace:
 
 @dataclass(slots=True)
 class Deadline:
-    """The end of a frame's time; None: there is none."""
+    """The end of a frame's time; None: no limit."""
 
     seconds: float | None
     began: float = 0.0
@@ -46,7 +45,7 @@ class Deadline:
         self.began = time.perf_counter()
 
     def left(self, taken: float = 0.0) -> float:
-        """Seconds that are left, if the rest takes so many."""
+        """Seconds left, if the rest takes this long."""
         return float("inf") if self.seconds is None else self.seconds - (time.perf_counter() - self.began) - taken
 
     def is_near(self, taken: float = 0.0) -> bool:

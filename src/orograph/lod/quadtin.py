@@ -46,12 +46,12 @@ class QuadTinOptions:
     """Options of all methods on a QuadTIN."""
 
     finest: float = option(
-        0.0, "How far the finest triangles may be from the points' surface, or the raster's; 0: a sixteenth of the "
-        "spacing of samples.", unit="metres", least=0.0,
+        0.0, "Maximum distance of the finest triangles from the points' surface, or the raster's; 0: a sixteenth of "
+             "the spacing of samples.", unit="metres", least=0.0,
     )  # fmt: skip
     split: str = option(
-        "nearest", "Which point splits a triangle: the one nearest to the middle of its longest side, as in print, or "
-        "the one that it is furthest off at.", choices=SPLITS,
+        "nearest", "Which point splits a triangle: the one nearest to the middle of its longest side, as in the "
+                   "paper, or the one with the largest deviation.", choices=SPLITS,
     )  # fmt: skip
     cull: bool = option(True, "Refine only what may be in view.")
 
@@ -71,7 +71,7 @@ class ColoredOptions(QuadTinOptions):
 
 @dataclass(slots=True)
 class Refined:
-    """What a tolerance leads to.
+    """The selection for a tolerance.
 
     Attributes:
         leaves: (m,) int32, triangles of the hierarchy, in the order of the curve. bound: pixels.
@@ -117,7 +117,9 @@ class QuadTin(Method):
         check_surface(self.terrain)
         gamma = getattr(self.options, "color_tolerance", None)
         if gamma is not None and not hasattr(self.resources.color, "colors"):
-            raise UsageError("A color tolerance needs colours.", remedy="Give those of samples with the resources.")
+            raise UsageError(
+                "A color tolerance needs colours.", remedy="Give the colours of samples with the resources."
+            )
         self.color_tolerance: float = math.inf if gamma is None else gamma
         self.truth = "points" if has_points(self.terrain) else "raster"
         what = {"finest": self.options.finest, "split": self.options.split}
@@ -143,7 +145,7 @@ class QuadTin(Method):
         needed = count * BYTES_PER_TRIANGLE
         if needed > self.resources.max_memory:
             raise UsageError(
-                f"The store has no hierarchy of a QuadTIN, and to make it in memory takes {needed >> 20} MiB.",
+                f"The store has no hierarchy of a QuadTIN, and making it in memory takes {needed >> 20} MiB.",
                 path=self.terrain.name,
                 remedy="Allow more memory, build a store with it "
                 f"(`orograph.build(..., quadtin={(self.options.finest, self.options.split)})`), or give a coarser "
@@ -151,11 +153,11 @@ class QuadTin(Method):
             )  # fmt: skip
 
     _needs_all = False
-    """Whether all of the hierarchy is to be in memory."""
+    """Whether the whole hierarchy should be in memory."""
 
     @property
     def tree(self) -> Hierarchy:
-        """What of the hierarchy is in memory: all, where it is small."""
+        """The part of the hierarchy in memory: everything, if it is small."""
         return self._resident.tree
 
     @classmethod
@@ -203,7 +205,7 @@ class QuadTin(Method):
         )
 
     def refined(self, camera: Camera, goal: Goal) -> Refined:
-        """What ``select`` makes, before its vertices are numbered. For benches."""
+        """The result of ``select`` before its vertices are numbered. For benchmarks."""
         if goal.tolerance is None:
             return by_tolerance(lambda pixels: self._refine(camera, pixels), goal, self._last)
         found = self._refine(camera, goal.tolerance)

@@ -88,7 +88,7 @@ class Resident:
         if whole and all_of_it * BYTES > max_memory:
             raise UsageError(
                 f"The hierarchy has {all_of_it:,} vertices, which do not fit into memory.", path=name,
-                remedy="Allow more memory, or more metres (its option finest).",
+                remedy="Allow more memory, or a larger error (its option finest).",
             )  # fmt: skip
         self.tree = self._assembled()
 

@@ -23,7 +23,7 @@ from orograph.viewpoint import Camera
 
 @dataclass(slots=True)
 class Pieces:
-    """What a tolerance leads to.
+    """The selection for a tolerance.
 
     Attributes:
         instances: (k,), where each piece lies. shapes: (k,) uint8, which of the topologies it is.

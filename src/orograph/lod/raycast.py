@@ -25,11 +25,12 @@ class RayCastOptions:
     """Options of ``raycast``."""
 
     surface: str = option(
-        "exact", "What rays meet between samples where that keeps the tolerance, else both triangles; on the GPU.",
+        "exact", "The surface between samples that rays meet, where it keeps the tolerance; otherwise both "
+                 "triangles. On the GPU.",
         choices=("exact", "bilinear", "constant"),
     )  # fmt: skip
     antialias: str = option(
-        "all", "Pixels of a GPU's picture that have more samples than one: all, or those at breaks of depth or colour.",
+        "all", "Which pixels of a GPU picture get several samples: all, or those at breaks of depth or colour.",
         choices=("all", "breaks"),
     )  # fmt: skip
 

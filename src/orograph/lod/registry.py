@@ -1,6 +1,6 @@
-"""The methods there are, by name: one line each. Everything that lists methods gets them from here.
+"""The methods by name, one line each. Everything that lists methods gets them from here.
 
-A method's module is imported when it is asked for. Others than Orograph's own are added by ``register``.
+A method's module is imported when the method is asked for. ``register`` adds methods from outside Orograph.
 
 >>> from orograph.lod.registry import chosen
 >>> choice = chosen("soar,error=wedgie,geomorph=yes")
@@ -69,17 +69,17 @@ class Choice:
 
     @property
     def conservative(self) -> bool:
-        """Whether its bound is a promise."""
+        """Whether its bound is guaranteed."""
         return self.info.conservative(self.options)
 
     def __str__(self) -> str:
         return ",".join([self.info.name, *(f"{key}={text}" for key, text in told(self.options).items())])
 
     def make(self, terrain: Terrain, resources: Resources | None = None) -> Method:
-        """The method for a terrain; what it needs of a store and does not find is made, and told to the progress.
+        """The method for a terrain; whatever it needs and the store lacks is made, and reported to the progress.
 
         Raises:
-            UsageError: the terrain has no surface, or is too large; what is lacking does not fit into memory.
+            UsageError: the terrain has no surface, or is too large; what has to be made does not fit into memory.
         """
         from orograph.lod.method import Resources
         from orograph.lod.needs import supply
@@ -89,10 +89,10 @@ class Choice:
         return self.method(terrain, self.options, resources)
 
     def check_promise(self) -> None:
-        """Raise UsageError unless a tolerance is a promise with these options."""
+        """Raise UsageError unless a tolerance is guaranteed with these options."""
         if not self.conservative:
             raise UsageError(
-                f"With {self} a tolerance is no promise, which `conservative` asks for.",
+                f"With {self} the tolerance is not guaranteed, which `conservative` requires.",
                 remedy=f"See orograph methods {self.info.name}.",
             )
 
@@ -109,11 +109,11 @@ def method_of(name: str, backend: Backend = "cpu") -> type[Method]:
     """A method's class by its name; ``auto`` is what a backend draws by itself.
 
     Raises:
-        UsageError: there is none of that name.
+        UsageError: there is no method of that name.
     """
     found = METHODS.get(AUTO[backend] if name == "auto" else name)
     if found is None:
-        raise UsageError(f"There is no method {name!r}; there are {', '.join(METHODS)}.")
+        raise UsageError(f"There is no method {name!r}; the methods are {', '.join(METHODS)}.")
     if not isinstance(found, str):
         return found
     module, _, kind = found.partition(":")
@@ -125,7 +125,7 @@ def chosen(text: str, backend: Backend = "cpu") -> Choice:
     """The method that ``NAME[,key=value…]`` describes.
 
     Raises:
-        UsageError: there is none of that name, it has no such option, or the option cannot have that value.
+        UsageError: there is no such method, it has no such option, or the option cannot have that value.
     """
     name, given = split(text)
     method = method_of(name, backend)
@@ -138,13 +138,13 @@ def names(*kinds: Kind) -> tuple[str, ...]:
 
 
 def register(method: M) -> M:
-    """Add a method under its ``info.name``; can be used as a decorator.
+    """Add a method under its ``info.name``; works as a decorator.
 
     Raises:
-        UsageError: there is one of that name, or it cannot be one.
+        UsageError: the name is taken, or is not a valid one.
     """
     name = method.info.name
     if name in METHODS or name == "auto" or not name or set(name) & set(",= "):
-        raise UsageError(f"A method cannot be called {name!r}: that is no name, or another one's.")
+        raise UsageError(f"A method cannot be called {name!r}: that is not a valid name, or it is taken.")
     METHODS[name] = method
     return method

@@ -1,4 +1,4 @@
-"""Restricted quadtree: squares of which neighbours differ by one level at most, cut into triangle fans.
+"""Restricted quadtree: squares whose neighbours differ by at most one level, cut into triangle fans.
 
 Von Herzen & Barr, *Accurate Triangulations of Deformed, Intersecting Surfaces* (SIGGRAPH 1987); Sivan & Samet,
 *Algorithms for Constructing Quadtree Surface Maps* (1992); Pajarola, *Large Scale Terrain Visualization Using the
@@ -41,7 +41,7 @@ from orograph.viewpoint import Camera
 TRIANGULATIONS = {"conforming": CONFORMING, "restricted": RESTRICTED, "unrestricted": UNRESTRICTED}
 
 SHARE = 2048
-"""Squares that a thread takes at once."""
+"""Squares that a thread takes at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,32 +54,35 @@ class RestrictedQuadtreeOptions(MeshOptions):
 
     triangulation: str = option(
         "conforming", "How squares become triangles: conforming (four, more beside smaller ones), restricted (eight, "
-        "fewer beside larger ones), unrestricted (two, of squares that know no neighbours: cracks, and no promise).",
+                      "fewer beside larger ones), unrestricted (two, and squares ignore their neighbours: cracks, "
+                      "and no guarantee).",
         choices=tuple(TRIANGULATIONS),
     )  # fmt: skip
     split_by: str = option(
-        "quarters", "What makes a square be split: a quarter that is off (a side that is gets its middle), or a side "
-        "that is, as in print. Nothing to unrestricted squares.", choices=("quarters", "sides"),
+        "quarters", "What splits a square: a quarter with too large an error (a side with one then gets "
+                    "its middle), or a side, as published. Ignored for unrestricted squares.",
+        choices=("quarters", "sides"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         super(RestrictedQuadtreeOptions, self).__post_init__()  # (super() alone fails in a dataclass with slots)
         if self.triangulation == "unrestricted" and self.metric == "localised":
             raise UsageError(
-                "Squares that know no neighbours are judged by their own error, and 'localised' knows diamonds only.",
+                "Unrestricted squares are judged by their own error, and the metric 'localised' applies to diamonds "
+                "only.",
                 remedy="Use the metric anisotropic.",
             )
 
     @property
     def metric_used(self) -> Metric:
-        """As ``MeshOptions.metric_used``; of unrestricted squares one of spheres."""
+        """As ``MeshOptions.metric_used``; for unrestricted squares a metric of spheres."""
         if self.triangulation == "unrestricted" and self.metric is None:
             return metric_of("anisotropic")
         return super(RestrictedQuadtreeOptions, self).metric_used
 
     @property
     def conservative(self) -> bool:
-        """As ``MeshOptions.conservative``; unrestricted squares promise nothing."""
+        """As ``MeshOptions.conservative``; unrestricted squares guarantee nothing."""
         return self.triangulation != "unrestricted" and super(RestrictedQuadtreeOptions, self).conservative
 
 
@@ -123,7 +126,8 @@ class RestrictedQuadtree(RightTriangleMeshes):
         )  # fmt: skip
 
     def _grow(self, criterion: Criterion, weigh: Any) -> int:
-        """Make the squares, a level at a time; how often they were weighed for lack of a page, and once."""
+        """Make the squares level by level; return how often they were weighed: once, and again for each lack of a
+        page."""
         self.field.begin()
         begin(self.cells, self.field.n, self.field.corners, int(first_bits(criterion)))
         start, end, octave, rounds = 0, 1, self.field.n - 1, 1
@@ -141,7 +145,7 @@ class RestrictedQuadtree(RightTriangleMeshes):
         return rounds
 
     def _weigh(self, weigh: Any, criterion: Criterion, start: int, end: int, octave: int) -> int:
-        """Weigh the squares of a level; how many are to be split."""
+        """Weigh the squares of a level; return how many are to be split."""
         pages, cells = self.field.pages, self.cells
         if self.jobs == 1 or end - start < 2 * SHARE:
             return int(weigh(pages, criterion, self.by_sides, cells, start, end, octave))

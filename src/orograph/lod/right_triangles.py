@@ -1,5 +1,4 @@
-"""What all methods on the hierarchy of right triangles share: their options, what they promise, and how budgets are
-reached by tolerances.
+"""What all methods on the hierarchy of right triangles share: options, guarantees, and reaching budgets by tolerances.
 
 ``RightTriangles`` holds the terrain's pages (``lod.field``). Those that make single triangles are
 ``RightTriangleMeshes``: they refine until a goal is reached and leave a ``Mesh``, arrays that renderers and benches can
@@ -38,30 +37,30 @@ BOUNDS = ("exact", "wedgie")
 """Those that bound every sample's."""
 
 SPHERES = ("localised", "anisotropic", "isotropic", "isotropic-published")
-"""Metrics of methods that ask one question for a whole diamond."""
+"""Metrics of methods that decide for a whole diamond."""
 
 EVERY = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
 """Metrics of methods that look at triangles one by one."""
 
 COARSEST, FINEST = 1024.0, 1 / 64
-"""Pixels: the tolerances between which budgets are looked for."""
+"""Pixels: the range of tolerances in which budgets are searched."""
 
 GROWTH = 1.5
-"""The number of triangles falls about with this power of the tolerance."""
+"""The number of triangles falls roughly with this power of the tolerance."""
 
 PART = 0.9
-"""The part of the time there is that a pass is expected to take."""
+"""The share of the available time that a pass is expected to take."""
 
 LEFT = 0.25
-"""The part of the time that passes have at least, however long a selection takes after them."""
+"""The least share of the time that passes get, however long the selection after them takes."""
 
 WORTH = 1.4
-"""How many times the last pass the time left must be for another one."""
+"""Another pass starts if the time left is at least this many times that of the last pass."""
 
 LEAP = 16.0
-"""How many times finer a pass may be than the one before."""
+"""The largest factor by which a pass may be finer than the one before."""
 
-METRIC = "How errors become pixels; none: the tightest that the error allows."
+METRIC = "How errors become pixels; default: the tightest metric that the error allows."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,15 +68,15 @@ class RightTriangleOptions:
     """Options of all methods on right triangles.
 
     Raises:
-        UsageError: one is out of its range, or two do not go together.
+        UsageError: an option is out of its range, or two exclude each other.
     """
 
     error: str = option(
-        "exact", "Object-space errors: exact (the tightest bound), wedgie (ROAM's), midpoint (bounds nothing).",
+        "exact", "Object-space errors: exact (the tightest bound), wedgie (ROAM's), midpoint (not a bound).",
         choices=ERRORS,
     )  # fmt: skip
     metric: str | None = option(None, METRIC, choices=SPHERES)
-    cull: bool = option(True, "Leave out what is outside the frustum.")
+    cull: bool = option(True, "Omit what lies outside the view frustum.")
 
     def __post_init__(self) -> None:
         check(self)
@@ -94,7 +93,7 @@ class RightTriangleOptions:
 
     @property
     def conservative(self) -> bool:
-        """Whether a tolerance is a promise for every full-resolution sample in view."""
+        """Whether a tolerance is guaranteed for every full-resolution sample in view."""
         return self.metric_used.conservative and self.error in BOUNDS
 
 
@@ -103,14 +102,15 @@ class MeshOptions(RightTriangleOptions):
     """Options of the methods that make single triangles."""
 
     color_tolerance: float | None = option(
-        None, "Refine also where coarser triangles would change colours by more (CIELAB; 2.3 is just seen).",
+        None, "Also refine where coarser triangles would change colours by more than this (CIELAB; 2.3 is just "
+              "noticeable).",
         unit="ΔE", least=0.0,
     )  # fmt: skip
 
 
 @dataclass(slots=True)
 class Mesh:
-    """What a refinement leaves, before vertices are numbered.
+    """The result of a refinement, before vertices are numbered.
 
     Attributes:
         keys: int64, ``row << 32 | col`` of the padded square: (k,) of a strip or (m, 3) of triangles.
@@ -133,7 +133,7 @@ class Mesh:
     stats: dict[str, Any] = field(default_factory=dict)
 
     def kept(self) -> Self:
-        """A copy that is good after the method has refined again."""
+        """A copy that stays valid when the method refines again."""
         return replace(self, keys=self.keys.copy(), heights=self.heights.copy())
 
 
@@ -142,10 +142,10 @@ class RightTriangles(Method):
 
     Attributes:
         field: the terrain's pages.
-        error, cull: as the options have them. metric: in use. jobs: threads.
+        error, cull: as in the options. metric: in use. jobs: threads.
 
     Raises:
-        UsageError: an option makes no sense, or the terrain has no surface.
+        UsageError: an option is not usable, or the terrain has no surface.
         StoreError: the store lacks the errors of diamonds.
     """
 
@@ -178,7 +178,8 @@ class RightTriangles(Method):
 
     @property
     def spheres(self) -> int:
-        """Number of the metric of diamonds' spheres: the one within whose bounds ``localised`` looks, or its own."""
+        """Number of the metric of diamonds' spheres: for ``localised`` the one that bounds its search, otherwise its
+        own."""
         return ANISOTROPIC if self.metric.number == LOCALISED else self.metric.number
 
     def _pruned(self, lens: CameraParameters) -> NDArray[np.int64]:
@@ -199,8 +200,8 @@ class RightTriangleMeshes(RightTriangles):
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TriangleMesh:
         """The mesh for a camera.
 
-        Where a sound mesh takes more triangles than a budget has (edges of missing ground are always kept, and some
-        methods know no coarser mesh), it has more, and ``stats["within_budget"]`` is false.
+        If a valid mesh needs more triangles than the budget (edges of missing ground are always kept, and some methods
+        have no coarser mesh), it has more, and ``stats["within_budget"]`` is false.
 
         Raises:
             UsageError: more tiles than memory allows.
@@ -223,9 +224,10 @@ class RightTriangleMeshes(RightTriangles):
         )
 
     def mesh(self, camera: Camera, goal: Goal) -> tuple[Mesh, float]:
-        """What ``select`` makes, before its vertices are numbered, and the seconds it took. For renderers and benches.
+        """What ``select`` makes, before its vertices are numbered, and the seconds it took. For renderers and
+        benchmarks.
 
-        The arrays of the mesh may be the method's own: they are good until it refines again.
+        The arrays of the mesh may be the method's own: they are valid until it refines again.
         """
         began = time.perf_counter()
         mesh = self._refine(camera, goal)
@@ -253,7 +255,7 @@ class Coarsened(Protocol):
     def triangles(self) -> int: ...
 
     def kept(self) -> Self:
-        """A copy that is good after the method has selected again."""
+        """A copy that stays valid when the method selects again."""
         ...
 
 
@@ -262,10 +264,10 @@ M = TypeVar("M", bound=Coarsened)
 
 @dataclass(slots=True)
 class Pass:
-    """What a budget learns from the frame before.
+    """What a budget remembers of the previous frame.
 
     Attributes:
-        tolerance, seconds: of the last pass; 0: there was none.
+        tolerance, seconds: of the last pass; 0: none yet.
         passes: seconds that all passes of the frame took.
         after: seconds that the method took after its passes, to make a selection of what they found.
     """
@@ -276,16 +278,16 @@ class Pass:
     after: float = 0.0
 
     def reaching(self, seconds: float) -> float:
-        """The tolerance at which a pass may take so many seconds, if time goes with the number of triangles."""
+        """The tolerance at which a pass takes this many seconds, if time is proportional to the number of triangles."""
         return float(self.tolerance * (self.seconds / seconds) ** (1 / GROWTH))
 
     def selected(self, began: float) -> None:
-        """A selection that began at a time of ``time.perf_counter`` is complete."""
+        """Note that the selection that began at this ``time.perf_counter`` is complete."""
         self.after = max(time.perf_counter() - began - self.passes, 0.0)
 
 
 def by_tolerance(refine: Callable[[float], M], goal: Goal, last: Pass) -> M:
-    """Reach a budget with a method that knows only tolerances.
+    """Reach a budget with a method that takes only tolerances.
 
     Args:
         refine: what a tolerance in pixels leads to.
@@ -310,7 +312,7 @@ def by_tolerance(refine: Callable[[float], M], goal: Goal, last: Pass) -> M:
 
 
 def _in_time(at: Callable[[float], M], seconds: float, last: Pass) -> M:
-    """The finest tolerance for which there is time.
+    """The finest tolerance that time allows.
 
     Passes go from coarse to fine; each is as fine as the last one lets expect in the time that is left, but at most
     ``LEAP`` times: small meshes say little about large ones. Where there were passes before, as in the frames of a
@@ -320,7 +322,7 @@ def _in_time(at: Callable[[float], M], seconds: float, last: Pass) -> M:
     if last.seconds > 0:
         first = min(max(last.reaching(PART * seconds), FINEST), COARSEST)
     else:
-        at(COARSEST)  # what comes first compiles and reads, which tells nothing of a pass
+        at(COARSEST)  # the first pass compiles and reads: its time says nothing about the next
     began = time.perf_counter()
     best = at(first)
     while True:
@@ -331,9 +333,9 @@ def _in_time(at: Callable[[float], M], seconds: float, last: Pass) -> M:
 
 
 def _in_number(at: Callable[[float], M], triangles: int) -> M:
-    """The smallest tolerance that at most so many triangles keep (or the largest there is, not within); where the count
-    allows it, with 98 % of them."""
-    low, high = 0.0, COARSEST  # tolerances that make too many triangles, and few enough
+    """The smallest tolerance that at most this many triangles keep (or the largest tolerance, and not within the
+    budget); where possible with at least 98 % of the budget."""
+    low, high = 0.0, COARSEST  # one tolerance makes too many triangles, the other few enough
     best = at(high).kept()
     if best.triangles > triangles:
         best.within = False
@@ -347,7 +349,7 @@ def _in_number(at: Callable[[float], M], triangles: int) -> M:
                 break
         else:
             low = tolerance
-        # (See ``GROWTH``; a guess near the end of the range is no guess.)
+        # (See ``GROWTH``; a guess near the end of the range is useless.)
         guess = tolerance * (max(found.triangles, 1) / (0.99 * triangles)) ** (1 / GROWTH)
         inner = math.log(high / low) / 8 if low > 0 else 0.0
         if low > 0 and not low * math.exp(inner) <= guess <= high / math.exp(inner):

@@ -25,10 +25,10 @@ from orograph.store.patches import finite_errors, octave_window
 from orograph.store.terrain import Heights, Terrain
 
 CELLS = 9
-"""Squares of 2^9 × 2^9 cells of a level are made at once."""
+"""Squares of 2^9 × 2^9 cells of a level are made at a time."""
 
 SHARE = 4
-"""The part of the memory allowed that their errors may take: one over this."""
+"""Their errors may take one part in so many of the memory allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +100,14 @@ class BlockErrors:
         return found
 
     def _have(self, squares: list[Square]) -> None:
-        """Make those that are not kept."""
+        """Make those that are not cached."""
         lacking = [square for square in squares if square not in self._squares]
         for square, made in zip(lacking, map_ordered(self._made, lacking, self.resources.jobs)):
             self._squares[square] = made
             self._bytes += sum(one.error.nbytes + one.mixed.nbytes for one in made)
 
     def _leave(self) -> None:
-        """Forget those asked for first, where they are too many."""
+        """Drop the oldest ones where there are too many."""
         while self._bytes > self.resources.max_memory // SHARE and len(self._squares) > 1:
             _, gone = self._squares.popitem(last=False)
             self._bytes -= sum(one.error.nbytes + one.mixed.nbytes for one in gone)

@@ -1,4 +1,4 @@
-"""The layout of seamless patches: which squares of the quadtree are drawn, and how fine each of their edges is.
+"""The layout of seamless patches: which squares of the quadtree are drawn, and the resolution of each edge.
 
 *The spacing of an edge is a function of the edge alone*: the coarsest level whose surface keeps the tolerance on the
 screen everywhere in the square box around the edge, half of it on either side; that of the samples where ground and
@@ -73,7 +73,7 @@ class Layout:
         return Squares(self.errors.terrain.n, np.zeros(1, np.int64), np.zeros(1, np.int64))
 
     def _split_wanted(self) -> None:
-        """Split what is seen from the root down, where an edge wants it."""
+        """Split what is in view from the root down, where an edge requires it."""
         squares, big = self._root(), self.errors.big
         while squares.p > big and len(squares):
             squares = squares.where(self._seen(squares))
@@ -85,7 +85,7 @@ class Layout:
             squares = self.errors.heights.on_ground(squares.children())
 
     def _restrict(self) -> None:
-        """Split what lies beside squares of less than half its side, from small to large."""
+        """Split squares adjacent to ones of less than half their side, from small to large."""
         for p in range(self.errors.big + 1, self.errors.terrain.n):
             codes = self.split.get(p, np.zeros(0, np.int64))
             split = Squares(p, codes >> 32, codes & 0xFFFFFFFF)
@@ -109,7 +109,7 @@ class Layout:
         return np.maximum(found, p - self.errors.big)
 
     def _seen(self, squares: Squares) -> NDArray[np.bool_]:
-        """Which are not wholly out of view."""
+        """Which are at least partly in view."""
         boxes = self.errors.heights.of(squares)
         return in_frustum(self.errors.terrain, self.camera.view, self.camera.exaggeration, boxes)
 

@@ -1,4 +1,4 @@
-"""Seamless patches: a patch for each square of a quadtree; resolution changes inside of patches, never across an edge.
+"""Seamless patches: a patch for each square of a quadtree; resolution changes inside patches, never across an edge.
 
 Livny, Kogan & El-Sana, *Seamless patches for GPU-based terrain rendering* (The Visual Computer 25, 2009). A patch is
 four triangular tiles, each as fine as the patch's edge that it stands on, and four strips between them
@@ -38,12 +38,12 @@ class SeamlessPatchesOptions:
     """Options of ``seamless-patches``."""
 
     segments: int = option(
-        64, "Segments along a patch's edge at most, and samples along a smallest patch's; fewer where the raster is "
-        "smaller than that.", choices=(8, 16, 32, 64, 128),
+        64, "The most segments along a patch's edge, and samples along a smallest patch's; fewer where the raster is "
+            "smaller.", choices=(8, 16, 32, 64, 128),
     )  # fmt: skip
     strips: str = option(
-        "kept", "Whether strips keep the tolerance, too: kept (edges allow for twice a level's error), free (for the "
-        "error itself: where resolution changes twice as much may be off, and nothing is promised).",
+        "kept", "Whether strips keep the tolerance too: kept (edges allow for twice a level's error) or free (for "
+                "the error itself: where resolution changes, the error may be twice as large, without a guarantee).",
         choices=("kept", "free"),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The pieces that a seamless patch is put together of, made once: triangular tiles and strips.
+"""The pieces of seamless patches, made once: triangular tiles and strips.
 
 A patch is a square of up to 2^Q segments a side. Its four *tiles* are the triangles between a side and the centre; a
 side of 2^q segments has a tile of square cells as large as a segment, cut as the surface of the level of that spacing

@@ -1,4 +1,4 @@
-"""What a method selects for a camera: one of a few kinds, which surfaces know how to draw.
+"""What a method selects for a camera: one of a few kinds, each of which a surface can draw.
 
 Every selection says its bound in pixels, which tiles would make it better, its statistics, and, unless it is for rays,
 its triangles. Positions are sample coordinates: column, row and height in true metres, on samples or between them.
@@ -22,21 +22,21 @@ from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
 Kind = Literal["triangles", "patches", "batches", "rings", "rays"]
-"""The kinds of selections, by the word that ``MethodInfo.kind`` has for them."""
+"""The kinds of selections, by their name in ``MethodInfo.kind``."""
 
 WANTED = np.dtype([("level", "<i4"), ("row", "<i4"), ("col", "<i4"), ("pixels", "<f4")])
-"""A tile that a selection lacks: where it is, and the largest error in pixels that having it takes away."""
+"""A tile that a selection lacks: its position, and the largest error in pixels that it would remove."""
 
 NOTHING_WANTED: NDArray[Any] = np.zeros(0, WANTED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection(ABC):
-    """What a camera is to see of a terrain.
+    """What a camera sees of a terrain.
 
     Attributes:
         method: the name of the method that selected it.
-        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no promise.
+        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no guarantee.
         lacking: (w,) of ``WANTED``, largest error first: tiles that the method wanted and did not have.
         stats: what the method says of it, as JSON has it.
     """
@@ -161,7 +161,7 @@ class TinBatches(Selection):
     batches: Sequence[TinBatch]
 
     def tessellation(self) -> Tessellation:
-        """All batches in one mesh, the vertices that they share welded."""
+        """All batches in one mesh, with shared vertices welded."""
         corners = np.concatenate([np.zeros((0, 3)), *(b.drawn for b in self.batches)])
         bases = np.cumsum([0, *(len(b.vertices) for b in self.batches)])
         faces = [b.triangles + base for b, base in zip(self.batches, bases)]
@@ -177,7 +177,7 @@ class TinBatches(Selection):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodedChunks(Selection):
-    """Chunks in few bytes, which who draws them decodes (``store.chunk_code``).
+    """Compressed chunks, decoded by whatever draws them (``store.chunk_code``).
 
     Attributes:
         layout: of all chunks. source: whose they are; the chunks of one source and one name are the same.
@@ -272,7 +272,8 @@ class RayWindows(Selection):
 
     def tessellation(self) -> Tessellation:
         raise UsageError(
-            f"The method {self.method} casts rays: it makes no triangles.", remedy="Choose another, such as soar."
+            f"The method {self.method} casts rays: it makes no triangles.",
+            remedy="Choose another method, such as soar.",
         )
 
 

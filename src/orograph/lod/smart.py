@@ -54,7 +54,7 @@ from orograph.slots import Slots
 from orograph.viewpoint import Camera
 
 SHARE = 8
-"""Blocks that a thread takes at once."""
+"""Blocks that a thread takes at a time."""
 
 AT_ONCE = 64
 """Blocks that are taken over from pages at a time."""
@@ -71,8 +71,8 @@ class SmartOptions(RightTriangleOptions):
     metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic", "isotropic-published"))
     cells: int = option(32, "Cells along a side of a block.", choices=(16, 32, 64))
     ranges: int = option(4, "Ranges of errors for each factor of two.", least=1, most=7)
-    boxes: bool = option(True, "Judge blocks by their boxes, too, not by their spheres alone (metric anisotropic).")
-    cache: bool = option(True, "Whether strips are kept for the frames that come.")
+    boxes: bool = option(True, "Also judge blocks by their boxes, not only by their spheres (metric anisotropic).")
+    cache: bool = option(True, "Whether strips are kept for later frames.")
 
 
 class Smart(RightTriangleMeshes):
@@ -129,7 +129,7 @@ class Smart(RightTriangleMeshes):
     # ---- blocks ----
 
     def _grow(self, camera: Camera, lens: CameraParameters) -> int:
-        """Make the tree of a view; how many blocks are split only for the sake of their neighbours."""
+        """Make the tree of a view; return how many blocks are split only for their neighbours."""
         tree, top = self.tree, len(self.tree.base) - 1
         for ids in self._touched:
             tree.states[ids] = ABSENT
@@ -208,7 +208,7 @@ class Smart(RightTriangleMeshes):
         weigh_boxes(lens, self._ends, sides, away, math.sqrt(off_axis(camera.view)), ranges)
 
     def _fetch(self, level: int, names: Index, ids: Index) -> NDArray[np.int32]:
-        """Have the vertices of blocks kept; their slots.
+        """Keep the vertices of blocks; return their slots.
 
         Raises:
             UsageError: there are more than memory allows.
@@ -239,7 +239,7 @@ class Smart(RightTriangleMeshes):
         return slots
 
     def _keep(self, names: Index, slots: NDArray[np.int32]) -> None:
-        """Take blocks over from pages, by several threads."""
+        """Copy blocks from pages, with several threads."""
         missed = np.ones(len(names), np.uint8)
         self.field.begin()
         while missed.any():

@@ -59,15 +59,15 @@ class SoarOptions(MeshOptions):
     """
 
     geomorph: bool = option(
-        False, "Vertices grow out of their edges between half the tolerance and the whole, which the mesh keeps all "
-        "the time; the metric is then anisotropic, unless another is given.",
+        False, "Vertices grow out of their edges between half the tolerance and the full one, which the mesh always "
+               "keeps; the metric is then anisotropic unless given.",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         super(SoarOptions, self).__post_init__()  # (super() alone fails in a dataclass with slots)
         if self.geomorph and self.metric == "localised":
             raise UsageError(
-                "Geomorphs need the bounds themselves, and 'localised' knows only yes or no.",
+                "Geomorphs need the bounds themselves, but 'localised' only decides yes or no.",
                 remedy="Use the metric anisotropic.",
             )
 
@@ -128,7 +128,7 @@ class Soar(RightTriangleMeshes):
     def _strip(
         self, lens: CameraParameters, pruned: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float32], int, int]:
-        """One pass: the strip (views of buffers that the next pass uses again), its triangles, diamonds looked at."""
+        """One pass: the strip (views of buffers that the next pass reuses), its triangles, diamonds visited."""
         common = self.field.pages, Criterion(lens, self.spheres, self.cull, pruned), 2 * self.field.n
         stack = self._stack()
         for cut in (self._cut, 0):

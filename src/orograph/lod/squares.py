@@ -1,4 +1,4 @@
-"""Squares of a quadtree over a raster, many at a time, and the heights that the ground has in them.
+"""Squares of a quadtree over a raster, many at a time, and the ground's heights in them.
 
 The squares of exponent p have sides of 2^p samples; the root, of exponent n, is the square that the raster is thought
 of in. Samples, metres.
@@ -51,7 +51,7 @@ class Squares:
         return Squares(self.p, self.row + BESIDE[side][0], self.col + BESIDE[side][1])
 
     def parents(self) -> Squares:
-        """The squares that they are quarters of, once for each."""
+        """Their parent squares, each once."""
         return Squares(self.p + 1, self.row >> 1, self.col >> 1)
 
     @property

@@ -1,4 +1,4 @@
-"""Threshold spheres: what the camera's place decides is looked at again when it can have crossed a boundary.
+"""Threshold spheres: decisions by the camera's position are repeated only when it may have crossed a boundary.
 
 Blow, *Terrain Rendering at High Levels of Detail* (GDC 2000). With an isotropic error the tolerance is a distance:
 around each diamond lies a sphere, and the diamond is split while the eye is inside. The spheres nest, so the meshes are
@@ -79,16 +79,16 @@ NO_LIMIT = 1 << 62
 """Steps of an update that goes on until it is complete."""
 
 USED = 0.8, 0.99
-"""The shares of a frame's time between which the tolerance stays as it is."""
+"""The tolerance stays while frames take a share of their time between these."""
 
 ROOM = 1.5
-"""How many times the nodes that are expected new trees have room for."""
+"""Room for nodes in new trees, as a multiple of the expected number."""
 
 FINER = 4.0
-"""How many times finer new trees are at most: small meshes say little of large ones."""
+"""The largest factor by which new trees are finer: small meshes say little about large ones."""
 
 SPARE = 0.15
-"""The share of a frame's time that trees of another tolerance have at least, while they grow."""
+"""The least share of a frame's time that trees of another tolerance get while they grow."""
 
 
 def _corner(camera: Camera) -> float:
@@ -161,7 +161,7 @@ class ThresholdSpheresOptions(MeshOptions):
 
 
 class ThresholdSpheres(RightTriangleMeshes):
-    """Threshold spheres, looked at again when the eye can have crossed them. See ``RightTriangles`` for the arguments.
+    """Threshold spheres, tested again when the eye may have crossed them. See ``RightTriangles`` for the arguments.
 
     The method remembers its trees from view to view; a view costs what changes by it, and putting out what is in view.
     Another tolerance, field of view or size of the picture changes all boundaries and starts anew. With a budget of
@@ -207,8 +207,8 @@ class ThresholdSpheres(RightTriangleMeshes):
         return self._at(camera, goal.tolerance)
 
     def _in_time(self, camera: Camera, goal: Goal) -> Mesh:
-        """Keep the tolerance while frames take about as long as they may; else grow the trees of a better one in the
-        time that frames leave, and show them when they are complete."""
+        """Keep the tolerance while frames take about their allowed time; otherwise grow the trees of a better one in
+        the time left over, and show them when complete."""
         assert goal.seconds is not None
         deadline = Deadline(goal.seconds)
         if self._state is None or self._state.boundaries != self._boundaries(camera, self._state.tolerance):
@@ -235,7 +235,7 @@ class ThresholdSpheres(RightTriangleMeshes):
         return mesh
 
     def _grow(self, state: _State, camera: Camera, seconds: float) -> bool:
-        """Work on trees that are not shown yet for so many seconds; whether they are complete.
+        """Work for some seconds on trees that are not shown yet; return whether they are complete.
 
         They are completed for one camera before they follow it, or those of a fast flight would never be.
         """
@@ -254,7 +254,7 @@ class ThresholdSpheres(RightTriangleMeshes):
         return False
 
     def _boundaries(self, camera: Camera, tolerance: float) -> tuple[Any, ...]:
-        """What all boundaries depend on, but for the camera's place and direction."""
+        """What all boundaries depend on, except the camera's position and direction."""
         view = camera.view
         plan = view.projection == "plan"
         if self.spheres != ANISOTROPIC:
@@ -293,7 +293,7 @@ class ThresholdSpheres(RightTriangleMeshes):
         )  # fmt: skip
 
     def _update(self, state: _State, camera: Camera, steps: int) -> bool:
-        """Bring trees to a camera with at most about so many steps; whether they are complete."""
+        """Update trees to a camera in at most about ``steps`` steps; return whether they are complete."""
         frame = self._moved(state, camera)
         lists = Lists(state.heads, state.turns)
         criterion = Criterion(self._lens(camera, state.tolerance), self.spheres, self.cull, NOTHING)
@@ -318,7 +318,7 @@ class ThresholdSpheres(RightTriangleMeshes):
                 return bool(why == DONE)
 
     def _moved(self, state: _State, camera: Camera) -> Frame:
-        """Move the camera of trees, and say what the frame is about."""
+        """Move the camera of trees; return the frame's motion."""
         view, exaggeration, grid = camera.view, camera.exaggeration, self.terrain.grid
         first = grid.samples
         size = float(np.hypot(*(np.abs(grid.linear) @ (grid.cols, grid.rows)))) * max(1.0, exaggeration)

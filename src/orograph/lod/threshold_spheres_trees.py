@@ -1,4 +1,4 @@
-"""What Blow's kernels work on: two trees of triangles by place, the lists of those that wait, and a frame's motion.
+"""The data of Blow's kernels: two trees of triangles by place, the lists of waiting ones, and a frame's motion.
 
 ``threshold_spheres_pass`` says how; metres of stretched space, radians, and fixed-point units of both.
 """
@@ -29,7 +29,7 @@ RADIANS = 2.0**-34
 
 
 class Frame(NamedTuple):
-    """What a frame is about, beside the camera.
+    """A frame's motion and constants, besides the camera.
 
     Attributes:
         eye: east, north, up, stretched metres. origin: east and north of the first sample; affine: metres east per

@@ -1,4 +1,4 @@
-"""BDAM's geomorphs: what is between the TIN of a patch and those of the two patches below it.
+"""BDAM's geomorphs: the surface between the TIN of a patch and those of the two patches below it.
 
 TINs of two levels share no edges but those of the hierarchy. So what is between them is a mesh with the edges of both
 (``tin_overlay``), whose vertices have a height on either: as it is linear on both everywhere, each height between is a
@@ -34,7 +34,7 @@ BYTES = 48
 """Of an overlay, for each of its triangles, about."""
 
 LEAST = 1e-4
-"""Patches that have grown by less are not: it is no more than roundings are."""
+"""Patches that have grown by less count as not grown: the difference is rounding."""
 
 Name = tuple[int, int, int]
 """A patch: the row and column of its diamond, and on which side of the hypotenuse it is."""
@@ -78,14 +78,14 @@ class Separated:
 
 
 def share_of(pixels: float, tolerance: float) -> float:
-    """How far a patch that is not split has grown towards those below it, by the bound of its error."""
+    """How far an unsplit patch has grown towards those below it, by the bound of its error."""
     least = tolerance / KAPPA
     share = (pixels - least) / (tolerance - least) if tolerance > least else 0.0
     return min(share, 1.0) if share > LEAST else 0.0
 
 
 class Morphs:
-    """Meshes between TINs, of which so many as memory allows are kept.
+    """Meshes between TINs; as many as memory allows are cached.
 
     Args:
         shape: of the raster. halves: makes the meshes of patches. flip: whether their triangles turn positively in

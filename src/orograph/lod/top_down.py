@@ -1,4 +1,4 @@
-"""Top-down refinement with forced splits, on triangles that know their neighbours.
+"""Top-down refinement with forced splits, on triangles with links to their neighbours.
 
 The lecture's *Top Down Refinement on Triangles* (after Duchaineau et al. 1997, *ROAMing Terrain*, sec. 4 and 5): start
 with the two triangles of the square; take one from a queue; if it is not accurate, split it together with the triangle
@@ -104,9 +104,9 @@ class TopDownOptions(MeshOptions):
 
     metric: str | None = option(None, METRIC, choices=EVERY)
     queue: str | None = option(None, QUEUE + ".", choices=ORDERS, shown=ANY)
-    depth: int = option(DEPTH, "How often the metric localised halves a triangle to see where it errs.",
+    depth: int = option(DEPTH, "How often the metric 'localised' bisects a triangle to find its largest error.",
                         unit="halvings", least=0, most=64)  # fmt: skip
-    near: float = option(NEAR, "Where it does: where a sphere's radius is more than this of its least depth.", least=0)
+    near: float = option(NEAR, "It bisects where a sphere's radius exceeds this share of its least depth.", least=0)
 
 
 class TopDown(RightTriangleMeshes):
@@ -197,7 +197,7 @@ class TopDown(RightTriangleMeshes):
 
     @staticmethod
     def _reached(state: _State, left: int) -> float:
-        """The largest error in the queue, pixels, of triangles that are still there."""
+        """The largest error in the queue, pixels, of triangles that still exist."""
         queue = state.queue
         there = state.triangles.links[queue.slots[:left], LEVEL] == queue.codes[:left] >> LEVEL_SHIFT
         return float(queue.priorities[:left][there].max(initial=0.0))

@@ -115,7 +115,7 @@ class Patches:
         return int(self.stats["triangles"])
 
     def kept(self) -> Self:
-        """A copy that is good after the next selection."""
+        """A copy that stays valid after the next selection."""
         return replace(self, instances=self.instances.copy(), spans=self.spans.copy())
 
     @property
@@ -139,7 +139,7 @@ class TrianglePatchesOptions(RightTriangleOptions):
     legs: int = option(LEGS, "Segments along a patch's leg; fewer where the raster is smaller than a patch.",
                        choices=ALL_LEGS)  # fmt: skip
     geomorph: bool = option(
-        False, "Vertices grow out of their edges, as a GPU draws them; else patches are split at the tolerance itself."
+        False, "Vertices grow out of their edges (for GPUs); otherwise patches are split at the tolerance itself."
     )
 
 
@@ -257,7 +257,7 @@ class TrianglePatches(RightTriangles):
         rim: float | None = None,
         estimated: bool = False,
     ) -> Patches:
-        """The patches of a view, for renderers and benches.
+        """The patches of a view, for renderers and benchmarks.
 
         Args:
             camera: whose errors count.
@@ -280,7 +280,7 @@ class TrianglePatches(RightTriangles):
             UsageError: an argument makes no sense, or more pages are needed than memory allows.
         """
         if not 0 <= tolerance < math.inf:
-            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
+            raise UsageError(f"The tolerance must be 0 or more pixels, not {tolerance!r}.")
         view, lens = camera.view, self._lens(camera, tolerance)
         eye = Frustum(lens.planes)
         if frustum is not None:
@@ -294,7 +294,7 @@ class TrianglePatches(RightTriangles):
         )  # fmt: skip
         there = self._all if ready.tiles is None else ready.tiles
         if there.shape != self._all.shape or there.dtype != np.uint8:
-            raise UsageError("Which tiles are ready is a uint8 array over all tiles of all levels of the terrain.")
+            raise UsageError("Readiness of tiles must be a uint8 array over all tiles of all levels of the terrain.")
         tiling = Tiles(
             self.tiling.bases, self.tiling.widths, there, NOWHERE if ready.slots is None else ready.slots,
             self._priorities, self._touched,
@@ -332,7 +332,7 @@ class TrianglePatches(RightTriangles):
         """Planes in stretched space as kernels see them: (24,), over column, row and height."""
         planes = np.asarray(frustum, np.float64)
         if planes.ndim != 2 or planes.shape[1] != 4 or len(planes) > 6:
-            raise UsageError(f"A frustum is at most 6 planes (m, 4), not an array of {planes.shape}.")
+            raise UsageError(f"A frustum must be at most 6 planes (m, 4), not an array of {planes.shape}.")
         table = np.zeros((6, 4))
         table[:, 3] = np.inf
         table[: len(planes)] = self.terrain.chart.planes(planes.tolist(), stretch)

@@ -50,7 +50,7 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # (who check types look for names themselves)
+if not TYPE_CHECKING:  # (type checkers look for names themselves)
 
     def __getattr__(name: str) -> object:
         raise absent("orograph.measure", name, __all__)

@@ -30,11 +30,11 @@ from orograph.store.terrain import TILE, Terrain
 Array = NDArray[np.float64]
 
 KNOT = 250.0
-"""Metres between places along an edge on the ellipsoid."""
+"""Metres between points of an edge on the ellipsoid."""
 MOST_KNOTS = 4096
-"""Of one edge."""
+"""Maximum points of one edge."""
 LATTICE = 2000.0
-"""Metres between places in a tile where the projection's metric is taken."""
+"""Metres between the points of a tile where the projection's metric is evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ class Area:
         missing_grid: of the holes in the data, in plan on the grid.
         perimeter: of all rings on the ellipsoid, metres; perimeter_grid.
         mean_height: of the ground in plan, metres; None if there is none.
-        level: metres; above, below: metres³ of ground above the level and of space below it, true in plan; None if none
-            was asked for.
+        level: metres; above, below: metres³ of ground above the level and of space below it, true in plan; None without
+            a level.
     """
 
     plan: float
@@ -94,7 +94,7 @@ def area(
         DamagedChunkError: a chunk of a store fails its checksum.
     """
     if level is not None and not math.isfinite(level):
-        raise UsageError(f"The level is a height in metres, not {level!r}.")
+        raise UsageError(f"The level must be a height in metres, not {level!r}.")
     places = Places(terrain)
     rings = [_ring(places, ring, lonlat) for ring in _split(polygon)]
     samples = [places.samples(ring) for ring in rings]
@@ -135,7 +135,7 @@ def _ring(places: Places, ring: ArrayLike, lonlat: bool) -> Array:
         points = points[:-1]
     points = points[(points != np.roll(points, 1, axis=0)).any(axis=1)]
     if len(points) < 3:
-        raise UsageError(f"A polygon has at least three corners, not {len(points)}.")
+        raise UsageError(f"A polygon needs at least three corners, not {len(points)}.")
     return np.asarray(points)
 
 
@@ -168,7 +168,7 @@ def _check_crossings(rings: list[Array]) -> None:
     border = rings[0]
     for k, ring in enumerate(rings[1:], 2):
         if not _inside(border, ring.mean(axis=0)) and not _inside(border, ring[0]):
-            raise UsageError(f"Ring {k} is not inside the first one, from which it is to be cut out.")
+            raise UsageError(f"Ring {k} is not inside the first one, from which it should be cut out.")
 
 
 def _inside(ring: Array, point: Array) -> bool:

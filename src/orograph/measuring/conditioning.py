@@ -30,20 +30,20 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 MOST = 2000
-"""Check points: their covariances are held, and solved once."""
+"""Maximum number of check points: their covariances are held in memory and solved once."""
 
 NUGGET = 1e-6
-"""Of the largest variance: what is added to that of each check point, so that two of one place can be solved for. A
-drawn surface passes a thousandth of σ from a check point."""
+"""Added to the variance of each check point, relative to the largest variance, so that two at the same place can be
+solved for. A drawn surface passes within a thousandth of σ of a check point."""
 
 FAR = 2.0
 """Ranges beyond which errors are not correlated."""
 
 HELD = 64
-"""Draws whose weights are held."""
+"""Number of draws whose weights are held."""
 
 CALLED = ("height", "elevation", "z", "h", "ele", "altitude", "alt")
-"""What a column of measured heights is called, where none is named."""
+"""Usual names of a column of measured heights."""
 
 
 class Checks(NamedTuple):
@@ -62,14 +62,14 @@ class Checks(NamedTuple):
 
 def read_checks(source: Any, tau: float, terrain: Terrain) -> Checks:
     """Check points: an array (n, 3) of easting, northing and height in the terrain's CRS and heights; or a table, a
-    file or a ``Dataset`` of points with measured heights (whose uncertainty, if it names one, is theirs).
+    file or a ``Dataset`` of points with measured heights (and their uncertainty, if it has one).
 
     Raises:
         ReadError: none is on ground. UsageError: there are too many, or no heights.
     """
     if isinstance(source, np.ndarray):
         if source.ndim != 2 or source.shape[1] != 3:
-            raise UsageError(f"Check points are an array (n, 3), not {source.shape}.")
+            raise UsageError(f"Check points must be an array (n, 3), not {source.shape}.")
         east, north, high = source.astype(np.float64).T
         own, name = np.full(len(east), tau), "the check points"
     else:
@@ -81,7 +81,7 @@ def read_checks(source: Any, tau: float, terrain: Terrain) -> Checks:
     found = high - heights(terrain, col, row) if len(col) else high
     known = np.isfinite(found)
     if not known.any():
-        raise ReadError("None of the check points is on ground.", path=name, remedy="Name points of the same area.")
+        raise ReadError("None of the check points is on the ground.", path=name, remedy="Give points of the same area.")
     if known.sum() > MOST:
         raise UsageError(f"There are {known.sum():,} check points, and at most {MOST:,} can be solved for.",
                          remedy="Leave some out.")  # fmt: skip
@@ -101,7 +101,7 @@ def _of_points(source: Any, tau: float, terrain: Terrain) -> tuple[Array, Array,
         known = [k for k, v in columns[0].items() if k.lower() in CALLED and np.isfinite(v).any()]
         if len(known) != 1:
             told = " and ".join(known) or "none"
-            raise UsageError(f"Their heights may be in one column, and there is {told}.", path=name,
+            raise UsageError(f"It is unclear which column holds their heights; there is {told}.", path=name,
                              remedy="Name it: variable=NAME.")  # fmt: skip
         given = given.but(variable=known[0])
     points = read_points(given, terrain.grid)
@@ -110,14 +110,14 @@ def _of_points(source: Any, tau: float, terrain: Terrain) -> tuple[Array, Array,
 
 
 class Conditioning:
-    """What makes draws agree with check points.
+    """Makes draws agree with check points.
 
     Args:
         checks: the points. shape: of the terrain. cells: metres from column to column and from row to row. reach: the
             range R, metres; 0: errors are independent. sigma: standard deviations at samples (rows (n,), columns (n,)).
 
     Attributes:
-        most: standard deviations by which a draw is moved at most.
+        most: maximum correction of a draw, in standard deviations.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Conditioning:
         self.checks, self._reach, self._cells = checks, reach, cells
         self.row, self.col, weights = corner_weights(checks.x, checks.y, shape)
         size = np.nan_to_num(sigma(self.row.ravel(), self.col.ravel()).reshape(self.row.shape))
-        self._part = weights * size  # (n, 4): what a unit error of each corner's sample makes at the check point
+        self._part = weights * size  # (n, 4): the effect of a unit error of each corner's sample at the check point
         places = np.stack([self.row.ravel(), self.col.ravel()], 1)
         self.samples, of = np.unique(places, axis=0, return_inverse=True)
         n = len(checks.x)
@@ -146,7 +146,7 @@ class Conditioning:
         self._lock = threading.Lock()
 
     def _factor(self, samples: NDArray[Any], axis: int) -> Array:
-        """Of the correlation of two samples so many apart along an axis (0: columns, 1: rows), its factor."""
+        """The factor of the correlation of two samples at a distance along an axis (0: columns, 1: rows)."""
         if not self._reach:
             return np.asarray(samples == 0, np.float64)
         d = np.asarray(samples, np.float64) * self._cells[axis] / self._reach
@@ -155,7 +155,7 @@ class Conditioning:
     def moved(
         self, draw: int, seed: int, unit: Callable[[int, int, int, int], Array], window: tuple[int, ...]
     ) -> Array:
-        """What is added to unit errors (rows, cols) of a draw.
+        """The correction (rows, cols) of a draw's unit errors.
 
         Args:
             unit: unit errors of the draw at the samples of a window.
@@ -181,7 +181,7 @@ class Conditioning:
         return self._laid(self._solved(self.checks.found), window)
 
     def left(self, window: tuple[int, ...]) -> Array:
-        """Which part (rows, cols) of the standard deviation is left: 0 to 1."""
+        """The remaining part (rows, cols) of the standard deviation: 0 to 1."""
         row0, row1, col0, col1 = window
         across = self._factor(np.arange(col0, col1)[None, :] - self.samples[:, 1, None], 0)
         out = np.empty((row1 - row0, col1 - col0))
@@ -196,7 +196,7 @@ class Conditioning:
         return np.asarray(self._spread.T @ (self._inverse @ residual))
 
     def _laid(self, weights: Array, window: tuple[int, ...]) -> Array:
-        """The sum of the samples' correlations by their weights, in the samples' order: alike in any window."""
+        """The weighted sum of the samples' correlations, in the samples' order: the same in any window."""
         row0, row1, col0, col1 = window
         rows, cols = np.arange(row0, row1, dtype=np.float64), np.arange(col0, col1, dtype=np.float64)
         out = np.zeros((len(rows), len(cols)))
@@ -210,7 +210,7 @@ class Conditioning:
 
 
 def corner_weights(x: Array, y: Array, shape: tuple[int, int]) -> tuple[Numbers, Numbers, Array]:
-    """Rows, columns and weights (n, 4) of the samples that make the surface at places (see ``ground``)."""
+    """Rows, columns and weights (n, 4) of the samples that define the surface at places (see ``ground``)."""
     rows, cols = shape
     col = np.clip(np.floor(x), 0, max(cols - 2, 0)).astype(np.int64)
     row = np.clip(np.floor(y), 0, max(rows - 2, 0)).astype(np.int64)

@@ -1,8 +1,8 @@
-"""The difference of two rasters on one grid, block by block, and what it amounts to.
+"""The difference of two rasters on one grid, block by block, and its statistics.
 
 Blocks are fixed, and their sums are added in their order, so that nothing depends on memory or threads. Quantiles are
-exact (``order``). Mean and rms tell of blunders as much as of the ground; median and NMAD, 1.4826 times the median of
-|d − median|, do not, and are what Höhle and Höhle (2009) recommend. Volumes are sums of difference × ground area of a
+exact (``order``). Mean and rms are sensitive to blunders; median and NMAD, 1.4826 times the median of
+|d − median|, are not, and are what Höhle and Höhle (2009) recommend. Volumes are sums of difference × ground area of a
 cell: the area on the map divided by the projection's areal scale there. Units: metres, metres², metres³.
 
 J. Höhle, M. Höhle, Accuracy assessment of digital elevation models by means of robust statistical methods, ISPRS
@@ -30,11 +30,11 @@ from orograph.progress import SILENT, Progress
 BLOCK = 1024
 """Samples along the side of a block."""
 CELLS = 128
-"""Along the side of a square in which all cells are taken to be as large as the middle one."""
+"""Side of a square in which all cells are taken to be as large as the middle one, in samples."""
 NORMAL = 1.4826
-"""The standard deviation of a normal distribution in units of its median absolute deviation."""
+"""The standard deviation of a normal distribution over its median absolute deviation."""
 ENDS = (0.01, 0.99)
-"""Quantiles that a scale of colours shows at least."""
+"""Quantiles that a colour scale covers at least."""
 
 Box = tuple[int, int, int, int]
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a difference amounts to; metres, NaN where nothing was compared.
+    """Statistics of a difference; metres, NaN if nothing was compared.
 
     Attributes:
         count: samples that both have. missing: samples of the shared window that one of them lacks.
@@ -50,7 +50,7 @@ class Statistics:
         quantiles: (probability, difference), ascending.
         area: of the ground compared, metres²; gain_area, loss_area: where the difference is above and below 0.
         gain, loss: volumes above and below 0, metres³, both positive; net: gain − loss.
-        ratio: by which factor the second's heights are best multiplied to give the first's (least squares).
+        ratio: the factor that best maps the second's heights to the first's (least squares).
     """
 
     count: int
@@ -76,7 +76,7 @@ class Statistics:
         return self.gain - self.loss
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: names with units; what is not known is None."""
+        """For JSON: names with units; None for what is unknown."""
         metres = {f"{name}_m": getattr(self, name) for name in ("mean", "median", "rms", "std", "nmad", "low", "high")}
         areas = {f"{name}_m2": getattr(self, name) for name in ("area", "gain_area", "loss_area")}
         volumes = {f"{name}_m3": getattr(self, name) for name in ("gain", "loss", "net")}
@@ -88,7 +88,7 @@ class Statistics:
 
 
 class Sums(NamedTuple):
-    """Of a block."""
+    """Sums over a block."""
 
     known: int
     upper: Counts
@@ -169,7 +169,7 @@ def _squares(values: NDArray[Any]) -> Array:
 
 
 def _cells(grid: Grid, box: Box) -> Array:
-    """Metres² of ground of a cell in each of a block's squares; on the map where the projection's scale is not
+    """Metres² of ground per cell in each of a block's squares; on the map where the projection's scale is not
     defined."""
     rows, cols = (
         (np.minimum(np.arange(start, stop, CELLS) + CELLS, stop) + np.arange(start, stop, CELLS) - 1) / 2

@@ -1,12 +1,12 @@
-"""Floods: which ground lies below a water level, and is joined to where the water comes from.
+"""Floods: which ground lies below a water level and is connected to the water's source.
 
-The surface below a level is a set of pieces. Two samples are in one piece exactly where a way along edges of the
-triangulated surface joins them that stays below the level (for a surface that is linear on triangles), so the water
-runs from sample to sample along edges. Of an uncertain terrain the probability of being flooded is found by Monte
-Carlo (``probable``), draw by draw; without sources it is Φ((level − z) / σ), and nothing is drawn.
+The surface below a level is a set of pieces. Two samples are in one piece exactly if a path along edges of the
+triangulated surface connects them below the level (for a surface that is linear on triangles), so water flows from
+sample to sample along edges. For an uncertain terrain the probability of being flooded is found by Monte Carlo
+(``probable``), draw by draw; without sources it is Φ((level − z) / σ), without draws.
 
-A draw makes only the tiles of which some ground may lie below the level, by the lowest height of each; each sample
-takes a byte, and two for its counts. What takes more than a third of the memory allowed is in a scratch file.
+A draw computes only the tiles that may have ground below the level, judged by each tile's lowest height; each sample
+takes a byte, and two for its counts. What takes more than a third of the allowed memory goes to a scratch file.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ def flood(
     terrain: Terrain, level: float, sources: ArrayLike | None = None, error: HeightError = CERTAIN, *,
     lonlat: bool = False, draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
-    """How probable it is that each sample is flooded: that its ground is below the level, and joined to a source.
+    """The probability that each sample is flooded: that its ground is below the level and connected to a source.
 
     Args:
         level: of the water, metres, in the terrain's heights.
-        sources: (n, 2) easting and northing of places where the water comes from; each stands for the sample next to
-            it. None: all ground below the level is flooded.
+        sources: (n, 2) easting and northing of the water's sources; each stands for the sample nearest to it. None: all
+            ground below the level is flooded.
         lonlat: sources are longitude and latitude, degrees.
         error: of the heights; without one the result is 0 or 1. draws, seed: of the Monte Carlo.
 
@@ -67,10 +67,10 @@ def flood(
     check_draws(draws)
     max_memory = bytes_of(max_memory)
     if not math.isfinite(level):
-        raise UsageError(f"A water level is a number of metres, not {level!r}.")
+        raise UsageError(f"A water level must be a number of metres, not {level!r}.")
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
     jobs = threads_for(jobs)
-    joined = "" if sources is None else " and joined to a source"
+    joined = "" if sources is None else " and connected to a source"
     band = Band(f"{PROBABILITY} of being flooded", "",
                 f"the part of the draws in which the ground is below {level:g} m{joined}")  # fmt: skip
     told = {"level": f"{level:g} m"}
@@ -126,7 +126,7 @@ def _below(terrain: Terrain, errors: ErrorField, level: float, jobs: int) -> Cal
 def _samples(
     terrain: Terrain, sources: ArrayLike, level: float, lonlat: bool
 ) -> tuple[list[tuple[int, int]], list[str]]:
-    """(row, col) of the samples next to places, and what is to be told of those above the level."""
+    """(row, col) of the samples nearest to places, and warnings about those above the level."""
     places = Places(terrain)
     points = places.points(sources, lonlat=lonlat)
     cols, rows = np.rint(places.samples(points)).astype(int).T
@@ -135,7 +135,7 @@ def _samples(
         height = float(terrain.read(0, row, row + 1, col, col + 1)[0, 0])
         if math.isnan(height):
             raise UsageError(
-                f"The source {point[0]:.10g}, {point[1]:.10g} is in a hole: no ground is known there.",
+                f"The source {point[0]:.10g}, {point[1]:.10g} is in a hole: the ground there is unknown.",
                 remedy="Choose another point.",
             )  # fmt: skip
         if height >= level:
@@ -146,7 +146,7 @@ def _samples(
 
 
 class _Rivers:
-    """Floods of draws of a terrain, one after the other."""
+    """Floods of a terrain's draws, one after the other."""
 
     def __init__(
         self, terrain: Terrain, errors: ErrorField, level: float, seeds: list[tuple[int, int]], max_memory: int,
@@ -169,7 +169,7 @@ class _Rivers:
                 self.windows[i, j] = (row0, row1, col0, col1)
 
     def flooded(self, draw: int) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
-        """(first row, first column, whether samples are flooded) of the tiles that may be."""
+        """(first row, first column, whether samples are flooded) of the tiles that may be flooded."""
 
         def wet(window: Window) -> None:
             row0, row1, col0, col1 = window

@@ -1,7 +1,7 @@
 """Lines and polygons from GeoJSON (RFC 7946): longitude, latitude, unless an old-style ``crs`` member says otherwise.
 
 A file may be a geometry, a feature, or a collection that holds one line or polygon (a polygon may have holes). A third
-coordinate is ignored: heights are measured, not told.
+coordinate is ignored: heights are measured, not read.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from orograph.measuring.places import Places
 Array = NDArray[np.float64]
 
 DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 0, "MultiLineString": 1, "Polygon": 1, "MultiPolygon": 2}
-"""How deep the lines or points of a geometry lie in its coordinates."""
+"""Nesting depth of lines or points in a geometry's coordinates."""
 
 
 def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
@@ -30,14 +30,14 @@ def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
         kind: "Polygon" or "LineString".
 
     Raises:
-        ReadError: the file cannot be read, or is no GeoJSON of one such geometry.
-        UsageError: its coordinates cannot be brought to the terrain's CRS.
+        ReadError: the file cannot be read, or is not GeoJSON with one such geometry.
+        UsageError: its coordinates cannot be transformed to the terrain's CRS.
     """
     data, called = load(path)
     found = [g for g in geometries(data) if g.get("type") == kind]
     if len(found) != 1:
         raise ReadError(
-            f"It holds {len(found)} geometries of type {kind}, and one is measured at a time.", path=called,
+            f"It holds {len(found)} geometries of type {kind}, but only one can be measured at a time.", path=called,
             remedy=f"Give a GeoJSON file with one {kind}.",
         )  # fmt: skip
     parts = found[0].get("coordinates")
@@ -55,7 +55,7 @@ def read_lines(path: Any, places: Places) -> list[Array]:
         path: of the file, or what else ``geo.geojson.load`` takes.
 
     Raises:
-        ReadError: the file cannot be read, or is no GeoJSON with any of these.
+        ReadError: the file cannot be read, or is not GeoJSON with any of these.
         UsageError: as ``read_geojson``.
     """
     data, called = load(path)
@@ -69,7 +69,7 @@ def read_lines(path: Any, places: Places) -> list[Array]:
                 parts = [[part] for part in parts]
             found += lines([part for part in parts if part]) if any(parts) else []
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise ReadError(f"This is no GeoJSON of lines, polygons or points: {error!r}.", path=called) from error
+        raise ReadError(f"This is not GeoJSON of lines, polygons or points: {error!r}.", path=called) from error
     if not found:
         raise ReadError("It holds no lines, polygons or points.", path=called)
     return _moved(found, data, places)

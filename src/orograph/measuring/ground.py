@@ -1,4 +1,4 @@
-"""The surface itself at single places and along lines: exact, and read by no more tiles than it takes.
+"""The surface at single places and along lines: exact, reading no more tiles than necessary.
 
 The surface is Orograph's own: each cell is cut along the diagonal that joins its (even, even) and (odd, odd) corners
 and is plane on either side; a triangle with a missing corner is a hole. All edges of this triangulation lie on four
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 SAME = 1e-12
-"""Of a line: crossings nearer to each other than this are one."""
+"""Crossings of a line nearer to each other than this fraction count as one."""
 ASIDE = 1e-7
-"""Samples: how far beside a place on an edge its other triangle is looked for, where one is missing."""
+"""How far beside a place on an edge its other triangle is looked for if one is missing, samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Facets:
 def corners(terrain: Terrain, col: Integers, row: Integers) -> Array:
     """Heights (n, 4) of cells: samples (col, row), (col + 1, row), (col, row + 1), (col + 1, row + 1).
 
-    Places are taken tile by tile; of a tile no more is read than the rectangle that holds its places.
+    Places are processed tile by tile; only the rectangle that holds its places is read of a tile.
     """
     out = np.empty((len(col), 4))
     key = (row // TILE << 32) | col // TILE
@@ -68,7 +68,7 @@ def corners(terrain: Terrain, col: Integers, row: Integers) -> Array:
 
 
 def facets(terrain: Terrain, x: Array, y: Array) -> Facets:
-    """The triangles at places (n,) on the terrain; on an edge or a sample one that is not missing, if there is any."""
+    """The triangles at places (n,) on the terrain; on an edge or a sample, one that is not missing if there is any."""
     found = _facets(terrain, x, y)
     rows, cols = terrain.grid.shape
     for dx, dy in ((1, 2), (-1, 2), (1, -2), (-1, -2), (2, 1), (2, -1), (-2, 1), (-2, -1)):
@@ -104,9 +104,9 @@ def heights(terrain: Terrain, x: Array, y: Array) -> Array:
 
 
 def own_heights(terrain: Terrain, points: Array) -> Array:
-    """Heights (n,) at points (n, 2) = easting, northing out of the samples that the terrain was made of, bilinear; NaN
-    where there is none. Where those are not at hand: of the surface if they were resampled, which is as far off as
-    ``height_error`` says, else of the terrain's own samples."""
+    """Heights (n,) at points (n, 2) = easting, northing from the terrain's original samples, bilinear; NaN where there
+    are none. Without these: from the surface if it was resampled, which is off by what ``height_error`` says, else from
+    the terrain's own samples."""
     x, y = points[:, 0], points[:, 1]
     if terrain.samples is not None:
         return terrain.samples.heights_at(x, y)
@@ -118,14 +118,14 @@ def own_heights(terrain: Terrain, points: Array) -> Array:
 
 
 def height_error(terrain: Terrain) -> float | None:
-    """Metres by which ``own_heights`` are off at most at the samples that the terrain was made of; None where they are
-    those samples' own."""
+    """Maximum error of ``own_heights`` at the terrain's original samples, metres; None if they are those
+    samples' own."""
     lost = terrain.resampled
     return None if lost is None or terrain.samples is not None or np.isnan(lost.largest) else lost.largest
 
 
 def crossings(start: Array, end: Array) -> Array:
-    """Where a line (2,) → (2,) crosses edges of the triangulation: fractions of it, from 0 to 1, both included."""
+    """Fractions, from 0 to 1 inclusive, at which a line (2,) → (2,) crosses edges of the triangulation."""
     found = [np.array([0.0, 1.0])]
     forms = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
     for (f0, f1), step in zip(np.stack([forms @ start, forms @ end], axis=-1), (1.0, 1.0, 2.0, 2.0)):
@@ -158,7 +158,7 @@ class Line:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(n,): pieces that are ground."""
+        """(n,): whether pieces are ground."""
         return ~np.isnan(self.before)
 
     @property

@@ -4,17 +4,17 @@ A height is the terrain's plus an error, normal with mean 0. Its standard deviat
 
     sqrt(σ² + (h tan slope)²)
 
-with σ the vertical accuracy (metres, a number or a raster) and h the horizontal one: on a slope, ground that lies
-beside its place is too high or too low. Errors at two samples d metres apart are correlated by the Gaussian model,
-ρ = exp(−3 (d/R)²); R, the *range*, is where 5 % of the correlation is left (the practical range of geostatistics:
-Isaaks & Srivastava 1989; Monte Carlo with correlated error: Fisher 1991, Heuvelink 1998, Oksanen & Sarjakoski 2005).
+with σ the vertical accuracy (metres, a number or a raster) and h the horizontal one: on a slope, horizontally displaced
+ground is too high or too low. Errors at two samples d metres apart are correlated by the Gaussian model, ρ = exp(−3
+(d/R)²); R, the *range*, is where 5 % of the correlation is left (the practical range of geostatistics: Isaaks &
+Srivastava 1989; Monte Carlo with correlated error: Fisher 1991, Heuvelink 1998, Oksanen & Sarjakoski 2005).
 
 A draw is a moving average (Oliver 1995): white noise on a lattice of R / sqrt(12), averaged by a Gaussian of the same
 standard deviation, whose weights at each sample have the sum of squares 1, so that the variance is 1 everywhere. Its
 noise comes from a counter-based generator (Philox: Salmon et al. 2011) whose key is the seed and the number of the
-draw, and whose counter is the place: any window of any draw is made by itself, with the same numbers whoever makes
-it. Where check points are given, draws agree with them (``conditioning``). Where R is less than ``INDEPENDENT`` of a
-cell, errors are independent (correlated by less than 0.005).
+draw, and whose counter is the place: any window of any draw can be computed separately and always has the same numbers.
+If check points are given, draws agree with them (``conditioning``). Where R is less than ``INDEPENDENT`` of a cell,
+errors are independent (correlated by less than 0.005).
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ Values = NDArray[np.float32]
 NOISE = 64
 """Nodes along the side of a tile of noise."""
 AHEAD = 16
-"""Nodes that may lie before the first sample."""
+"""Maximum number of nodes before the first sample."""
 INDEPENDENT = 0.75
 SQUARE = 1e-6
-"""Of the cosine between rows and columns: beyond, cells are sheared."""
+"""Limit of the cosine between rows and columns beyond which cells count as sheared."""
 BEYOND = 8.0
-"""Standard deviations that no error exceeds (one in 10¹⁵)."""
+"""Standard deviations that no error exceeds (probability 10⁻¹⁵)."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,13 @@ class HeightError:
     """How uncertain the heights of a terrain are.
 
     Attributes:
-        sigma: standard deviation, metres: a number, or a raster of such (a file, a ``DataArray``, an array that spans
+        sigma: standard deviation, metres: a number, or a raster of them (a file, a ``DataArray``, an array that spans
             the terrain).
         range: metres at which 5 % of the correlation is left; 0: errors of samples are independent.
         horizontal: standard deviation of the place, metres; adds (horizontal · tan slope)² to the variance.
-        checks: check points with measured heights, with which draws agree: an array (n, 3) of easting, northing and
+        checks: check points with measured heights that all draws agree with: an array (n, 3) of easting, northing and
             height; or a table, file or ``Dataset`` of points. None: there are none.
-        check_sigma: standard deviation of the measured heights, metres, where the points name none.
+        check_sigma: standard deviation of the measured heights, metres, if the points have none.
 
     Raises:
         UsageError: a number is negative or not finite.
@@ -86,16 +86,16 @@ class HeightError:
             said["standard deviation"] = self.sigma
         for name, value in said.items():
             if not (math.isfinite(value) and value >= 0):
-                raise UsageError(f"The {name} is a number of metres, not below 0, not {value!r}.")
+                raise UsageError(f"The {name} must be 0 or more metres, not {value!r}.")
 
     @property
     def is_number(self) -> bool:
-        """Whether σ is one for all of the terrain."""
+        """Whether σ is the same for all of the terrain."""
         return isinstance(self.sigma, int | float | np.integer | np.floating)
 
     @property
     def tags(self) -> dict[str, str]:
-        """What a file says of it."""
+        """Metadata for a file."""
         sigma = f"{self.sigma:g} m" if self.is_number else str(self.sigma)[:200]
         told = {"sigma": sigma, "range": f"{self.range:g} m", "horizontal": f"{self.horizontal:g} m"}
         if self.checks is not None:
@@ -109,14 +109,14 @@ class ErrorField:
     """Draws of the error of a terrain's heights.
 
     Args:
-        terrain, error: whose, and how large.
+        terrain, error: the terrain and its error.
         seed: of all draws.
-        max_memory: bytes; a map of standard deviations that takes more than a third of them is in a scratch file.
+        max_memory: bytes; a map of standard deviations that takes more than a third of them goes to a scratch file.
 
     Attributes:
         sigma: metres: a number, or (rows, cols) float32.
         largest: of them. beyond: metres that no error exceeds.
-        conditioning: what makes draws agree with check points; None: there are none.
+        conditioning: makes draws agree with check points; None: there are none.
 
     Raises:
         UsageError: the cells are sheared, and errors correlated; the seed is negative.
@@ -127,9 +127,9 @@ class ErrorField:
         self, terrain: Terrain, error: HeightError, seed: int = 1, *, max_memory: int = 1 << 30, jobs: int | None = None
     ) -> None:
         if not isinstance(error, HeightError):
-            raise UsageError(f"An error is a HeightError, such as HeightError(sigma=2), not {error!r}.")
+            raise UsageError(f"An error must be a HeightError, such as HeightError(sigma=2), not {error!r}.")
         if not 0 <= seed < 1 << 63:
-            raise UsageError(f"A seed is a whole number from 0, not {seed}.")
+            raise UsageError(f"A seed must be a whole number, 0 or more, not {seed}.")
         self.terrain, self.error, self.seed = terrain, error, seed
         (a, b), (d, e) = terrain.grid.linear
         cell_x, cell_y = terrain.grid.spacing
@@ -137,7 +137,7 @@ class ErrorField:
         if not self.independent and abs(a * b + d * e) > SQUARE * cell_x * cell_y:
             raise UsageError(
                 "The terrain's cells are sheared; correlated errors need rows at right angles to columns.",
-                remedy="Bring it to another grid (`crs`), or take errors as independent (range 0).",
+                remedy="Convert it to another grid (`crs`), or treat errors as independent (range 0).",
             )
         step = error.range / math.sqrt(12.0)
         self._step = (step / cell_y, step / cell_x)
@@ -169,7 +169,7 @@ class ErrorField:
         return Conditioning(checks, self.terrain.grid.shape, cells, reach, sigma)
 
     def window(self, draw: int, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Errors (rows, cols) of samples, metres, of the draw with a number from 0."""
+        """Errors (rows, cols) of samples, metres, of draw ``number``, counted from 0."""
         window = row0, row1, col0, col1
         out = self._unit(draw, *window)
         if self.conditioning is not None:
@@ -178,7 +178,7 @@ class ErrorField:
         return np.asarray(out * sigma)
 
     def _unit(self, draw: int, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Errors (rows, cols) of variance 1, before check points are heard."""
+        """Errors (rows, cols) of variance 1, before conditioning on check points."""
         out = np.empty((row1 - row0, col1 - col0))
         if self.independent:
             noise = self._noise(draw, row0, row1, col0, col1)
@@ -192,7 +192,7 @@ class ErrorField:
         return out
 
     def deviations(self, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Standard deviations (rows, cols) of samples, metres; given the check points, if there are any."""
+        """Standard deviations (rows, cols) of samples, metres; conditional on the check points, if there are any."""
         if isinstance(self.sigma, float):
             found = np.full((row1 - row0, col1 - col0), self.sigma)
         else:
@@ -200,7 +200,7 @@ class ErrorField:
         return found if self.conditioning is None else found * self.conditioning.left((row0, row1, col0, col1))
 
     def mean(self, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Means (rows, cols) of errors, metres: 0, but where check points say otherwise."""
+        """Means (rows, cols) of errors, metres: 0 unless check points change them."""
         if self.conditioning is None:
             return np.zeros((row1 - row0, col1 - col0))
         sigma = self.sigma if isinstance(self.sigma, float) else self.sigma[row0:row1, col0:col1]
@@ -208,7 +208,7 @@ class ErrorField:
 
     @staticmethod
     def _nodes(first: int, last: int, step: float) -> tuple[int, int]:
-        """The nodes that make errors of samples [first, last): the first, and one after the last."""
+        """The nodes needed for errors of samples [first, last): the first, and one after the last."""
         half = REACH // 2
         return math.floor(first / step) - half + 1, math.floor((last - 1) / step) + half + 1
 
@@ -229,7 +229,7 @@ class ErrorField:
         return out
 
     def _map(self, out: Values, jobs: int | None) -> None:
-        """Fill in the standard deviation of each sample; NaN where no height is known."""
+        """Fill in the standard deviation of each sample; NaN where the height is unknown."""
         field = None if self.error.is_number else _deviations(self.error.sigma, self.terrain.grid)
         windows = list(rectangles(self.terrain.grid.shape, TILE, 4 * TILE))
         lacking = np.zeros(len(windows), np.int64)
@@ -251,14 +251,14 @@ class ErrorField:
         for_each(fill, range(len(windows)), jobs)
         if lacking.any():
             raise ReadError(
-                f"It has no value at {lacking.sum():,} samples of the terrain whose height is known.",
+                f"It has no value at {lacking.sum():,} samples of the terrain that have a height.",
                 path=str(self.error.sigma) if isinstance(self.error.sigma, str) else None,
-                remedy="Name one that covers the terrain, or cut the terrain to it (`bbox`, `clip`).",
+                remedy="Give one that covers the terrain, or clip the terrain to it (`bbox`, `clip`).",
             )  # fmt: skip
 
 
 def around(terrain: Terrain, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, tuple[slice, slice]]:
-    """Heights of a window with the samples beside it, and where in them the window is."""
+    """Heights of a window with adjacent samples, and the position of the window in them."""
     r0, c0 = max(row0 - 1, 0), max(col0 - 1, 0)
     rows, cols = terrain.grid.shape
     heights = terrain.read(0, r0, min(row1 + 1, rows), c0, min(col1 + 1, cols))
@@ -274,8 +274,8 @@ def _deviations(source: Any, grid: Grid) -> Field:
     lowest = float(np.nanmin(field.values))
     if lowest < 0:
         raise ReadError(
-            f"An uncertainty is a standard deviation, never negative; its lowest is {lowest:g}.",
-            path=source if isinstance(source, str) else None, remedy="Name another raster, or mend it.",
+            f"A standard deviation cannot be negative, but the lowest is {lowest:g}.",
+            path=source if isinstance(source, str) else None, remedy="Give another raster, or correct it.",
         )  # fmt: skip
     return field
 
@@ -287,7 +287,7 @@ def _sampled(field: Field, grid: Grid, row0: int, row1: int, col0: int, col1: in
 
 
 class Drawn(Terrain):
-    """A terrain with a draw of its error: heights of level 0 only."""
+    """A terrain with a drawn error: heights of level 0 only."""
 
     def __init__(self, terrain: Terrain, field: ErrorField, draw: int) -> None:
         self.grid, self.name, self.vertical = terrain.grid, terrain.name, terrain.vertical

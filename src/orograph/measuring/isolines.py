@@ -1,14 +1,14 @@
-"""Contour lines of the surface as vectors: traced tile by tile, joined over tiles.
+"""Contour lines of the surface as vectors: traced tile by tile, joined across tiles.
 
 The lines are the isolines of Orograph's own surface, which is linear in triangles: in every triangle that a level
 passes through a line runs straight from one edge to another, so lines need no rule for saddles. Ground is above a level
-only where it is higher: a lake at just that height is below, and its shore is the line. A sample counts as the number
-of levels below it, so that all triangles that share it agree, and a line can end only at the border or at missing
-ground; all others are rings. The place on an edge depends on the heights at its two ends alone, and lines are ordered
-by their level and the first edge they cross, which is also where a ring begins: how the terrain is cut into tiles makes
-no difference. Source: Lorensen & Cline 1987 (*Marching cubes*), in two dimensions and on simplices.
+only if it is higher: a lake at exactly that height is below, and its shore is the line. Each sample is classified by
+the number of levels below it, so that all triangles that share it agree, and a line can end only at the border or at
+missing ground; all others are rings. The place on an edge depends only on the heights at its two ends, and lines are
+ordered by their level and the first edge that they cross, where a ring also begins: the division into tiles makes no
+difference. Source: Lorensen & Cline 1987 (*Marching cubes*), in two dimensions and on simplices.
 
-Memory is bounded by levels: their pieces are counted first, and then as many levels are traced at a time as fit.
+Memory is bounded by levels: pieces are counted first, then as many levels as fit are traced at a time.
 
 Units: metres; columns and rows of samples, then the terrain's CRS.
 """
@@ -35,7 +35,7 @@ Window = tuple[int, int, int, int]
 SIDE = 512
 """Cells along the side of a tile."""
 PER_PIECE = 160
-"""Bytes of a level's lines while they are joined and written, for each of their pieces."""
+"""Bytes per piece of a level's lines while they are joined and written."""
 _NOTHING = np.empty(0, np.int64)
 
 
@@ -46,7 +46,7 @@ class Lines:
     Attributes:
         points: (n, 2) columns and rows, or easting and northing. Higher ground is on a line's left on the map.
         offsets: (m + 1,) int64: line i is points[offsets[i]:offsets[i + 1]]; a ring's last point is its first.
-        level: (m,) int64: which level each is of.
+        level: (m,) int64: the index of each line's level.
     """
 
     points: Array
@@ -59,11 +59,11 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class _Pieces:
-    """Lines of one tile, or of all: those that end at its border go on in another.
+    """Lines of one tile, or of all; lines that end at a tile's border continue in another.
 
     Attributes:
         first, last: (m,) the edges where each begins and ends, level · edges + edge. ring: (m,) bool.
-        least, at: (m,) the smallest edge that it crosses, and where in it that is.
+        least, at: (m,) the smallest edge that it crosses, and the position of that in the line.
         points: (n, 2). offsets: (m + 1,).
     """
 
@@ -85,8 +85,8 @@ def isolines(
     Args:
         levels: (k,) heights, ascending.
         max_memory: bytes that lines may take at a time; a single level may take more. None: all at once.
-        simplify: metres on the grid by which a line may be off: points that are not needed for that are left out.
-        side: cells along a tile; makes no difference to the lines.
+        simplify: how far a line may be off, metres on the grid: points not needed for that are left out.
+        side: cells along a tile; does not affect the lines.
     """
     if not len(levels) or min(terrain.grid.shape) < 2:
         return
@@ -135,7 +135,7 @@ def _size(terrain: Terrain) -> int:
 
 
 def _count(terrain: Terrain, levels: Array, jobs: int | None, progress: Progress, side: int) -> Integers:
-    """(k,) how many pieces the lines of each level have."""
+    """(k,) the number of pieces of each level's lines."""
 
     def work(window: Window) -> Integers:
         counts = np.zeros(len(levels), np.int64)
@@ -154,7 +154,7 @@ def _count(terrain: Terrain, levels: Array, jobs: int | None, progress: Progress
 
 
 def _share(counts: Integers, most: int) -> list[tuple[int, int]]:
-    """Ranges of levels that have at most so many pieces together, or are a single level."""
+    """Ranges of levels with at most ``most`` pieces together, or of a single level."""
     groups, first, held = [], 0, 0
     for k, count in enumerate(counts.tolist()):
         if k > first and held + count > most:
@@ -204,7 +204,7 @@ def _tile(terrain: Terrain, window: Window, levels: Array, low: int, high: int) 
 
 
 def _linked(starts: Integers, ends: Integers) -> tuple[Integers, Integers, NDArray[np.bool_]]:
-    """Pieces in the order of the lines they make; offsets (m + 1,) of lines in that; which of them are rings."""
+    """Pieces in the order of the lines that they form; offsets (m + 1,) of lines in that; which of them are rings."""
     by = np.argsort(starts, kind="stable")
     spot = np.minimum(np.searchsorted(starts[by], ends), len(by) - 1)
     following = np.where(starts[by[spot]] == ends, by[spot], -1)
@@ -217,7 +217,7 @@ def _linked(starts: Integers, ends: Integers) -> tuple[Integers, Integers, NDArr
 
 
 def _firsts(hit: NDArray[np.bool_], offsets: Integers) -> Integers:
-    """Where in each stretch the first hit is; there is one in each."""
+    """The position of the first hit in each stretch; each has one."""
     where = np.flatnonzero(hit)
     return np.asarray(where[np.searchsorted(where, offsets[:-1])] - offsets[:-1])
 
@@ -239,7 +239,7 @@ def _places(
 
 
 def _joined(parts: list[_Pieces], size: int) -> Lines:
-    """The lines of all tiles: those that end at a border go on where another begins at the same edge."""
+    """The lines of all tiles: those that end at a border continue where another begins at the same edge."""
     sizes = np.array([len(p.first) for p in parts])
     shift = np.cumsum([0, *(len(p.points) for p in parts[:-1])])
     first, last, least, at, ring = (
@@ -271,7 +271,7 @@ def _joined(parts: list[_Pieces], size: int) -> Lines:
 def _lengths(
     pieces: Integers, offsets: Integers, rings: NDArray[np.bool_], ranked: Integers, length: Integers
 ) -> Integers:
-    """Points of each line: those of its pieces, where each begins with the last point of the one before."""
+    """Points of each line: those of its pieces, each of which begins at the last point of the previous one."""
     own = np.add.reduceat(length[pieces] - 1, offsets[:-1]) + 1
     return np.asarray(own[ranked])
 
@@ -280,7 +280,7 @@ def _route(
     pieces: Integers, offsets: Integers, rings: NDArray[np.bool_], ranked: Integers, begin: Integers,
     length: Integers, at: Integers, chosen: Integers,
 ) -> Integers:  # fmt: skip
-    """Which points make the lines, one line after the other; a ring begins at its smallest edge."""
+    """The points of the lines, one line after the other; a ring begins at its smallest edge."""
     routes = []
     for line in ranked.tolist():
         own = pieces[offsets[line] : offsets[line + 1]]
@@ -295,7 +295,7 @@ def _route(
 
 
 def _run(own: Integers, begin: Integers, length: Integers) -> Integers:
-    """The points of pieces that follow each other; the last of each is the first of the next."""
+    """The points of consecutive pieces; the last of each is the first of the next."""
     if len(own) == 1:
         return np.arange(begin[own[0]], begin[own[0]] + length[own[0]])
     inner = [np.arange(begin[p], begin[p] + length[p] - 1) for p in own.tolist()]
@@ -303,7 +303,7 @@ def _run(own: Integers, begin: Integers, length: Integers) -> Integers:
 
 
 def _different(lines: Lines) -> NDArray[np.bool_]:
-    """(n,): points that are not the one before them, of lines that are not a single point, or rings of two."""
+    """(n,): points that differ from the previous one, of lines that are not a single point, or rings of two."""
     points, offsets = lines.points, lines.offsets
     keep = np.ones(len(points), np.bool_)
     keep[1:] = (points[1:] != points[:-1]).any(1)
@@ -315,13 +315,13 @@ def _different(lines: Lines) -> NDArray[np.bool_]:
 
 
 def _kept(lines: Lines, keep: NDArray[np.bool_]) -> Lines:
-    """The points that are kept; lines without any are left out."""
+    """Only the points to keep; lines without any are left out."""
     number = np.add.reduceat(keep.astype(np.int64), lines.offsets[:-1]) if len(lines) else np.empty(0, np.int64)
     some = number > 0
     return Lines(lines.points[keep], np.concatenate([[0], np.cumsum(number[some])]), lines.level[some])
 
 
 def _turned(points: Array, offsets: Integers) -> Array:
-    """Lines run through from their ends."""
+    """Reverse lines."""
     line = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     return np.asarray(points[offsets[line] + offsets[line + 1] - 1 - np.arange(len(points))])

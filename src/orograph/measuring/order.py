@@ -1,8 +1,8 @@
 """Exact quantiles of float32 numbers of any count, in a few passes and bounded memory.
 
-Floats that are read as whole numbers keep their order once the signs are turned (Herf 2001). A first pass counts the
-upper 16 bits of all numbers; a second the lower 16 bits of those whose upper bits hold a wanted rank. What is found is
-the very number at that rank, whatever the blocks.
+Floats read as integers keep their order once the signs are flipped (Herf 2001). A first pass counts the upper 16 bits
+of all numbers; a second counts the lower 16 bits of those whose upper bits contain a wanted rank. The result is exactly
+the number at that rank, whatever the blocks.
 
 M. Herf, Radix tricks, 2001, https://stereopsis.com/radix.html.
 """
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from orograph.parallel import map_ordered
 
 HALF = 1 << 16
-"""Values of half a float's bits."""
+"""Number of values of half a float's bits."""
 
 Floats = NDArray[np.float32]
 Counts = NDArray[np.int64]
 
 
 def ordered(values: Floats) -> NDArray[np.uint32]:
-    """Whole numbers in the same order as floats, none of which is NaN or −0."""
+    """Integers in the same order as floats, none of which is NaN or −0."""
     bits = np.ascontiguousarray(values).view(np.uint32)
     return np.where(bits >> 31 == 1, ~bits, bits | np.uint32(1 << 31))
 
@@ -48,12 +48,12 @@ def quantiles(
     """Quantiles, linear between the two numbers around them (Hyndman & Fan 1996, type 7, as NumPy).
 
     Args:
-        blocks: what ``read`` makes numbers (n,) of, none NaN or −0.
+        blocks: ``read`` converts each to numbers (n,), none NaN or −0.
         upper: the sum of all blocks' ``upper_counts``, (65536,).
         wanted: 0 to 1.
 
     Returns:
-        as many numbers as are wanted; NaN where there is no number at all.
+        as many numbers as wanted; NaN if there are no numbers at all.
     """
     wanted = list(wanted)
     count = int(upper.sum())

@@ -1,7 +1,7 @@
 """A viewshed as an image to lay over the terrain: seen and hidden ground in colours that let the relief through.
 
-The image has one texel for each sample (means of whole blocks of samples where it would grow too large), red, green,
-blue and opacity, and lies on the viewshed's own grid, so that ``render(..., layers=path)`` puts it in its place.
+The image has one texel per sample (means of whole blocks of samples if it would be too large), red, green, blue and
+opacity, and lies on the viewshed's own grid, so that ``render(..., layers=path)`` puts it in the right place.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from orograph.output import check_folder
 
 Values = NDArray[np.float32]
 SEEN, HIDDEN = (255, 176, 0, 165), (38, 44, 74, 120)
-"""Red, green, blue and opacity: seen ground is as if lit, hidden ground as if in the dark."""
+"""Red, green, blue and opacity: visible ground looks lit, hidden ground dark."""
 MOST = 36_000_000
-"""Texels of the image."""
+"""Maximum texels of the image."""
 
 
 def save_paint(shed: Viewshed, blocks: Iterable[tuple[int, int, Values]], path: str | os.PathLike[str]) -> None:
@@ -43,7 +43,7 @@ def save_paint(shed: Viewshed, blocks: Iterable[tuple[int, int, Values]], path: 
         step *= 2  # blocks begin at multiples of 256
     image = np.zeros((4, -(-rows // step), -(-cols // step)), np.uint8)
     palette = np.array([(0, 0, 0, 0), HIDDEN, SEEN], np.float32)
-    palette[:, :3] *= palette[:, 3:] / 255.0  # means are of colours times opacity
+    palette[:, :3] *= palette[:, 3:] / 255.0  # means of colours times opacity
     for row, col, values in blocks:
         code = np.where(np.isnan(values), 0, 1 + (values <= 0 if shed.heights else values > 0))
         part = palette[code]

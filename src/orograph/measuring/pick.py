@@ -1,13 +1,13 @@
-"""What lies under the cursor: a ray cast against the full-resolution surface, and what the ground is like at a place.
+"""What lies under the cursor: a ray cast against the full-resolution surface, and properties of the ground at a place.
 
 The ray is the one that the picture was drawn with (``View.ray_basis``), in true space whatever the exaggeration. It is
-walked over the terrain's tiles of 256 × 256 cells; a tile whose lowest and highest full-resolution sample lie on one
-side of it is passed without being read, so a pick in a store of any size reads a handful of tiles. In a tile that is
-read the ray runs through the caster's own traversal (``raycast.traverse``), and carries the side of the surface that it
+walked over the terrain's tiles of 256 × 256 cells; a tile whose lowest and highest full-resolution samples are on one
+side of it is skipped without being read, so a pick in a store of any size reads a handful of tiles. In a tile that is
+read, the ray runs through the caster's own traversal (``raycast.traverse``), and remembers which side of the surface it
 is on from tile to tile: the answer is the full-resolution surface's, never a drawn mesh's.
 
 Slope and aspect are those of ``orograph light``: central differences at the samples, linear over the triangle between
-them, turned into true metres (``places``). Units: metres, degrees.
+them, converted to true metres (``places``). Units: metres, degrees.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from orograph.viewpoint import View
 Array = NDArray[np.float64]
 
 SLAB = 1e-3
-"""Metres by which the slab of heights is opened, so that a level plain is not a slab of no thickness."""
+"""Margin of the slab of heights, metres, so that a level plain does not give a slab of zero thickness."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,16 @@ class Hit:
 
     Attributes:
         easting, northing: in the terrain's CRS, metres.
-        height: metres, bilinear between the samples that the terrain was made of, as they are in its files; None where
-            they have none. Where they are not at hand after resampling, it is the surface's.
+        height: metres, bilinear between the terrain's original samples, as in its files; None where there are none. If
+            they are not available after resampling, it is the surface's.
         surface_height: metres, of the surface that is drawn; None in a hole.
         longitude, latitude: degrees, WGS 84 (the body's own if it is not the Earth); None without a CRS.
         column, row: sample coordinates, fractional.
         slope: degrees, in true metres; aspect: the azimuth in which the ground falls, clockwise from grid north;
             true_aspect: from true north. None in a hole, aspects also where it is level.
         depth: view-space depth in metres; distance: from the eye in a straight line, metres. None without a view.
-        height_error: metres by which ``height`` is off at most at the samples of the source, where these were resampled
-            and are not at hand; else None.
+        height_error: maximum error of ``height`` at the samples of the source, metres, if these were resampled and are
+            not available; else None.
     """
 
     easting: float
@@ -85,7 +85,7 @@ def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration:
         exaggeration: of the picture; the answer is in true metres.
 
     Returns:
-        the first hit of the pixel's ray with the full-resolution surface; None where it meets none (sky, a hole).
+        the first hit of the pixel's ray with the full-resolution surface; None if there is none (sky, a hole).
 
     Raises:
         UsageError: the terrain has no surface, or the pixel is not two finite numbers.
@@ -93,9 +93,9 @@ def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration:
     """
     px, py = (float(v) for v in pixel)
     if not (math.isfinite(px) and math.isfinite(py)):
-        raise UsageError(f"A pixel is two finite numbers, not {pixel!r}.")
+        raise UsageError(f"A pixel must be two finite numbers, not {pixel!r}.")
     if not (exaggeration > 0 and math.isfinite(exaggeration)):
-        raise UsageError(f"The exaggeration is a positive number, not {exaggeration!r}.")
+        raise UsageError(f"The exaggeration must be a positive number, not {exaggeration!r}.")
     places = Places(terrain)
     o0, ou, ov, d0, du, dv = view.ray_basis(exaggeration)
     origin, direction = o0 + px * ou + py * ov, d0 + px * du + py * dv
@@ -131,7 +131,8 @@ def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
     points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
         raise UsageError(
-            f"One point is asked for, not {len(points)}.", remedy="Heights of many: `orograph.measure.heights`."
+            f"This takes one point, not {len(points)}.",
+            remedy="For heights of many points use `orograph.measure.heights`.",
         )
     return _at(places, points[0])
 
@@ -143,7 +144,7 @@ def _at(
     depth: float | None = None,
     distance: float | None = None,
 ) -> Hit:
-    """What the ground is like at a point (2,); the surface is looked up unless a ray has found it."""
+    """Properties of the ground at a point (2,); the surface is looked up unless a ray has found it."""
     rows, cols = places.grid.shape
     x, y = np.clip(np.stack(places.grid.index(*point)), 0.0, [cols - 1.0, rows - 1.0])
     if surface is None:
@@ -192,7 +193,7 @@ def _inclination(
         weights = (1 - u, u - v, 0.0, v) if u >= v else (1 - v, 0.0, v - u, u)
     else:
         weights = (1 - u - v, u, v, 0.0) if u + v <= 1 else (0.0, 1 - v, 1 - u, u + v - 1)
-    known = [k for k, w in enumerate(weights) if w > 1e-6]  # a missing sample has weight 0 but for rounding
+    known = [k for k, w in enumerate(weights) if w > 1e-6]  # a missing sample has weight 0, up to rounding
     slopes = np.array([sum(weights[k] * float(g[k]) for k in known) for g in (east, north)])
     if not np.isfinite(slopes).all():
         return None, None, None
@@ -230,7 +231,7 @@ def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, f
     if math.isnan(low):
         return None
     t0, t1 = _clip(o[2], v[2], low - SLAB, high + SLAB, near, far)
-    # A ray that comes in through the top of the slab of heights is above the surface; else the first cell tells.
+    # A ray that enters through the top of the slab of heights is above the surface; otherwise the first cell tells.
     began = t0
     side = 0 if t0 == near else 1 if v[2] < 0 else -1
     for axis, last in enumerate((cols - 1.0, rows - 1.0)):
@@ -269,7 +270,8 @@ def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, f
 
 
 def _clip(start: float, step: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
-    """The part of [t0, t1] on which start + t·step lies in [low, high]; (1, 0) or the like if there is none."""
+    """The part of [t0, t1] on which start + t·step lies in [low, high]; an empty interval such as (1, 0) if there is
+    none."""
     if step == 0.0:
         return (t0, t1) if low <= start <= high else (1.0, 0.0)
     first, last = sorted(((low - start) / step, (high - start) / step))

@@ -1,11 +1,11 @@
-"""Where measurements are made: terrain coordinates, samples, degrees, and what a grid metre is on the body.
+"""Places of measurements: terrain coordinates, samples, degrees, and the true length of a grid metre.
 
 A map projection stretches: a metre on the grid is not a metre on the ground (0.04 % in the middle of a UTM zone, a
 factor of two in Web Mercator at 60°). The stretch at a point is the *metric* G = DᵀD of the map from the grid to
 geocentric space, D (3, 2) its derivative, by central differences: a step d on the grid is sqrt(dᵀ G d) metres on the
 ellipsoid, in any projection, at the poles too. At height h above the ellipsoid all is longer by 1 + h / R, R the mean
-radius (2a + b) / 3. Heights are used as they are; taken above a geoid they make that factor wrong by at most 2e-5.
-A terrain without CRS is a plane of true metres.
+radius (2a + b) / 3. Heights are used as they are; heights above a geoid make that factor wrong by at most 2e-5. A
+terrain without CRS is a plane of true metres.
 
 Units: metres, degrees; arrays are float64. Source: Snyder (1987), *Map Projections: A Working Manual*, §4 (distortion);
 Torge & Müller (2012), *Geodesy*, §4.1.
@@ -33,15 +33,15 @@ Array = NDArray[np.float64]
 Move = Callable[[ArrayLike, ArrayLike], tuple[Array, Array]]
 
 STEP = 30.0
-"""Metres of the differences that G is made of: both their rounding and their curvature are below 1e-10."""
+"""Step of the finite differences for G, metres: both their rounding and their curvature are below 1e-10."""
 BORDER = 1e-6
-"""Samples beyond the border that are rounding, and count as on it."""
+"""Samples beyond the border that count as rounding, and as on it."""
 WGS84 = CRS.from_epsg(4326)
 
 
 @lru_cache(32)
 def _way(source: CRS | None, target: CRS | None) -> Move:
-    """``transformer``, kept: PROJ takes milliseconds to find a way."""
+    """``transformer``, cached: PROJ takes milliseconds to find an operation."""
     return transformer(source, target)
 
 
@@ -49,7 +49,7 @@ class Places:
     """The places of a terrain.
 
     Args:
-        terrain: whose surface is measured; at least 2 × 2 samples.
+        terrain: at least 2 × 2 samples.
 
     Attributes:
         ellipsoid: of its CRS; None without one.
@@ -90,14 +90,14 @@ class Places:
             lonlat: they are given as longitude, latitude in degrees.
 
         Raises:
-            UsageError: they are not, or fewer than ``least``.
+            UsageError: they are not, or there are fewer than ``least``.
         """
         try:
             found = np.atleast_2d(np.asarray(given, np.float64))
         except (TypeError, ValueError) as error:
-            raise UsageError(f"{what} is easting and northing, two numbers each, not {given!r}.") from error
+            raise UsageError(f"{what} must be easting and northing, two numbers each, not {given!r}.") from error
         if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
-            raise UsageError(f"{what} is easting and northing, two finite numbers each, not {given!r}.")
+            raise UsageError(f"{what} must be easting and northing, two finite numbers each, not {given!r}.")
         if len(found) < least:
             raise UsageError(f"{what} needs at least {least} points, not {len(found)}.")
         found = self.of_lonlat(found) if lonlat else found
@@ -105,7 +105,7 @@ class Places:
         return found
 
     def samples(self, points: Array) -> Array:
-        """Sample coordinates (n, 2) = column, row of points (n, 2); those a rounding beyond the border are on it.
+        """Sample coordinates (n, 2) = column, row of points (n, 2); those beyond the border by rounding count as on it.
 
         Raises:
             UsageError: a point is not on the terrain.
@@ -120,7 +120,8 @@ class Places:
         return np.asarray(np.clip(at, 0.0, last))
 
     def _refuse(self, point: Array, at: Array) -> NoReturn:
-        """Say how far a point (2,), ``at`` in sample coordinates, lies outside, and which one inside is nearest."""
+        """Raise UsageError that says how far a point (2,), ``at`` in sample coordinates, lies outside, and which point
+        inside is nearest."""
         rows, cols = self.grid.shape
         last = np.array([cols - 1.0, rows - 1.0])
         off = point - np.stack(self.grid.xy(*np.clip(at, 0.0, last)))
@@ -138,7 +139,8 @@ class Places:
         )
 
     def _remedy(self, point: Array) -> str:
-        """What to do about a point outside: one that would lie on the terrain in degrees was meant in degrees."""
+        """The remedy for a point outside: one that would lie on the terrain in degrees was probably meant in
+        degrees."""
         how = "with `lonlat=True`."
         plain = f"Give easting, northing in the terrain's CRS, or longitude, latitude {how}"
         if self.grid.crs is None or not (abs(point[0]) <= 360 and abs(point[1]) <= 90):
@@ -149,11 +151,11 @@ class Places:
             return plain
         rows, cols = self.grid.shape
         on = (at > -1).all() and (at < [cols, rows]).all()
-        return f"As longitude, latitude it lies there: say so {how}" if on else plain
+        return f"As longitude, latitude it would lie there: give it so {how}" if on else plain
 
     def _nearest(self, at: Array) -> str:
-        """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; what is written is
-        so far inside that its rounding does not leave the surface."""
+        """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; it is moved inwards
+        so that rounding the printed numbers does not leave the surface."""
         rows, cols = self.grid.shape
         spacing = np.array(self.grid.spacing)
         digits = 2 + max(0, math.ceil(-math.log10(spacing.min())))
@@ -186,11 +188,11 @@ class Places:
         """Points (n, 2) of longitudes and latitudes (n, 2).
 
         Raises:
-            UsageError: there is no CRS, or a place has none of its coordinates.
+            UsageError: there is no CRS, or a place cannot be expressed in it.
         """
         if self.degrees is None:
             raise UsageError(
-                f"{self.terrain.name} has no CRS, so longitudes and latitudes have no place on it.",
+                f"{self.terrain.name} has no CRS, so longitudes and latitudes cannot be located on it.",
                 remedy="Give easting, northing, or the CRS with `assume_crs`.",
             )
         given = np.atleast_2d(np.asarray(degrees, np.float64))
@@ -235,7 +237,7 @@ class Places:
         return np.asarray(axes[:2] @ self._derivative(point[None])[0])
 
     def ecef(self, points: Array, heights: Array) -> Array:
-        """Places in space (n, 3), metres: geocentric, or as they are without a CRS."""
+        """Places in space (n, 3), metres: geocentric, or unchanged without a CRS."""
         if self.ellipsoid is None:
             return np.asarray(np.column_stack([points, heights]))
         return np.asarray(self.ellipsoid.ecef(np.column_stack([self.geodetic(points), heights])))
@@ -252,7 +254,7 @@ class Places:
         if strict and not np.isfinite(found).all():
             raise UsageError(
                 f"A place on {self.terrain.name} has no longitude and latitude in {crs.name}.",
-                remedy="The terrain's CRS is used beyond its area: build it in another one (`crs`).",
+                remedy="The terrain's CRS is used outside its area: build it in another one (`crs`).",
             )
         return found
 
@@ -272,6 +274,6 @@ def _far(metres: float) -> str:
 
 
 def lift(places: Places, heights: Array) -> Array:
-    """1 + h / R: how much longer a metre of the ellipsoid is at a height; 1 where it is missing."""
+    """1 + h / R: how much longer a metre is at a height than on the ellipsoid; 1 where the height is missing."""
     factor = 1.0 + np.asarray(heights, np.float64) / places.radius
     return np.asarray(np.where(np.isnan(factor), 1.0, factor))

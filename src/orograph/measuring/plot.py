@@ -1,7 +1,7 @@
 """Pictures of profiles and lines of sight, by matplotlib (the extra ``sample``), as PNG, SVG or PDF.
 
-Height over true horizontal distance, holes left open, the vertical exaggeration written on it. Under a line of sight
-the ground that the eye does not see is darker, and the place where the line first runs into it is marked. On a round
+Height over true horizontal distance, with gaps at holes and the vertical exaggeration noted. Under a line of sight the
+ground that the eye does not see is darker, and the place where the line first meets the ground is marked. On a round
 body the line is drawn bent upward, as it runs over heights that are counted from sea level.
 """
 
@@ -27,9 +27,9 @@ _GROUND, _LINE, _DARK, _RAY, _MARK = "#d9cbb0", "#5b4a32", "#8d7b62", "#1f5fa8",
 
 
 def check_plot(path: str | os.PathLike[str]) -> None:
-    """Raise before any work where a plot cannot be written: another ending, no folder, no matplotlib."""
+    """Raise before any work if a plot cannot be written: wrong ending, no folder, no matplotlib."""
     if Path(path).suffix.lower() not in ENDINGS:
-        raise UsageError(f"A plot is written as {', '.join(ENDINGS)}.", path=path)
+        raise UsageError(f"A plot must be written as {', '.join(ENDINGS)}.", path=path)
     check_folder(Path(path))
     if importlib.util.find_spec("matplotlib") is None:
         raise ReadError("Plots need matplotlib, which is not installed.", remedy="pip install 'orograph[sample]'")
@@ -42,7 +42,7 @@ def save_profile(profile: Profile, path: str | os.PathLike[str]) -> None:
         path: .png, .svg or .pdf.
 
     Raises:
-        UsageError: another ending. ReadError: matplotlib is not installed. OutputError: the file cannot be written.
+        UsageError: wrong ending. ReadError: matplotlib is not installed. OutputError: the file cannot be written.
     """
     check_plot(path)
     figure, axes, unit, scale = _axes(profile)
@@ -93,7 +93,7 @@ def save_sight(sight: Sight, path: str | os.PathLike[str]) -> None:
 
 
 def _hidden(sight: Sight) -> NDArray[np.bool_]:
-    """(n,): places of the ground that the eye does not see, each by the steepest ground before it."""
+    """(n,): places of the ground that the eye does not see, judged by the steepest ground before each."""
     p = sight.profile
     rise = p.surface_heights - 0.5 * sight.bend * p.distance**2 - (p.surface_heights[0] + sight.eye)
     slope = np.divide(rise, p.distance, out=np.full(len(rise), -np.inf), where=p.distance > 0)
@@ -120,7 +120,7 @@ def _axes(profile: Profile, values: Array | None = None) -> tuple[Any, Any, str,
 
 
 def _ground(axes: Any, profile: Profile, scale: float) -> None:
-    """The ground, open over holes: piece by piece known, so that a lone missing piece shows too."""
+    """The ground, with gaps at holes: known piece by piece, so that a single missing piece shows too."""
     s, z = profile.distance / scale, profile.surface_heights.copy()
     breaks = np.flatnonzero(~profile.known)
     s = np.insert(s, breaks + 1, s[breaks])

@@ -1,9 +1,9 @@
-"""Measures of an uncertain terrain: how probable each outcome is, by Monte Carlo over draws of its heights' error.
+"""Measures of an uncertain terrain: the probability of each outcome, by Monte Carlo over draws of its heights' error.
 
 Each draw is a terrain that might be the true one (``height_error``); a probability is the part of the draws in which
 something holds. Its standard error is sqrt(p (1 − p) / n) for n draws, at most 1 / (2 sqrt(n)): 0.035 for 200 draws,
-0.016 for 1000. Slopes and contours are made block by block with all draws of a block, viewsheds and floods draw by
-draw with counts for each sample; results depend on the seed, not on threads, blocks or memory.
+0.016 for 1000. Slopes and contours are computed block by block with all draws of a block, viewsheds and floods draw by
+draw with counts per sample; results depend on the seed, not on threads, blocks or memory.
 
 *Probable* is Fisher's word (1994): a viewshed whose values are probabilities of being seen. (His *fuzzy* viewshed
 grades how clearly a thing is seen.)
@@ -49,13 +49,13 @@ PROBABILITY = "probability"
 
 @dataclass(frozen=True)
 class Probable:
-    """A measure of an uncertain terrain, made when it is asked for.
+    """A measure of an uncertain terrain, computed on demand.
 
     Attributes:
-        measure: what it is: "viewshed", "slope", "contours", "flood".
+        measure: its kind: "viewshed", "slope", "contours", "flood".
         grid: of the result. bands: what it holds.
         error: of the heights. draws, seed: of the Monte Carlo; 0 draws: the result is a closed form.
-        told: what else a file says of it.
+        told: other metadata for a file.
     """
 
     measure: str
@@ -70,7 +70,7 @@ class Probable:
 
     @property
     def standard_error(self) -> float:
-        """The largest standard error of a probability that the number of draws leaves."""
+        """The largest standard error of a probability for this number of draws."""
         return 0.5 / math.sqrt(self.draws) if self.draws else 0.0
 
     def blocks(self, progress: Progress = SILENT) -> Blocks:
@@ -78,14 +78,14 @@ class Probable:
         return self._made(progress)
 
     def values(self, progress: Progress = SILENT) -> Values:
-        """All of it in memory: (bands, rows, cols) float32, NaN where no height is known."""
+        """All of it in memory: (bands, rows, cols) float32, NaN where the height is unknown."""
         out = np.empty((len(self.bands), *self.grid.shape), np.float32)
         for row, col, values in self.blocks(progress):
             out[:, row : row + values.shape[1], col : col + values.shape[2]] = values
         return out
 
     def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, Any]:
-        """Write a Cloud Optimized GeoTIFF of float32, and tell what it comes to (``Tally``).
+        """Write a Cloud Optimized GeoTIFF of float32; returns the summary (``Tally``).
 
         Raises:
             OutputError: it cannot be written.
@@ -98,7 +98,7 @@ class Probable:
         return tally.result()
 
     def data(self, band: int = 1, progress: Progress = SILENT, **looks: Any) -> Dataset:
-        """A band as data to be shown on the terrain, with its legend; made now.
+        """A band as data to show on the terrain, with its legend; computed now.
 
         Args:
             band: from 1. looks: keys of a ``Dataset`` (``style``, ``colormap``…).
@@ -112,14 +112,14 @@ class Probable:
 
 
 def looks_of(band: Band) -> dict[str, Any]:
-    """How a band is shown unless something else is said."""
+    """The default style of a band."""
     if band.name.startswith(PROBABILITY):
         return {"name": f"P({band.name[len(PROBABILITY) + 4 :]})", "range": (0.0, 1.0), "colormap": "YlGnBu"}
     return {"name": band.name.capitalize()}
 
 
 class Tally:
-    """Sums over blocks as they go by."""
+    """Sums over blocks as they pass by."""
 
     def __init__(self, found: Probable) -> None:
         self.found = found
@@ -135,7 +135,8 @@ class Tally:
             yield row, col, values
 
     def result(self) -> dict[str, Any]:
-        """Samples that are known, the mean of each band, and of a probability the expected area on the grid, m²."""
+        """The number of known samples, the mean of each band, and for a probability the expected area on the
+        grid, m²."""
         means = self.total / np.maximum(self.known, 1)
         told: dict[str, Any] = {
             "samples": int(self.known[0]),
@@ -153,7 +154,7 @@ def probable_viewshed(
     terrain: Terrain, /, point: ArrayLike, error: HeightError, eye_height: float = 1.7, target_height: float = 0.0, *,
     draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None, **options: Any,
 ) -> Probable:  # fmt: skip
-    """How probable it is that each sample is seen from a point.
+    """The probability that each sample is visible from a point.
 
     In each draw the eye stands on the ground of that draw.
 
@@ -195,7 +196,7 @@ def probable_slope(
     terrain: Terrain, error: HeightError, exceeds: Numbers = (), *, draws: int = DRAWS, seed: int = 1,
     max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
-    """Mean and standard deviation of the slope at each sample, degrees, and how probably it exceeds limits.
+    """Mean and standard deviation of the slope at each sample, degrees, and the probability that it exceeds limits.
 
     The slope is that of ``orograph light --product slope``: central differences on the grid.
 
@@ -210,7 +211,7 @@ def probable_slope(
     exceeds = numbers(exceeds, "exceeds")
     for limit in exceeds:
         if not 0 <= limit < 90:
-            raise UsageError(f"A slope to exceed is from 0 to 90 degrees, not {limit:g}.")
+            raise UsageError(f"A slope to exceed must be from 0 to 90 degrees, not {limit:g}.")
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
     linear = terrain.grid.linear
     bands = (
@@ -247,10 +248,10 @@ def probable_contours(
     terrain: Terrain, error: HeightError, levels: Numbers = (), *, interval: float | None = None,
     draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
-    """How probable it is that a contour line passes through each cell: bands of contours instead of lines.
+    """The probability that a contour line passes through each cell: bands of contours instead of lines.
 
     Args:
-        levels: heights of the lines, metres; interval: or their distance, from 0. error, draws, seed: as for
+        levels: heights of the lines, metres; interval: or their spacing, counted from 0. error, draws, seed: as for
             ``probable_viewshed``.
 
     Returns:
@@ -263,11 +264,11 @@ def probable_contours(
     max_memory = bytes_of(max_memory)
     levels = numbers(levels, "levels")
     if bool(levels) == (interval is not None):
-        raise UsageError("Contours are at levels, or have an interval: give one of the two.")
+        raise UsageError("Contours need levels or an interval: give one of the two.")
     if interval is not None and not (interval > 0 and math.isfinite(interval)):
-        raise UsageError(f"An interval is a number of metres above 0, not {interval:g}.")
+        raise UsageError(f"An interval must be a number of metres above 0, not {interval:g}.")
     if min(terrain.grid.shape) < 2:
-        raise UsageError("A terrain of one row or column of samples has no cells for contours to pass.")
+        raise UsageError("A terrain of one row or column of samples has no cells for contours to pass through.")
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
     rows, cols = terrain.grid.rows - 1, terrain.grid.cols - 1
     where = f"every {interval:g} m" if interval is not None else "at " + ", ".join(f"{v:g}" for v in levels) + " m"
@@ -302,7 +303,7 @@ def probable_contours(
 
 
 class Counts:
-    """How often something held at each sample, of up to 65,535 draws; what is large is in a scratch file."""
+    """How often something was true at each sample, in up to 65,535 draws; large counts go to a scratch file."""
 
     def __init__(self, shape: tuple[int, int], max_memory: int) -> None:
         size = 2 * shape[0] * shape[1]
@@ -329,7 +330,7 @@ class Counts:
 
 
 def known_from(terrain: Terrain, row: int, col: int) -> Callable[[int, int, tuple[int, ...]], NDArray[np.bool_]]:
-    """Says where heights are known, of blocks of the part of a terrain that begins at (row, col)."""
+    """Tells where heights are known, for blocks of the part of a terrain that begins at (row, col)."""
 
     def known(first_row: int, first_col: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         r, c = row + first_row, col + first_col
@@ -342,7 +343,7 @@ def _by_blocks(
     measure: str, grid: Grid, shape: tuple[int, int], bands: tuple[Band, ...], error: HeightError, draws: int,
     seed: int, told: dict[str, str], look: Callable[[Window], Values], jobs: int | None,
 ) -> Probable:  # fmt: skip
-    """What is made of each block by itself."""
+    """The function applied to each block."""
 
     def made(progress: Progress) -> Blocks:
         windows = list(rectangles(shape, TILE, TILE))
@@ -356,4 +357,4 @@ def _by_blocks(
 
 def check_draws(draws: int, least: int = 1) -> None:
     if not least <= draws <= MOST_DRAWS:
-        raise UsageError(f"There are {least} to {MOST_DRAWS:,} draws, not {draws}.")
+        raise UsageError(f"The number of draws must be from {least} to {MOST_DRAWS:,}, not {draws}.")

@@ -1,4 +1,4 @@
-"""Along the ground: profiles of the surface, and how long a line is on the grid, on the ellipsoid, in space, on foot.
+"""Profiles along the ground, and the length of a line on the grid, on the ellipsoid, in space, and on foot.
 
 A profile is cut wherever its line crosses an edge of the triangulated surface (``ground.line``); in between the ground
 is straight, so its length is exact. True metres: a step d on the grid at height h is sqrt(dᵀ G d)·(1 + h/R) metres long
@@ -6,9 +6,9 @@ is straight, so its length is exact. True metres: a step d on the grid at height
 
     ground = Σ sqrt((1 + h/R)² dᵀ G d + Δh²)   over all pieces;   horizontal = Σ sqrt(dᵀ G d).
 
-Straight is the chord in space between the ends (geocentric), geodesic the shortest way on the ellipsoid from vertex to
-vertex (Karney 2013). Holes are bridged from rim to rim along the line, or no line over one could be as long as it is
-straight; how much of the length is bridged is reported. Units: metres, degrees.
+Straight is the chord in space between the ends (geocentric), geodesic the shortest path on the ellipsoid from vertex to
+vertex (Karney 2013). Holes are bridged from rim to rim along the line, since otherwise a line over a hole could be
+shorter than the straight distance; the bridged length is reported. Units: metres, degrees.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 KNOT = 2000.0
-"""Metres on the grid between places where the projection's stretch is looked up."""
+"""Metres on the grid between the points where the projection's stretch is evaluated."""
 
 COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m",
            "surface_height_m")  # fmt: skip
@@ -57,7 +57,7 @@ class Profile:
         straight: metres between the ends in a straight line through space; None if one of them is in a hole.
         geodesic: metres on the ellipsoid from vertex to vertex; None without a CRS.
         climb, descent: metres up and down along the surface.
-        missing: metres of the line over holes; bridged: of the length along the ground, those that bridge them.
+        missing: metres of the line over holes; bridged: the part of the length along the ground that bridges them.
     """
 
     points: Array
@@ -84,7 +84,7 @@ class Profile:
         )
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw it on matplotlib's axes (None: new ones), which are returned."""
+        """Draw it on matplotlib's axes (None: new ones); returns the axes."""
         if ax is None:
             from matplotlib import pyplot
 
@@ -121,12 +121,12 @@ class Profile:
 
     @cached_property
     def heights(self) -> Array:
-        """(n,) metres at the places, bilinear between the samples that the terrain was made of (``own_heights``)."""
+        """(n,) metres at the places, bilinear between the terrain's original samples (``own_heights``)."""
         return own_heights(self.places.terrain, self.points)
 
     @property
     def height_error(self) -> float | None:
-        """Metres by which ``heights`` are off at most; None where they are the source's own (``Hit.height_error``)."""
+        """Maximum error of ``heights``, metres; None if they are the source's own (``Hit.height_error``)."""
         return height_error(self.places.terrain)
 
     @property
@@ -141,8 +141,8 @@ class Profile:
 
     @cached_property
     def _extremes(self) -> tuple[float, float] | None:
-        """The lowest and the highest of ``heights``, between places too: along a line bilinear ground is a parabola,
-        which may turn there. Where samples were resampled, the turn is that of the parabola through three places."""
+        """The lowest and the highest of ``heights``, also between places: along a line bilinear ground is a parabola,
+        which may have its extremum there. For resampled terrain, it is that of the parabola through three places."""
         if np.isnan(self.heights).all():
             return None
         terrain, step = self.places.terrain, np.diff(self.points, axis=0)
@@ -178,11 +178,11 @@ class Profile:
         return points, heights, (1 - f) * self.ground[i] + f * self.ground[i + 1]
 
     def rows(self, every: float | None = None) -> list[dict[str, float | None]]:
-        """The profile as records of ``COLUMNS``: at every crossing, or every so many metres (and at the end)."""
+        """The profile as records of ``COLUMNS``: at every crossing, or every ``every`` metres (and at the end)."""
         distance, points, surface, ground = self.distance, self.points, self.surface_heights, self.ground
         if every is not None:
             if not (every > 0 and math.isfinite(every)):
-                raise UsageError(f"The distance between places is a positive number of metres, not {every!r}.")
+                raise UsageError(f"The distance between places must be a positive number of metres, not {every!r}.")
             if self.distance[-1] / every > 1e7:
                 raise UsageError(f"A place every {every:g} m would be more than ten million places.")
             distance = np.append(np.arange(0.0, self.distance[-1], every), self.distance[-1])
@@ -194,7 +194,7 @@ class Profile:
         return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
 
     def save_csv(self, path: str | os.PathLike[str], every: float | None = None) -> None:
-        """Write ``rows`` as CSV, with a line of names; what is missing is empty.
+        """Write ``rows`` as CSV with a header line; missing values are empty.
 
         Raises:
             OutputError: it cannot be written.
@@ -209,7 +209,7 @@ class Profile:
                 )
 
     def to_dict(self) -> dict[str, Any]:
-        """What it comes to, for JSON."""
+        """A summary for JSON."""
         first, last = self.heights[0], self.heights[-1]
         return {
             "ground_m": self.length, "horizontal_m": float(self.distance[-1]), "straight_m": self.straight,
@@ -240,7 +240,7 @@ def profile(terrain: Terrain, polyline: ArrayLike, *, lonlat: bool = False) -> P
     moves = np.append(True, (np.diff(given, axis=0) != 0).any(axis=1))
     given, corners = given[moves], corners[moves]
     if len(given) < 2:
-        raise UsageError("The line has no length: its points are one and the same.")
+        raise UsageError("The line has no length: its points are identical.")
     cuts = [line(terrain, a, b) for a, b in pairwise(corners)]
     points, flat, flat_grid = [given[:1]], [], []
     for cut, p, q in zip(cuts, given[:-1], given[1:]):
@@ -276,7 +276,7 @@ def _heights(terrain: Terrain, cuts: list[Line]) -> Array:
     parts, last = [], math.nan
     for cut in cuts:
         here = cut.heights
-        for end in (0, -1):  # on the rim of a hole that the line runs over
+        for end in (0, -1):  # on the rim of a hole that the line crosses
             if math.isnan(here[end]):
                 here[end] = surface(terrain, cut.x[[end]], cut.y[[end]])[0]
         parts += [np.atleast_1d(last if math.isnan(here[0]) else here[0]), here[1:-1]]
@@ -285,7 +285,7 @@ def _heights(terrain: Terrain, cuts: list[Line]) -> Array:
 
 
 def _bridged(distance: Array, heights: Array) -> Array:
-    """Heights with holes bridged straight from rim to rim, level where there is one rim only, at 0 if none."""
+    """Heights with holes bridged straight from rim to rim, level if there is only one rim, at 0 if there is none."""
     there = ~np.isnan(heights)
     if not there.any():
         return np.zeros(len(heights))

@@ -3,8 +3,8 @@
 At s metres along the ellipsoid ground of height z appears at z − c s²/2 to an eye at s = 0, c = (1 − k) / R: R is
 Gauss's radius of curvature at the eye, k the coefficient of refraction (0.13 in survey practice; Torge & Müller 2012,
 §5.1.1). In these heights light runs straight. The ground is the triangulated surface, cut at every edge (``profile``):
-its clearance under the line of sight is, piece by piece, a quadratic whose least value and zeros are found in
-closed form. An obstruction counts from ``LEAST`` = 0.1 mm, as for viewsheds. Holes hide nothing; their length is told.
+its clearance under the line of sight is, piece by piece, a quadratic whose minimum and zeros are found in closed form.
+Obstructions count from ``LEAST`` = 0.1 mm, as for viewsheds. Holes hide nothing; their length is reported.
 
 Units: metres; heights above the ground at both ends.
 """
@@ -27,7 +27,7 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 LEAST = 1e-4
-"""Metres by which ground must stand above a line of sight to obstruct it: less is rounding."""
+"""How far ground must rise above a line of sight to obstruct it, metres: less is rounding."""
 REFRACTION = 0.13
 
 
@@ -56,9 +56,9 @@ class Sight:
 
     Attributes:
         visible: whether nothing obstructs it.
-        obstruction: where it first runs into the ground; None if it is visible.
-        tightest: the ground that stands highest above the line, or comes nearest to it (the ends do not count).
-        needed: metres above the ground at which a target there is just seen from the eye.
+        obstruction: where it first meets the ground; None if it is visible.
+        tightest: the ground that rises highest above the line, or comes nearest to it (the ends do not count).
+        needed: metres above the ground at which a target there is just visible from the eye.
         clearance: (n,) metres of the line above the ground at the places of ``profile``; NaN over holes.
         line: (n,) heights of the line of sight there, metres, as the ground's are counted.
         profile: the ground under it.
@@ -77,7 +77,7 @@ class Sight:
     bend: float
 
     def to_dict(self) -> dict[str, Any]:
-        """What it comes to, for JSON."""
+        """A summary for JSON."""
         from dataclasses import asdict
 
         return {
@@ -101,7 +101,7 @@ def bend_of(places: Places, point: Array, curvature: bool, refraction: float) ->
         UsageError: the refraction is not a number below 1.
     """
     if not (math.isfinite(refraction) and refraction < 1):
-        raise UsageError(f"The coefficient of refraction is a number below 1, usually 0.13, not {refraction!r}.")
+        raise UsageError(f"The coefficient of refraction must be a number below 1, usually 0.13, not {refraction!r}.")
     return (1.0 - refraction) / places.gauss_radius(point) if curvature else 0.0
 
 
@@ -109,7 +109,7 @@ def check_heights(**heights: float) -> None:
     """Raise UsageError unless they are finite and not negative."""
     for name, value in heights.items():
         if not (math.isfinite(value) and value >= 0):
-            raise UsageError(f"The {name} is some metres above the ground, at least 0, not {value!r}.")
+            raise UsageError(f"The {name} must be 0 or more metres above the ground, not {value!r}.")
 
 
 @takes_terrain
@@ -124,10 +124,10 @@ def line_of_sight(
     refraction: float = REFRACTION,
     lonlat: bool = False,
 ) -> Sight:
-    """Whether one sees from ``a`` to ``b``, and what stands in the way.
+    """Whether ``b`` is visible from ``a``, and what is in the way.
 
     Args:
-        a, b: easting and northing of the eye and of what is looked at.
+        a, b: easting and northing of the eye and of the target.
         eye_height, target_height: metres above the ground there.
         curvature: whether the body is round and its air refracts.
         refraction: k; 0 without air.
@@ -140,13 +140,13 @@ def line_of_sight(
     places = Places(terrain)
     ends = np.concatenate([places.points(a, lonlat=lonlat), places.points(b, lonlat=lonlat)])
     if len(ends) != 2:
-        raise UsageError("A line of sight has two ends.")
+        raise UsageError("A line of sight needs two points.")
     bend = bend_of(places, ends[0], curvature, refraction)
     ground = profile(terrain, ends)
     for k, name in ((0, "first"), (-1, "second")):
         if math.isnan(ground.surface_heights[k]):
             raise UsageError(
-                f"The {name} point, {ends[k][0]:.10g}, {ends[k][1]:.10g}, is in a hole: no ground is known there.",
+                f"The {name} point, {ends[k][0]:.10g}, {ends[k][1]:.10g}, is in a hole: the ground there is unknown.",
                 remedy="Choose another point.",
             )
     s, z = ground.distance, ground.surface_heights
@@ -169,7 +169,7 @@ Found = tuple[int, float, float]
 
 
 def _least(clearance: Array, known: NDArray[np.bool_], s: Array, bend: float) -> tuple[Found | None, Found | None]:
-    """Where the line first runs into the ground (None: nowhere), and where it is nearest to it or deepest in it."""
+    """Where the line first meets the ground (None: nowhere), and where it is nearest to it or deepest below it."""
     f0, f1, gap = clearance[:-1], clearance[1:], np.diff(s)
     # On a piece: f(τ) = f0 + (f1 − f0) τ − bend/2 gap² τ (1 − τ).
     curl = 0.5 * bend * gap**2
@@ -185,7 +185,7 @@ def _least(clearance: Array, known: NDArray[np.bool_], s: Array, bend: float) ->
         part = _enters(float(f0[i]), float(f1[i]), float(curl[i]), float(lowest[i]))
         first = (i, part, min(float(f0[i]), 0.0))
     inner = value.copy()
-    if not len(blocked):  # the ends are where the eye and the target stand: their clearance says nothing
+    if not len(blocked):  # the ends are the eye and the target: their clearance means nothing
         inner[0] = np.inf if lowest[0] == 0.0 else inner[0]
         inner[-1] = np.inf if lowest[-1] == 1.0 else inner[-1]
     if not np.isfinite(inner).any():
@@ -215,7 +215,7 @@ def _mark(ground: Profile, piece: int, part: float, clearance: float) -> Mark:
 
 
 def _needed(ground: Profile, start: float, end: float, bend: float) -> float:
-    """How far above the ground at the end a target must be to be seen from ``start`` (apparent heights)."""
+    """How far above the ground at the end a target must be to be visible from ``start`` (apparent heights)."""
     s, z = ground.distance, ground.surface_heights
     s0, s1, z0, z1 = s[:-1], s[1:], z[:-1], z[1:]
     tilt = (z1 - z0) / (s1 - s0)

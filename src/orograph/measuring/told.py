@@ -1,6 +1,6 @@
-"""What a measurement comes to, for people: names and values, the same on the command line and in the window.
+"""Results of measurements as text for people: names and values, the same on the command line and in the window.
 
-Units are in the values.
+Values include their units.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def metres(value: float | None, digits: int = 2) -> str:
 
 
 def about(error: float | None) -> str:
-    """How far off heights are that were resampled; nothing if they were not."""
+    """The error of resampled heights; nothing if they were not resampled."""
     return "" if error is None else f"resampled, ± {error:.3g} m" if error < 1000 else f"resampled, ± {error:.0f} m"
 
 
@@ -30,13 +30,13 @@ def square(value: float) -> str:
 
 
 def place(lon: float | None, lat: float | None, east: float, north: float, name: str = "place") -> list[Row]:
-    """A place in the terrain's CRS and, if it is known, in degrees."""
+    """A place in the terrain's CRS and, if known, in degrees."""
     degrees = [] if lon is None or lat is None else [("", f"lon {lon:.6f}, lat {lat:.6f}", "")]
     return [(name, f"{east:.2f}, {north:.2f}", ""), *degrees]
 
 
 def lines(result: Hit | Profile | Area | Sight) -> list[Row]:
-    """What a measurement says, a row for each value."""
+    """A measurement as rows of names and values."""
     if isinstance(result, Hit):
         return _hit(result)
     if isinstance(result, Profile):
@@ -101,5 +101,5 @@ def _sight(sight: Sight) -> list[Row]:
     if (mark := sight.tightest) is not None:
         found.append(("least clearance", f"{metres(mark.clearance)} at {metres(mark.distance)}", ""))
     if sight.profile.missing:
-        found.append(("without data", metres(sight.profile.missing), ", taken as hiding nothing"))
+        found.append(("without data", metres(sight.profile.missing), ", assumed to hide nothing"))
     return found

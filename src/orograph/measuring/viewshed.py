@@ -1,21 +1,21 @@
-"""Viewsheds: what an eye sees of the terrain, sample by sample, each by its own line of sight; exact, out of core.
+"""Viewsheds: what an eye sees of the terrain, sample by sample, each with its own line of sight; exact, out of core.
 
-Every sample within the radius is looked at along the straight line from the eye, over the triangulated surface, at
-every edge that the line crosses: R3 in the terms of Franklin & Ray (1994, *Higher isn't necessarily better*), but with
-a pyramid of maxima (Tevs, Ihrke & Seidel 2008) that passes all ground under the line unseen, so that the cost of a line
+Every sample within the radius is tested along the straight line from the eye, over the triangulated surface, at every
+edge that the line crosses: R3 in the terms of Franklin & Ray (1994, *Higher isn't necessarily better*), but with a
+pyramid of maxima (Tevs, Ihrke & Seidel 2008) that skips all ground well below the line, so that the cost of a line
 grows with the roughness along it, not with its length. No line is interpolated from others (R2, XDraw, horizon sweeps).
 
 The body is round and its air refracts as for a line of sight (``sight``): the apparent height of a sample d metres away
 is z − c d²/2. d² is a quadratic form of the step in samples, by the projection's metric at the eye, times the ratio of
 geodesic distance to that form, r, looked up on a lattice of ``LATTICE``² places over the window and bilinear between.
-Heights are counted from the eye and divided by √r: light, whose height is in proportion to true distance, then runs
-straight over the grid too, where metres are not all as long. Lines are straight on the grid (not geodesics, as those of
-``sight``). Apparent heights are linear between samples: within c·cell²/8 (16 µm for cells of 30 m) of ground that is
-straight on the round body. Where all of them do not fit in a third of the memory allowed they go to a scratch
-file that is mapped, 5.4 bytes for a sample; memory beyond it does not depend on the terrain's size.
+Heights are counted from the eye and divided by √r: light, whose height is proportional to true distance, then also runs
+straight over the grid, where metres vary in length. Lines are straight on the grid (not geodesics), like those of
+``sight``. Apparent heights are linear between samples: within c·cell²/8 (16 µm for cells of 30 m) of ground that is
+straight on the round body. If they do not fit in a third of the allowed memory they go to a mapped scratch file, 5.4
+bytes per sample; other memory does not depend on the terrain's size.
 
-Units: metres above the ground for eye and targets. Results: 1 seen, 0 hidden, NaN not known (missing, or too far); or
-with ``heights`` how many metres above the ground a target must be to be seen (0 where the ground is).
+Units: metres above the ground for eye and targets. Results: 1 visible, 0 hidden, NaN unknown (missing, or too far); or
+with ``heights`` how many metres above the ground a target must be to be visible (0 where the ground is visible).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Values = NDArray[np.float32]
 
 BLOCK = 256
 RELEASE = 8
-"""Blocks after which the scratch file's pages are let go of (they stay in the system's cache)."""
+"""Blocks after which the scratch file's pages are released (they stay in the system's cache)."""
 MEMORY = 1 << 30
 SEEN = Band("visible", "1", "1: seen from the eye, 0: hidden; missing where no height is known or beyond the radius")
 NEEDED = Band("height needed", "m", "how high above the ground a target must be to be seen; 0: the ground itself is")
@@ -58,7 +58,7 @@ NEEDED = Band("height needed", "m", "how high above the ground a target must be 
 
 @dataclass(frozen=True, repr=False)
 class Viewshed:
-    """What an eye sees; made with ``viewshed``, looked at when it is asked for.
+    """What an eye sees; made with ``viewshed``, computed on demand.
 
     Attributes:
         grid: of the result: the terrain's, or its part within the radius.
@@ -66,7 +66,7 @@ class Viewshed:
         point: (easting, northing) of the eye; ground: the height of the ground there; eye, target: metres above it.
         radius: metres, true; None: no limit. bend: c, per metre.
         heights: whether the values are heights needed instead of 0 and 1.
-        quantum: metres to which apparent heights are held.
+        quantum: resolution of apparent heights, metres.
         on_disk: whether they are in a scratch file.
     """
 
@@ -91,7 +91,7 @@ class Viewshed:
         )
 
     def summary(self, progress: Progress = SILENT) -> dict[str, float]:
-        """How much is seen, without keeping it (see ``Summary.result``)."""
+        """How much is visible, without keeping the values (see ``Summary.result``)."""
         told = Summary(self)
         for _ in told.over(self.blocks(progress)):
             pass
@@ -105,11 +105,11 @@ class Viewshed:
 
     @property
     def band(self) -> Band:
-        """What the values are, for a file."""
+        """The meaning of the values, for a file."""
         return NEEDED if self.heights else SEEN
 
     def blocks(self, progress: Progress = SILENT) -> Iterator[tuple[int, int, Values]]:
-        """Look at the samples, block by block: (first row, first column, values (rows, cols) float32), once each."""
+        """Compute the samples block by block: (first row, first column, values (rows, cols) float32), once each."""
         windows = list(rectangles(self.grid.shape, BLOCK, BLOCK))
         with progress.task("Looking at the ground", total=len(windows)) as task:
             for k, made in enumerate(map_ordered(self._block, windows, self._scene.jobs)):
@@ -126,7 +126,7 @@ class Viewshed:
         return out
 
     def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, float]:
-        """Write a Cloud Optimized GeoTIFF of float32, and return how much is seen (``summary``).
+        """Write a Cloud Optimized GeoTIFF of float32, and return how much is visible (``summary``).
 
         Raises:
             OutputError: it cannot be written.
@@ -180,7 +180,7 @@ class Viewshed:
 
 
 class Summary:
-    """Counts what is seen while blocks go by."""
+    """Counts visible samples while blocks pass by."""
 
     def __init__(self, shed: Viewshed) -> None:
         self.cell = shed.grid.cell_area
@@ -195,7 +195,7 @@ class Summary:
             yield row, col, values
 
     def result(self) -> dict[str, float]:
-        """Samples looked at and seen, the fraction of them, and the area of the seen ones on the grid, m²."""
+        """Number of samples tested and visible, the visible fraction, and the visible area on the grid, m²."""
         return {
             "samples": self.known, "seen": self.seen, "seen_fraction": self.seen / max(self.known, 1),
             "seen_grid_m2": self.seen * self.cell,
@@ -218,19 +218,19 @@ def viewshed(
     jobs: int | None = None,
     progress: Progress = SILENT,
 ) -> Viewshed:
-    """What is seen from a point.
+    """What is visible from a point.
 
     Args:
         point: easting and northing of the eye, anywhere on the terrain.
         eye_height, target_height: metres above the ground.
-        radius: true metres beyond which nothing is looked at; None: all of the terrain.
+        radius: true metres beyond which samples are ignored; None: all of the terrain.
         curvature, refraction: as for ``line_of_sight``.
-        heights: find the height that a target needs to be seen at each sample, instead of whether it is.
+        heights: find the height that a target needs to be visible at each sample, instead of whether it is.
         lonlat: the point is longitude and latitude, degrees.
-        max_memory: bytes; apparent heights that take more than a third of them are in a scratch file.
+        max_memory: bytes; apparent heights that take more than a third of them go to a scratch file.
 
     Returns:
-        a ``Viewshed``: ``values()`` or ``save(path)`` look.
+        a ``Viewshed``; ``values()`` or ``save(path)`` compute it.
 
     Raises:
         UsageError: the point is not on the terrain or in a hole; a height or the radius is negative.
@@ -239,13 +239,15 @@ def viewshed(
     max_memory = bytes_of(max_memory)
     check_heights(**{"eye's height": eye_height, "target's height": target_height})
     if radius is not None and not (radius > 0 and math.isfinite(radius)):
-        raise UsageError(f"The radius is a positive number of metres, not {radius!r}.")
+        raise UsageError(f"The radius must be a positive number of metres, not {radius!r}.")
     if heights and target_height:
-        raise UsageError("The heights that targets need are asked for, so that a target's height has no meaning.")
+        raise UsageError(
+            "With `heights`, which asks for the heights that targets need, a target's height has no meaning."
+        )
     places = Places(terrain)
     points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
-        raise UsageError(f"A viewshed is that of one point, not of {len(points)}.")
+        raise UsageError(f"A viewshed takes one point, not {len(points)}.")
     x, y = places.samples(points)[0]
     ground = float(surface(terrain, np.array([x]), np.array([y]))[0])
     if math.isnan(ground):

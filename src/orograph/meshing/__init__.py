@@ -1,4 +1,4 @@
-"""Meshes as other programs take them.
+"""Meshes for other programs.
 
 >>> from orograph.meshing import write
 >>> write(tessellation, terrain.grid, "ground.glb")  # doctest: +SKIP

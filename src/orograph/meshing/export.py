@@ -1,11 +1,11 @@
-"""A tessellation in a file: .npz (everything, for NumPy), .ply, .obj, .glb (geometry, for other programs).
+"""Write a tessellation to a file: .npz (everything, for NumPy), .ply, .obj, .glb (geometry, for other programs).
 
 All lengths are metres. PLY (binary, float64) and OBJ (text, micrometres) are in the terrain's CRS as it is: easting,
 northing, height, z up; many viewers hold positions in float32 and need them moved to the origin first. GLB is float32
 by its standard (glTF 2.0, §3.6.2.2), so there positions are relative to an origin near the middle of the mesh, which is
-the node's translation; y is up, z points south (§3.4). The node's ``extras`` say ``origin`` (easting, northing, height)
-and ``crs`` (WKT): a position is (origin[0] + x, origin[1] − z, origin[2] + y). Faces turn counter-clockwise from above
-in all of them.
+the node's translation; y is up, z points south (§3.4). The node's ``extras`` hold ``origin`` (easting, northing,
+height) and ``crs`` (WKT): a position is (origin[0] + x, origin[1] − z, origin[2] + y). Faces turn counter-clockwise
+from above in all of them.
 
 Sources: Turk 1994 (*The PLY polygon file format*), Wavefront's *Advanced Visualizer* manual, appendix B1 (OBJ; colours
 after the coordinates, as MeshLab and others have them), Khronos glTF 2.0.
@@ -31,20 +31,20 @@ FORMATS = (".npz", ".ply", ".obj", ".glb")
 """Endings of mesh files."""
 
 LINES = 100_000
-"""Lines of text that are formatted at once."""
+"""Lines of text formatted at once."""
 
 
 def mesh_format(path: str | os.PathLike[str]) -> str:
     """The ending of a mesh file, in lower case.
 
     Raises:
-        UsageError: meshes are not written with such an ending, or what writes it is not installed.
+        UsageError: meshes cannot be written with this ending, or its writer is not installed.
     """
     ending = Path(path).suffix.lower()
     if ending in (".stl", ".3mf"):
         raise UsageError(
-            f"A {ending} is a model to print, which has walls and a base.", path=path,
-            remedy="Make it of all of the ground: `orograph.tin(dem, output=path)`.",
+            f"A {ending} file is a model for printing, which has walls and a base.", path=path,
+            remedy="Make it from the whole terrain: `orograph.tin(dem, output=path)`.",
         )  # fmt: skip
     if ending not in FORMATS:
         raise UsageError(
@@ -64,13 +64,13 @@ def write(
 
     Args:
         tessellation: the mesh.
-        grid: the full-resolution grid its columns and rows count on.
+        grid: the full-resolution grid that its columns and rows refer to.
         path: a file ending in .npz, .ply, .obj or .glb; it appears when it is complete.
         colors: (n, 3) uint8, sRGB by vertex (not in .npz).
 
     Raises:
-        UsageError: the ending is unknown, the colours have another shape or type or cannot be held, or .glb is asked
-            for without its extra (``mesh``). NothingInViewError: a .glb of no triangles, which there cannot be.
+        UsageError: the ending is unknown, the colours have the wrong shape or type or the format has none, or .glb is
+            requested without its extra (``mesh``). NothingInViewError: a .glb without triangles, which is impossible.
         OutputError: the file cannot be written.
     """
     out = Path(path)
@@ -84,13 +84,13 @@ def write(
             )
     if ending == ".npz":
         if tint is not None:
-            raise UsageError("An .npz holds no colours.", path=out, remedy="Use .ply, .obj or .glb.")
+            raise UsageError("An .npz cannot hold colours.", path=out, remedy="Use .ply, .obj or .glb.")
         return tessellation.save(out, grid)
     positions = tessellation.positions(grid)
     crs = "" if grid.crs is None else " ".join(grid.crs.to_wkt().split())
     if ending == ".glb":
         if len(tessellation.triangles) == 0:
-            raise NothingInViewError("The mesh has no triangles, and a .glb cannot hold none.", path=out)
+            raise NothingInViewError("The mesh has no triangles, and a .glb cannot be empty.", path=out)
         content = _glb(positions, tessellation.triangles, tint, crs, _trimesh(out))
         with Beside(out) as part:
             part.write_bytes(content)
@@ -157,7 +157,7 @@ def _glb(
     scene.add_geometry(mesh, node_name="terrain", geom_name="terrain", transform=place, metadata=extras)
 
     def translate(tree: dict[str, Any]) -> None:
-        """A translation instead of a matrix: readers that know no matrices keep the place."""
+        """A translation instead of a matrix, for readers without support for matrices."""
         (node,) = (node for node in tree["nodes"] if "mesh" in node)
         node.pop("matrix", None)
         node["translation"] = place[:3, 3].tolist()
@@ -168,11 +168,11 @@ def _glb(
 
 
 def _trimesh(path: str | os.PathLike[str]) -> Any:
-    """The library that writes .glb."""
+    """The library that writes .glb files."""
     try:
         import trimesh
     except ImportError as error:
         raise UsageError(
-            "A .glb needs trimesh, which is not installed.", path=path, remedy="Run pip install 'orograph[mesh]'."
+            "A .glb file needs trimesh, which is not installed.", path=path, remedy="Run pip install 'orograph[mesh]'."
         ) from error
     return trimesh

@@ -1,9 +1,9 @@
-"""Models to print: a terrain's mesh as a solid with walls and a flat base, in millimetres (.stl, .3mf).
+"""Models for printing: a terrain's mesh as a solid with walls and a flat base, in millimetres (.stl, .3mf).
 
-The top is the mesh itself, the bottom its mirror image on the plate, and along every border, those of missing ground
-too, stands a wall. So each edge is one of exactly two triangles, and all turn outward. Where parts of the ground meet
-in a single vertex, each but one gets a vertex of its own, a hundredth of the way into its middle triangle: a vertical
-edge of four walls encloses nothing.
+The top is the mesh itself, the bottom its mirror image on the plate, and there is a wall along every border, including
+those of missing ground. So each edge belongs to exactly two triangles, and all face outward. Where parts of the ground
+meet in a single vertex, each but one gets its own vertex, a hundredth of the way into its middle triangle, because a
+vertical edge of four walls is not manifold.
 
 Sources: 3D Systems 1988 (STL, binary: float32, millimetres by custom), 3MF Consortium, *Core Specification* 1.3 (§3,
 §4: millimetres, indexed triangles, counter-clockwise from outside).
@@ -29,18 +29,18 @@ Array = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 
 MODELS = (".stl", ".3mf")
-"""Endings of models to print."""
+"""Endings of models for printing."""
 SIZE, BASE = 150.0, 3.0
-"""Millimetres of a model's longer side, and from the plate to the lowest ground, unless others are said."""
+"""Default size of a model: millimetres of its longer side, and from the plate to the lowest ground."""
 APART = 0.01
-"""Of the way to a triangle's middle: how far parts that meet in a vertex are moved apart."""
+"""Parts that meet in a vertex are separated by this part of the way to a triangle's middle."""
 LINES = 100_000
-"""Lines of text that are formatted at once."""
+"""Lines of text formatted at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Print:
-    """How a model is made.
+    """The dimensions of a model.
 
     Attributes:
         base: millimetres from the plate to the lowest ground. size: of the longer side. scale: instead: the N of 1:N.
@@ -57,7 +57,7 @@ class Print:
             raise UsageError("`model_size` and `scale` say the same twice: give one of them.")
         for name, value in (("base", self.base), ("model_size", self.size), ("scale", self.scale)):
             if value is not None and not 0 < value < 1e9:
-                raise UsageError(f"`{name}` is a number more than 0, not {value:g}.")
+                raise UsageError(f"`{name}` must be more than 0, not {value:g}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class Solid:
 
 
 def solid(mesh: Tessellation, grid: Grid, how: Print) -> Solid:
-    """A mesh as a solid to print.
+    """Turn a mesh into a solid for printing.
 
     Raises:
         NothingInViewError: the mesh has no triangles.
@@ -108,14 +108,14 @@ def solid(mesh: Tessellation, grid: Grid, how: Print) -> Solid:
 
 
 def _border(triangles: Triangles) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The edges (from, to) that only one triangle has, as it turns."""
+    """The edges (from, to) that belong to only one triangle, in its orientation."""
     begin, end = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
     alone = ~np.isin(begin << 32 | end, end << 32 | begin)
     return begin[alone], end[alone]
 
 
 def _apart(positions: Array, triangles: Triangles) -> tuple[Array, Triangles]:
-    """Positions and triangles with vertices that parts of the ground meet in once for each part, apart."""
+    """Positions and triangles in which vertices shared by several parts of the ground are duplicated, one per part."""
     begin, _ = _border(triangles)
     vertices, number = np.unique(begin, return_counts=True)
     used, where = np.unique(triangles, return_inverse=True)

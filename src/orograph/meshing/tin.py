@@ -1,15 +1,15 @@
 """Triangulated irregular networks: few triangles on samples of a terrain, within a bound in metres.
 
-The terrain is cut into tiles whose borders are simplified first, each alone (``tin_outline``), so that neighbours fit
-to the bit in whatever order and by however many workers they are made, and only the tiles at work are in memory. In a
-tile samples are inserted greedily (``tin_refine``), and then vertices that can be spared are taken out
-(``tin_reduce``). Missing samples are respected: outlines of holes are edges of the TIN.
+The terrain is cut into tiles whose borders are simplified first, each separately (``tin_outline``), so that neighbours
+fit to the bit whatever the order and number of workers, and only the tiles in progress are in memory. In a tile samples
+are inserted greedily (``tin_refine``), and then unnecessary vertices are removed (``tin_reduce``). Missing samples are
+respected: outlines of holes are edges of the TIN.
 
-The bound is one on the surface, or at samples. A TIN's edges cross cells, so on the surface it may be off by more than
-at any sample; the crossings of its edges with grid lines and diagonals of cells are looked at as well
-(``triangulation.deviation``). Where a border has been made too coarse for that, the tile asks for samples of it, and
-the tiles on both sides are made again with them, from the vertices they have. That goes in rounds, so the result stays
-the same.
+The bound applies on the surface or at samples. A TIN's edges cross cells, so on the surface it may be off by more than
+at any sample; therefore the crossings of its edges with grid lines and diagonals of cells are checked as well
+(``triangulation.deviation``). Where a border is too coarse for that, the tile asks for samples of it, and the tiles on
+both sides are made again with them, starting from the vertices that they have. This proceeds in rounds, so the result
+stays deterministic.
 
 Source: Garland & Heckbert 1995 (*Fast polygonal approximation of terrains and height fields*).
 """
@@ -40,13 +40,13 @@ SIDE = 512
 """Cells along the side of a tile; even, so that the surface's diagonals are the same in all tiles."""
 
 PER_SAMPLE = 300
-"""Bytes of a tile at work, for each of its samples, if all of them become vertices."""
+"""Bytes per sample of a tile in progress, if all of them become vertices."""
 
 CLOSE = 0.98
-"""Of the triangles that are allowed a search for the bound uses so many."""
+"""The search for the bound aims at this part of the allowed triangles."""
 
 TRIALS = 16
-"""Steps of that search at most."""
+"""Maximum steps of that search."""
 
 Key = tuple[int, int]
 
@@ -61,17 +61,17 @@ def tin(
 
     Args:
         terrain: read tile by tile.
-        max_error: metres by which the TIN may be off on the vertical; less than 1e-7 counts as that.
+        max_error: how far the TIN may be off vertically, metres; less than 1e-7 counts as 1e-7.
         bound: "surface": everywhere; "samples": only at samples.
         lines: break lines, (n, 2) columns and rows each, which become edges between the nearest samples
             (``tin_lines``); a line of one place is a point, which becomes a vertex.
-        max_memory: bytes; fewer tiles are at work at once where it is low. jobs: threads; None: all processors. The
+        max_memory: bytes; low values reduce the number of tiles in progress. jobs: threads; None: all processors. The
             result depends on neither.
         side: cells along the side of a tile; another side makes another mesh.
 
     Returns:
-        the mesh; all its vertices are samples. Its ``stats``: method, max_error, bound, largest (metres by which it is
-        off on the surface), largest_at_samples, side.
+        the mesh; all its vertices are samples. Its ``stats``: method, max_error, bound, largest (its error on the
+        surface, metres), largest_at_samples, side.
 
     Raises:
         UsageError: an option makes no sense. NothingInViewError: the terrain has no surface. DamagedChunkError: as
@@ -79,9 +79,9 @@ def tin(
     """
     check_bound(bound)
     if not (math.isfinite(max_error) and max_error >= 0):
-        raise UsageError(f"`max_error` is a number of metres, not {max_error:g}.")
+        raise UsageError(f"`max_error` must be a number of metres, not {max_error:g}.")
     if side < 2 or side % 2:
-        raise UsageError(f"The side of a tile is an even number of cells, not {side}.")
+        raise UsageError(f"The side of a tile must be an even number of cells, not {side}.")
     return aside(partial(_tin, terrain, max_error, bound, lines, max_memory, jobs, progress, side))
 
 
@@ -89,13 +89,13 @@ def tin_of_size(
     terrain: Terrain, triangles: int, *, bound: Bound = "surface", lines: Lines = (),
     max_memory: int | None = None, jobs: int | None = None, progress: Progress = SILENT, side: int = SIDE,
 ) -> Tessellation:  # fmt: skip
-    """The TIN of at most so many triangles whose bound is about as low as it can be: the bound is searched for.
+    """The TIN of at most ``triangles`` triangles with nearly the lowest possible bound, found by a search.
 
-    Args and raises: as ``tin``. If there are more triangles however coarse it is, the coarsest is returned.
+    Args and raises: as ``tin``. If even the coarsest TIN has more triangles, it is returned.
     """
     check_bound(bound)
     if triangles < 2:
-        raise UsageError(f"`triangles` is a number from 2, not {triangles}.")
+        raise UsageError(f"`triangles` must be 2 or more, not {triangles}.")
     low, high = terrain.height_range
     if not high >= low:
         raise no_surface(terrain)
@@ -121,11 +121,12 @@ def tin_of_size(
 
 
 Trial = tuple[float, float]
-"""Logarithms of a bound and of how many triangles it takes."""
+"""Logarithms of a bound and of the number of triangles for it."""
 
 
 def guess(coarse: Trial, fine: Trial | None, goal: float) -> float:
-    """The bound to try next: triangles are about a power of the bound, but never too near to what was tried."""
+    """The bound to try next: the number of triangles is about a power of the bound; never too close to earlier
+    tries."""
     if fine is None:
         return max(min(coarse[0] + coarse[1] - goal, coarse[0] - 0.1), math.log(LEAST_ERROR))
     part = (goal - coarse[1]) / (fine[1] - coarse[1])
@@ -135,11 +136,11 @@ def guess(coarse: Trial, fine: Trial | None, goal: float) -> float:
 def check_bound(bound: str) -> None:
     """Raise UsageError unless it is one."""
     if bound not in ("surface", "samples"):
-        raise UsageError(f"`bound` is surface or samples, not {bound!r}.")
+        raise UsageError(f"`bound` must be surface or samples, not {bound!r}.")
 
 
 def no_surface(terrain: Terrain) -> NothingInViewError:
-    """What is raised where there is nothing to triangulate."""
+    """The error when there is nothing to triangulate."""
     return NothingInViewError("The terrain has no surface to triangulate.", path=terrain.name)
 
 
@@ -196,7 +197,7 @@ def more_lines(
     terrain: Terrain, edges: dict[Key, NDArray[np.int64]], blocked: dict[Key, NDArray[np.int64]], side: int,
     limit: tuple[float, bool],
 ) -> dict[Key, NDArray[np.int64]]:  # fmt: skip
-    """The edges of the tiles whose break lines are in the way of others: these are added, and part them."""
+    """The edges of the tiles whose break lines block others: these are added as edges and are split."""
     return {
         key: possible(terrain, key, np.concatenate([edges.get(key, NO_LINES), wanted]).tolist(), side, limit)
         for key, wanted in blocked.items()
@@ -206,7 +207,7 @@ def more_lines(
 def possible(
     terrain: Terrain, key: Key, edges: Sequence[Sequence[int]], side: int, limit: tuple[float, bool]
 ) -> NDArray[np.int64]:
-    """What of the edges a tile can have (``tin_lines.edges_of_tile``)."""
+    """The edges that a tile can have (``tin_lines.edges_of_tile``)."""
     heights, (row0, row1, col0, col1) = read_tile(terrain, key, side)
     window = np.ascontiguousarray(heights[row0 : row1 + 1, col0 : col1 + 1])
     units = np.ascontiguousarray(unit_triangles(heights)[row0:row1, col0:col1])
@@ -220,13 +221,13 @@ def ends_of(edges: dict[Key, NDArray[np.int64]], side: int) -> list[tuple[int, i
 
 
 def workers_for(side: int, max_memory: int | None, jobs: int | None) -> int:
-    """How many tiles may be at work at once."""
+    """How many tiles may be in progress at once."""
     most = (max_memory or 1 << 30) // 2 // (PER_SAMPLE * (side + 3) ** 2)
     return max(1, min(threads_for(jobs), most))
 
 
 def read_tile(terrain: Terrain, key: Key, side: int) -> tuple[NDArray[np.float32], Window]:
-    """A tile with one sample around it, NaN beyond the raster, and where it is in that."""
+    """A tile with one sample around it, NaN beyond the raster, and the tile's place in that."""
     rows, cols = terrain.grid.shape
     row0, col0 = key[0] * side, key[1] * side
     row1, col1 = min(row0 + side, rows - 1), min(col0 + side, cols - 1)
@@ -241,7 +242,7 @@ def read_tile(terrain: Terrain, key: Key, side: int) -> tuple[NDArray[np.float32
 def share(
     missed: list[tuple[int, int]], side: int, keys: set[Key], asked: dict[Key, list[NDArray[np.int64]]]
 ) -> set[Key]:
-    """Tell the tiles that share them of samples that are to be vertices. Returns these tiles."""
+    """Pass samples that must become vertices to the tiles that share them. Returns these tiles."""
     again: set[Key] = set()
     for x, y in missed:
         for key in product({y // side, (y - 1) // side}, {x // side, (x - 1) // side}):
@@ -252,7 +253,7 @@ def share(
 
 
 def assemble(terrain: Terrain, made: dict[Key, Tile], side: int, stats: dict[str, object]) -> Tessellation:
-    """One mesh of all tiles, which are let go of: vertices on their borders become one, and come first."""
+    """One mesh of all tiles, which are released; vertices on their borders are merged and come first."""
     size = sum(len(tile.triangles) for tile in made.values())
     if not size:
         raise no_surface(terrain)
@@ -285,6 +286,6 @@ def assemble(terrain: Terrain, made: dict[Key, Tile], side: int, stats: dict[str
 
 
 def numbers(key: Key, tile: Tile, some: NDArray[np.intp], side: int) -> NDArray[np.int64]:
-    """Numbers of some of a tile's vertices that are theirs on the whole raster."""
+    """The numbers, on the whole raster, of a tile's own vertices."""
     places = tile.places[some].astype(np.int64)
     return (places[:, 1] + key[0] * side) << 32 | (places[:, 0] + key[1] * side)

@@ -1,6 +1,6 @@
 """``orograph.render``: from a terrain, a DEM or a path to a picture, in one call.
 
-Its keyword arguments are the options of ``scene.parts``: their signature and their documentation are made from there.
+Its keyword arguments are the options of ``scene.parts``, which also provide the signature and the documentation.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ CAMERA = {
     "projection": "view=orograph.camera.plan(terrain, size)",
     **dict.fromkeys(("eye", "target", "fov", "fov_y", "up", "camera"), "view=orograph.View(eye, target, fov_y=30)"),
 }
-"""What the command line has options for, and here a view."""
+"""Command-line options that are part of a view here."""
 
 FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name}
-"""What options are called on the command line, or elsewhere, and here."""
+"""Names of options on the command line or in other tools, and here."""
 
 
 def render(
@@ -66,15 +66,15 @@ def render(
             ``around(terrain, size, azimuth=225, pitch=30, distance=None)``, ``standing(terrain, size, (lon, lat,
             height), (lon, lat))`` or ``plan(terrain, size)``; "plan": that; or the path of a VIEW.json. None: all
             of the terrain, from the south.
-        size: (width, height) in pixels where there is no view; with one, the view's own count. Default 1280 × 720.
-        backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
+        size: (width, height) in pixels if no view is given; a view has its own size. Default 1280 × 720.
+        backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU if
             there is none). Default "cpu".
-        conservative: refuse a ``method`` with which the tolerance is no promise for every sample in view.
+        conservative: refuse a ``method`` that does not guarantee the tolerance for every sample in view.
         each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
             the relief), "data" (one for each, with scales of their own), or "member", "band" or "time" of the first
             data, all or some: "member=1-6", "time=T12".
-        progress: hears of what is being done, and of warnings. Default: work that lasts has a bar in terminals and
-            notebooks, warnings are Python's; False: nothing is said.
+        progress: gets progress reports and warnings. Default: long work has a bar in terminals and notebooks, warnings
+            are Python's; False: silent.
         options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,
             ``transform``, ``crs``, ``resolution``…
 
@@ -90,7 +90,7 @@ def render(
     heard = reporting(progress)
     check_names(options, "render", inspect.signature(render).parameters)
     if backend not in BACKENDS:
-        raise UsageError(f"There is no backend {backend!r}; there are {', '.join(BACKENDS)}.")
+        raise UsageError(f"There is no backend {backend!r}; the backends are {', '.join(BACKENDS)}.")
     if conservative:
         check_promise(options.get("method", "auto"), backend)
     check_options(options)
@@ -110,23 +110,23 @@ def render(
 
 
 def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()) -> None:
-    """Raise UsageError where an option is none of a scene's; the error names those that may be meant.
+    """Raise UsageError for an unknown option of a scene; the error suggests similar ones.
 
     Args:
-        called: the function that takes them. own: its further arguments.
+        called: the function that takes them. own: its other arguments.
     """
     for name in options:
         if name in OPTIONS:
             continue
         known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
         if name in CAMERA:
-            remedy = f"Where to look from is said by a view here: {CAMERA[name]}."
+            remedy = f"Here the camera is given as a view: {CAMERA[name]}."
         elif name in FLAGS or name in MEANT:
             remedy = f"It is called {FLAGS.get(name) or MEANT[name]} here."
         elif close := difflib.get_close_matches(name, known, 3, 0.6):
             remedy = f"Did you mean {' or '.join(close)}?"
         else:
-            remedy = f"There are {', '.join(known[1:])}."
+            remedy = f"The options are {', '.join(known[1:])}."
         raise UsageError(f"{called} has no option {name!r}.", remedy=remedy)
 
 
@@ -150,7 +150,7 @@ def _document() -> None:
 
 
 def _text(one: Described) -> str:
-    """An option's help, as Python has it, and its default."""
+    """An option's help, in Python's terms, and its default."""
     default = one.shown or ("none" if one.default in (None, ()) else repr(one.default))
     takes = "" if one.given is None else f" {inspect.getdoc(one.given)}"
     return f"{one.help}{takes} Default: {default}.".replace("`", "``")

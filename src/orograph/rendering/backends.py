@@ -1,4 +1,4 @@
-"""What draws a scene: the CPU caster, or a later layer's renderer, known by name and imported when asked for."""
+"""The backends that draw a scene, by name: the CPU ray caster, or a later layer's renderer, imported on demand."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from orograph.rendering.picture import Picture
 from orograph.scene.scene import Scene
 
 BACKENDS = {"cpu": "orograph.rendering.cpu.draw", "gpu": "orograph.rendering.gpu.draw"}
-"""Name to the module whose ``draw`` makes a picture of a scene."""
+"""Maps a name to the module whose ``draw`` makes a picture of a scene."""
 
 NO_GPU = 6
-"""Exit code of the error that says that there is no GPU."""
+"""Exit code of the error that there is no GPU."""
 
 Session = Callable[[Scene], Picture]
-"""Draws scene after scene of one terrain: what they have in common is made once."""
+"""Draws scene after scene of one terrain, and makes shared data only once."""
 
 
 class Draw(Protocol):
-    """Draws a scene; further arguments are a backend's own."""
+    """Draws a scene; further arguments belong to the backend."""
 
     def __call__(self, scene: Scene, progress: Progress = ..., **own: Any) -> Picture: ...
 
@@ -35,13 +35,13 @@ def backend_of(name: str) -> Draw:
         UsageError: there is no backend of that name.
     """
     if name not in BACKENDS:
-        raise UsageError(f"There is no backend {name!r}; there are {', '.join(BACKENDS)}.")
+        raise UsageError(f"There is no backend {name!r}; the backends are {', '.join(BACKENDS)}.")
     draw: Draw = importlib.import_module(BACKENDS[name]).draw
     return draw
 
 
 def draw(scene: Scene, progress: Progress = SILENT, *, backend: str = "cpu") -> Picture:
-    """Draw a scene; where there is no GPU the CPU draws the same picture, with a warning.
+    """Draw a scene; without a GPU the CPU draws the same picture, with a warning.
 
     Raises: as the backend's ``draw``.
     """
@@ -61,7 +61,8 @@ def draw(scene: Scene, progress: Progress = SILENT, *, backend: str = "cpu") -> 
 
 
 def session(progress: Progress = SILENT, *, backend: str = "cpu") -> Session:
-    """What draws many pictures of one terrain, such as a movie's frames; without a GPU, the CPU, with a warning.
+    """A function that draws many pictures of one terrain, such as a movie's frames; without a GPU, on the CPU, with a
+    warning.
 
     Each picture is complete and the same whatever was drawn before it.
 
@@ -76,7 +77,7 @@ def session(progress: Progress = SILENT, *, backend: str = "cpu") -> Session:
             raise
         progress.warn(f"{error} The CPU draws the pictures instead.")
         return session(progress)
-    more: dict[int, Session] = {}  # of variants: what frames have in common is made once for each
+    more: dict[int, Session] = {}  # of variants: each keeps what its frames share
 
     def other(number: int) -> Session:
         if number not in more:

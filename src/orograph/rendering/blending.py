@@ -1,7 +1,7 @@
-"""One picture out of several of a scene, each with a priority of its own: focus and context, scenarios that change.
+"""Blend several pictures of a scene, each with its own priority: focus and context, changing scenarios.
 
-A scene's variants are drawn with the same camera, blended in linear light by how much of each shows at a pixel, and
-furnished as one picture. Where nothing of a variant shows it is not drawn.
+A scene's variants are drawn with the same camera, blended in linear light by their weights at each pixel, and furnished
+as one picture. A variant with no weight anywhere is not drawn.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from orograph.scene.scene import Scene
 
 Draw = Callable[[Scene], Picture]
 LEAST = 1 / 512
-"""Of a variant: less does not show."""
+"""Smaller weights of a variant are ignored."""
 
 
 def blended(
@@ -35,8 +35,8 @@ def blended(
     """The picture of a scene with its variants.
 
     Args:
-        draw: draws the scene without them. others: what draws the variant with a number.
-        warn: hears of a focus that shows nowhere; None: nobody does, as of a film's frames.
+        draw: draws the scene without them. others: draws the variant with a number.
+        warn: called if a focus is not visible anywhere; None: not reported, as for a film's frames.
     """
     whole = scene.view.part is None
     bare = replace(scene, variants=())
@@ -50,7 +50,7 @@ def blended(
 def mixed(
     scene: Scene, picture: Picture, others: Callable[[int], Draw], warn: Callable[[str], None] | None = None
 ) -> NDArray[np.uint8]:
-    """The pixels of a scene's picture with its variants; arguments as of ``blended``."""
+    """The pixels of a scene's picture with its variants; arguments as for ``blended``."""
     whole, linear = scene.view.part is None, None
     for number, variant in enumerate(scene.variants):
         weight = variant.weight(*_seen(picture))
@@ -63,7 +63,7 @@ def mixed(
         except NothingInViewError:
             if not isinstance(variant.weight, Seen):
                 raise
-            continue  # a ghost need not reach into every view
+            continue  # a ghost need not be in every view
         if isinstance(variant.weight, Seen):
             weight = variant.weight.of_depths(picture.depth, other.depth, other.places())
         part = weight[..., None].astype(np.float32)
@@ -74,7 +74,7 @@ def mixed(
 
 def _nowhere(picture: Picture) -> str:
     far = np.linalg.norm(picture.places() - np.asarray(picture.view.eye), axis=-1)
-    return f"The focus shows nowhere in this picture, whose nearest ground is {np.nanmin(far):,.0f} m from the eye."
+    return f"The focus is not visible in this picture, whose nearest ground is {np.nanmin(far):,.0f} m from the eye."
 
 
 def _linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -82,7 +82,7 @@ def _linear(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _seen(picture: Picture) -> tuple[Any, Any, tuple[Any, Any], float]:
-    """What weights are found from: the eye, places, pixels, the whole picture's aspect."""
+    """The inputs of weights: the eye, places, pixels, the whole picture's aspect."""
     view = picture.view
     whole = view.whole
     left, top, _, _ = view.frame

@@ -1,8 +1,8 @@
-"""One sheet that shows what several methods made of the same terrain from the same camera: their meshes side by side.
+"""One sheet that shows the meshes of several methods side by side, for the same terrain and camera.
 
-Each panel is a picture of its own: the mesh, refined for the panel's pixels, under light relief, its edges as thin
-lines; above it the method's name and what the referee found. The panels of a row are as wide as the sheet allows and
-have the view's proportions. Units: pixels.
+Each panel is a separate picture: the mesh, refined for the panel's pixels, in light relief, with its edges as thin
+lines; above it the method's name and the referee's result. The panels of a row are as wide as the sheet allows and have
+the view's proportions. Units: pixels.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ SHEET = (255, 255, 255)
 INK, GREY, ALARM = (28, 30, 36), (96, 98, 104), (176, 42, 30)
 HAIR = (190, 190, 186)
 WIDTH, ALONE = 1600, 1000
-"""Of a sheet, and of one with a single panel."""
+"""Width of a sheet, and of one with a single panel."""
 
 MARGIN, GAP = 30, 22
 
 LOW, ASIDE = 9.0, 215.0
-"""Pitch and side, in degrees, of the low oblique among the usual views."""
+"""Pitch and azimuth, in degrees, of the low oblique default view."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +42,8 @@ class Panel:
     """One method's part of the sheet.
 
     Attributes:
-        title: the method, as ``--method`` has it. mesh: for the panel's view; None shows the terrain itself.
-        lines: what is said of it, each a line. alarm: whether the last of them says that something is wrong.
+        title: the method, as for ``--method``. mesh: for the panel's view; None shows the terrain itself.
+        lines: of text about it. alarm: whether the last of them reports an error.
     """
 
     title: str
@@ -53,7 +53,7 @@ class Panel:
 
 
 def usual_views(terrain: Terrain, size: tuple[int, int] = (1280, 720), exaggeration: float = 1.0) -> dict[str, View]:
-    """Views that show what methods differ in, by name: all of the terrain; low over it; straight down onto its middle.
+    """Views, by name, in which methods differ: all of the terrain; low over it; straight down onto its middle.
 
     Args:
         size: (width, height) in pixels. exaggeration: heights are stretched by this on the screen.
@@ -69,7 +69,7 @@ def usual_views(terrain: Terrain, size: tuple[int, int] = (1280, 720), exaggerat
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default)])
     forward = direction(ASIDE, LOW)
     eye = target - 0.4 * span * forward
-    # A tenth of the way up from the ground below, at least, or a ridge may stand before the eye.
+    # At least a tenth of the way up, since otherwise a ridge may block the view.
     eye[2] = max(eye[2], ground(terrain, eye[0], eye[1], default) + 0.04 * span / exaggeration)
     above = target + np.array([0.0, 0.0, 0.45 * float(np.min(high - low)) / exaggeration])
     above[2] = max(above[2], terrain.height_range[1] + 0.1 * span / exaggeration)
@@ -81,17 +81,17 @@ def usual_views(terrain: Terrain, size: tuple[int, int] = (1280, 720), exaggerat
 
 
 def columns(count: int) -> int:
-    """Panels in a row, of so many."""
+    """Panels per row, for a number of panels."""
     return 1 if count == 1 else 3 if count == 3 or count > 6 else 2
 
 
 def sheet_width(count: int) -> int:
-    """Pixels across a sheet of so many panels."""
+    """Width of a sheet of panels, pixels."""
     return ALONE if count == 1 else WIDTH
 
 
 def panel_view(view: View, count: int) -> View:
-    """The view in the size it has as one of ``count`` panels on a sheet."""
+    """The view at its size as one of ``count`` panels on a sheet."""
     wide = (sheet_width(count) - 2 * MARGIN - (columns(count) - 1) * GAP) // columns(count)
     return view.resized(wide, max(1, round(wide * view.height / view.width)))
 
@@ -109,7 +109,7 @@ def sheet(
     """The sheet, (height, width, 3) uint8 sRGB.
 
     Args:
-        terrain: of which the meshes are.
+        terrain: the terrain of the meshes.
         view: of every panel (``panel_view``).
         panels: at least one.
         title: above all. note: below all, in small type.
@@ -125,7 +125,7 @@ def sheet(
     width = sheet_width(len(panels))
     across = columns(len(panels))
     down = -(-len(panels) // across)
-    if len(panels) < across * down:  # what is free shows what the meshes are of
+    if len(panels) < across * down:  # a free panel shows the terrain itself
         rows, cols = terrain.grid.shape
         panels = [*panels, Panel("the terrain", None, (f"{cols:,} × {rows:,} samples", "no mesh"))]
     words = " ".join([title, note, *(t for p in panels for t in (p.title, *p.lines))])
@@ -165,16 +165,16 @@ def _picture(terrain: Terrain, view: View, panel: Panel, exaggeration: float, jo
 
 
 def caption(triangles: int, bound: float | None, aimed: float | None, largest: float) -> tuple[tuple[str, ...], bool]:
-    """What is said of a mesh, and whether it is an alarm: its size, then the error and the promise.
+    """Text about a mesh, and whether it is an alarm: its size, then the error and the guarantee.
 
     Args:
-        bound: pixels promised; None: nothing is. aimed: pixels asked for or reached, if that is known.
+        bound: guaranteed pixels; None: none. aimed: pixels requested or reached, if known.
         largest: pixels, by the referee.
     """
     first = f"{triangles:,} triangles"
-    reached = f"largest error {largest:.2f} px" if math.isfinite(largest) else "error beyond any bound"
+    reached = f"largest error {largest:.2f} px" if math.isfinite(largest) else "unbounded error"
     if bound is None:
-        return (first, f"{reached} · promises nothing"), aimed is not None and largest > aimed
+        return (first, f"{reached} · no guarantee"), aimed is not None and largest > aimed
     if largest <= bound * (1 + 1e-9):
-        return (first, f"{reached} · within the promised {bound:.3g} px"), False
-    return (first, f"{reached} · promised {bound:.3g} px"), True
+        return (first, f"{reached} · within the guaranteed {bound:.3g} px"), False
+    return (first, f"{reached} · guaranteed {bound:.3g} px"), True

@@ -1,13 +1,13 @@
-"""Sort-last: a picture's surface in parts of the terrain, each drawn by itself and put together by depth.
+"""Sort-last: a picture's surface in parts of the terrain, drawn separately and composited by depth.
 
 After Goswami, Makhinya, Bösch & Pajarola 2010, "Scalable parallel out-of-core terrain rendering", sec. 4 (sort-last
-decomposition): the terrain's nodes are shared out so that all have about as much of what is drawn (there triangles,
-here samples of the windows that rays meet, or triangles of a mesh), and of each pixel the nearest of what the parts
-show is kept. What is put together is the G-buffer, so light, lines and layers fall on it as ever.
+decomposition): the terrain is divided so that all nodes draw about the same amount (there triangles, here samples of
+the windows that rays meet, or triangles of a mesh), and for each pixel the nearest of the parts' results is kept. The
+composite is a G-buffer, so light, lines and layers work as usual.
 
-Parts of heights are boxes in plan, cut along samples of the coarsest window. Each has ``MARGIN`` cells of that more on
-every side: a ray that changes the side of the surface right at a border is then met by the part on either side, and
-none leaks through. Units: samples of full resolution, pixels, metres.
+Parts of heights are boxes in plan, cut along samples of the coarsest window. Each has a margin of ``MARGIN`` such cells
+on every side: a ray that crosses the surface exactly at a border then hits the part on either side, and none leaks
+through. Units: samples of full resolution, pixels, metres.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ MARGIN = 2
 """Cells of the coarsest window around a part; even, so that windows begin at even samples."""
 
 CELLS = 256
-"""Along a side of the terrain, of which parts are made, at most."""
+"""Maximum cells along a side of the terrain from which parts are made."""
 
 
 class Box(NamedTuple):
-    """A part of the terrain in plan: samples of full resolution, the last ones with it."""
+    """A part of the terrain in plan: samples of full resolution, both ends included."""
 
     row0: int
     row1: int
@@ -42,13 +42,13 @@ class Box(NamedTuple):
 
 
 def split(windows: Sequence[Rectangle], shape: tuple[int, int], count: int) -> list[Box]:
-    """Cut a terrain into parts that hold about as many of the windows' samples each.
+    """Cut a terrain into parts with about equally many of the windows' samples.
 
     Args:
         windows: nested, outermost first. shape: of the terrain, in samples. count: of the parts.
 
     Returns:
-        as many boxes, or fewer where there are not so many cells.
+        as many boxes, or fewer if there are not enough cells.
     """
     unit = 2 << windows[0].level
     while max(shape) > CELLS * unit:
@@ -68,13 +68,13 @@ def split(windows: Sequence[Rectangle], shape: tuple[int, int], count: int) -> l
 
 
 def _overlaps(first: int, last: int, unit: int, cells: int) -> Array:
-    """How many samples of a span lie in each of so many cells."""
+    """How many samples of a span lie in each of ``count`` cells."""
     edges = np.arange(cells + 1) * float(unit)
     return np.asarray(np.clip(np.minimum(edges[1:], last) - np.maximum(edges[:-1], first), 0, None))
 
 
 def _halved(weight: Array, box: tuple[int, int, int, int], count: int) -> list[tuple[int, int, int, int]]:
-    """Cells cut across the longer side, again and again, where the weight is as the numbers of parts are."""
+    """Cut cells recursively across the longer side, with weights in proportion to the numbers of parts."""
     r0, r1, c0, c1 = box
     if count == 1 or (r1 - r0) * (c1 - c0) == 1:
         return [box]
@@ -89,7 +89,7 @@ def _halved(weight: Array, box: tuple[int, int, int, int], count: int) -> list[t
 
 
 def windows_of(windows: Sequence[Rectangle], box: Box) -> list[Rectangle]:
-    """What of nested windows lies in a part, with its margin; outermost first."""
+    """The part of nested windows in a part, with its margin; outermost first."""
     around = MARGIN << windows[0].level
     found = []
     for w in windows:
@@ -104,7 +104,7 @@ def windows_of(windows: Sequence[Rectangle], box: Box) -> list[Rectangle]:
 
 
 def split_triangles(vertices: Array, triangles: NDArray[np.int32], count: int) -> list[NDArray[np.int64]]:
-    """The numbers of a mesh's triangles in parts of about as many each, near one another in plan."""
+    """The numbers of a mesh's triangles in parts of about equal size, near one another in plan."""
     middle = vertices[triangles, :2].mean(1)
 
     def halved(which: NDArray[np.int64], parts: int) -> list[NDArray[np.int64]]:
@@ -136,7 +136,7 @@ def frame_of(box: Box, heights: tuple[float, float], projection: Projection) -> 
 
 
 def put_nearer(out: GBuffer, where: tuple[slice, ...] | NDArray[np.intp], depth: Array, part: int) -> None:
-    """Put what a part shows where it is nearer than what is there. Objects are the numbers of parts."""
+    """Insert a part's samples where they are nearer. Objects are the numbers of parts."""
     there, objects = out.depth[where], out.objects[where]
     with np.errstate(invalid="ignore"):
         nearer = (depth < there) | (np.isnan(there) & ~np.isnan(depth))
@@ -145,7 +145,7 @@ def put_nearer(out: GBuffer, where: tuple[slice, ...] | NDArray[np.intp], depth:
 
 
 class Composited:
-    """Parts of a surface, seen as one by the same camera; a ``Surface`` whose objects are the parts.
+    """Several parts as one surface for the same camera; a ``Surface`` whose objects are the parts.
 
     Args:
         parts: in any order.

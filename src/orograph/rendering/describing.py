@@ -1,4 +1,5 @@
-"""A picture in words, for those who cannot see it, and for captions: what a scene shows, from where, and which data."""
+"""Describe a picture in words, for people who cannot see it and for captions: the scene, the viewpoint, and the
+data."""
 
 from __future__ import annotations
 

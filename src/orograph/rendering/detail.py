@@ -1,6 +1,6 @@
-"""A scene whose ground has detail beyond the data: the same scene with another terrain, which only pictures see.
+"""A scene with detail beyond the data: the same scene with another terrain, which only pictures use.
 
-Both backends cast rays at it, or draw clipmaps (as Losasso and Hoppe did): of what is invented no error is known that
+Both backends cast rays at it, or draw clipmaps (as Losasso and Hoppe did): invented detail has no known error that
 could decide about triangles.
 """
 
@@ -19,36 +19,37 @@ if TYPE_CHECKING:
     from orograph.gpu.device import Device
 
 GPU_TILES = 1 << 18
-"""Tiles of the finest level, at most, that the GPU's tables are made for."""
+"""Maximum tiles of the finest level for which the GPU's tables are made."""
 
 FINEST = 0.05
-"""Pixels of tolerance instead of 0, which would have all of the invented ground made."""
+"""Tolerance in pixels instead of 0, which would compute all of the invented ground."""
 
 
 def detailed(
     scene: Scene, memo: Memo, progress: Progress, device: Device | None = None, *, fixed: bool = False
 ) -> tuple[Scene, dict[str, Any]]:
-    """The scene with detail, and what a picture's facts say of it.
+    """The scene with detail, and its entry in a picture's facts.
 
     Args:
-        device: that draws it; None: the CPU does. It makes it, too, unless it is software, which the CPU's own kernels
-            are faster than; the detail is the same.
-        fixed: have as many doublings as there is room for, wherever the eye is.
+        device: draws it; None: the CPU. It also makes the detail, unless it is a software device, which is slower than
+            the CPU's own kernels; the detail is the same.
+        fixed: use as many doublings as there is room for, wherever the eye is.
 
     Raises:
-        UsageError: it has contour lines, which are of the data alone; or the example is no good.
+        UsageError: it has contour lines, which belong to the data alone; or the example is unsuitable.
         ReadError: the example cannot be read.
     """
     detail, terrain, exaggeration = scene.surface.detail, scene.terrain, scene.surface.exaggeration
     assert detail is not None
     if scene.annotations.contours is not None:
         raise UsageError(
-            "Contour lines are of the data, and `detail` is not.", remedy="Leave out the contours, or the detail."
+            "Contour lines show the data, but `detail` is not part of the data.",
+            remedy="Leave out the contours or the detail.",
         )
     maker = None if device is None or device.adapter.software else device
     steering, facts = None, {"words": detail.words, "seed": detail.seed, "spacing_m": max(terrain.grid.spacing)}
     if detail.exemplar is not None:
-        # The example is held by its id (a path is itself): frames and tiles share what was prepared.
+        # The example is identified by its id (a path by itself): frames and tiles share its preparation.
         key = detail.exemplar if isinstance(detail.exemplar, str) else id(detail.exemplar)
         steering, facts["exemplar"] = memo(
             "steering", (key, detail.seed),

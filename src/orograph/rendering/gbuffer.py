@@ -1,7 +1,7 @@
 """What a pixel shows, before it has a colour: the G-buffer (Saito & Takahashi 1990, *Comprehensible rendering of 3-D
 shapes*), and the surfaces that write it.
 
-A ``Surface`` knows a selection (a mesh, windows for rays) and a camera, and writes; light, tint, layers, contours,
+A ``Surface`` combines a selection (a mesh, windows for rays) with a camera, and writes; light, tint, layers, contours,
 water and haze read, and never ask which surface wrote. A pixel's place on the ground is not stored: it follows from its
 depth (``Projection.place``), to the last bits, and a picture of 50 million pixels would need 1.2 GB for it.
 
@@ -28,7 +28,7 @@ NONE = -1
 
 
 class Mark(IntFlag):
-    """What a sample is besides ground: the bits of ``GBuffer.marks``."""
+    """Bits of ``GBuffer.marks``, which qualify ground."""
 
     VOID_FILL = 1
     """A patch over missing data, not ground."""
@@ -61,15 +61,15 @@ class GBuffer:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> GBuffer:
-        """A G-buffer that shows nothing."""
+        """An empty G-buffer."""
         return cls(np.full(shape, np.nan), np.full(shape, NONE, np.int32), np.zeros(shape, np.uint8))
 
 
 class Surface(Protocol):
-    """What a camera sees of a selection. Results depend on no number of threads, and a sample's on no other's.
+    """What a camera sees of a selection. Results do not depend on the number of threads, nor a sample on other samples.
 
     Attributes:
-        side: pixels, a power of two. ``at`` is fastest for positions that lie in one square of so many pixels a side,
+        side: pixels, a power of two. ``at`` is fastest for positions within one square of this many pixels a side,
             counted from the picture's first pixel.
     """
 
@@ -77,10 +77,10 @@ class Surface(Protocol):
     def side(self) -> int: ...
 
     def draw(self, area: Area) -> GBuffer:
-        """What the pixel centres of an area show, by all threads: arrays (rows, cols), the same to the bit as those
-        pixels of any other area."""
+        """The pixel centres of an area, by all threads: arrays (rows, cols), the same to the bit as those pixels in any
+        other area."""
         ...
 
     def at(self, px: Array, py: Array) -> GBuffer:
-        """What pixel positions (n,) inside the picture show, in any order, in the calling thread: arrays (n,)."""
+        """Pixel positions (n,) inside the picture, in any order, in the calling thread: arrays (n,)."""
         ...

@@ -1,4 +1,4 @@
-"""Where on the ground the pixels of a picture lie, by its depth; of a tile to the bit as of the whole picture."""
+"""Where the pixels of a picture lie on the ground, by its depth; for a tile to the bit as for the whole picture."""
 
 from __future__ import annotations
 

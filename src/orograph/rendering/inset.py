@@ -1,5 +1,5 @@
-"""A small map of the whole terrain for the furniture of a perspective: what is in the view keeps its colours, the rest
-is pale, and a wedge stands where the eye is. North is up. Units: pixels, metres.
+"""A small map of the whole terrain for the furniture of a perspective: what is in view keeps its colours, the rest is
+pale, and a wedge marks the eye. North is up. Units: pixels, metres.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ACROSS = 8.5
 """Units of type that the longer side of the map takes."""
 
 PALE = 0.62
-"""How much of what is out of view is paper."""
+"""How much of the ground out of view is paper."""
 
 LINE = (196, 62, 0)
 """The colour of the view's border and of the eye."""
@@ -81,7 +81,7 @@ def in_view(picture: Picture, view: View, exaggeration: float) -> NDArray[np.boo
 
 
 def eye_on(flat: View, view: View) -> tuple[float, float]:
-    """Where on a map the eye is, or, if it is beside the map, the nearest place on it."""
+    """The eye's position on a map, or, if it is outside the map, the nearest position on it."""
     xy, _ = flat.project(np.array([[*view.eye[:2], view.target[2]]]))
     x, y = np.clip(xy[0], 0, [flat.width, flat.height])
     return float(x), float(y)

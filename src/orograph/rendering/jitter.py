@@ -1,4 +1,4 @@
-"""Where in a pixel its samples lie: the same pattern for every pixel, backend and picture."""
+"""The positions of samples in a pixel: the same pattern for every pixel, backend and picture."""
 
 from __future__ import annotations
 

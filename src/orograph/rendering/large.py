@@ -1,4 +1,4 @@
-"""Pictures larger than memory: drawn by bands of rows, each a tile of the one view, and put together in a file.
+"""Pictures larger than memory: drawn in bands of rows, each a tile of the view, and assembled in a file.
 
 A tile is what the whole picture shows there, to the bit (``cpu.draw``), so bands have no seam and the file has the same
 pixels as a picture that fits into memory. What is drawn goes to a scratch file beside the result, row after row; the
@@ -40,24 +40,24 @@ ROWS, COLUMNS = 16, 64
 """Tiles begin at multiples of these, the caster's blocks (``raycast.kernels``), which it then casts once."""
 
 MOST_PIXELS = 1 << 30
-"""Of a picture: 32768 × 32768. More would take hours, and is a slip of the keyboard."""
+"""Of a picture: 32768 × 32768. More would take hours and is probably a typing error."""
 
 MOST_TOGETHER = 1 << 33
 """Of a picture that workers draw: 131072 × 65536."""
 
 ACROSS = 2048
-"""Columns of a tile that a graphics card draws, at most."""
+"""The most columns of a tile that a graphics card draws."""
 
 SIDE = 8192
-"""Pixels a side that any graphics card can draw at once."""
+"""Pixels per side that any graphics card can draw at once."""
 
 MOST = {"JPEG": 65500, "WEBP": 16383}
-"""Pixels a side that a format can hold."""
+"""Pixels per side that a format can hold."""
 
 
 def is_large(size: tuple[int, int], max_memory: int | None, *, gpu: bool = False) -> bool:
-    """Whether a picture of so many pixels is drawn by bands: its arrays take more than half of the memory allowed, or
-    it has more pixels a side than any graphics card that is to draw it must be able to."""
+    """Whether a picture of this size is drawn in bands: its arrays take more than half of the memory allowed, or it is
+    drawn by a graphics card and exceeds the size that every card supports."""
     pixels = size[0] * size[1]
     if pixels > MOST_PIXELS:
         return False
@@ -65,9 +65,9 @@ def is_large(size: tuple[int, int], max_memory: int | None, *, gpu: bool = False
 
 
 def check_most(size: tuple[int, int]) -> None:
-    """Raise UsageError where not even workers draw so many pixels."""
+    """Raise UsageError if the picture is too large even for workers."""
     if size[0] * size[1] > MOST_TOGETHER:
-        raise UsageError(f"A picture of {size[0]} × {size[1]} pixels is larger than any that can be meant.",
+        raise UsageError(f"A picture of {size[0]} × {size[1]} pixels is too large.",
                          remedy="Make it smaller: 131072 × 65536 is the most.")  # fmt: skip
 
 
@@ -79,9 +79,9 @@ def draw_large(
     """Draw a scene into a file, within ``scene.budget.max_memory`` whatever the picture's size.
 
     Args:
-        scene: its view says the size.
+        scene: its view gives the size.
         path: the picture: .png, .jpg, .webp or .tif (BigTIFF where needed; of a plan a GeoTIFF).
-        depth: where to write the depth besides: float32 TIFF, metres, NaN where nothing is hit.
+        depth: where to write the depth as well: float32 TIFF, metres, NaN where nothing is hit.
         draw: a backend that draws tiles; None: the CPU caster.
         progress: hears of it.
         pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
@@ -105,14 +105,14 @@ def draw_large(
         raise UsageError(f"A {kind} has at most {most} × {most} pixels, not {view.width} × {view.height}.", path=out,
                          remedy="Use .png or .tif.")  # fmt: skip
     if scene.surface.wireframe and draw is None:
-        raise UsageError("A wireframe is drawn over a whole picture in memory.",
+        raise UsageError("A wireframe needs the whole picture in memory.",
                          remedy="Allow more (`max_memory`), or make it smaller.")  # fmt: skip
     for file in filter(None, (out, None if depth is None else Path(depth))):
         check_folder(file)
     needed = 3 * view.width * view.height * 2 + (4 * view.width * view.height if depth is not None else 0)
     free = shutil.disk_usage(out.parent).free
     if needed > free:
-        raise OutputError(f"This may take {amount(needed)} on disk while it is made, and {amount(free)} are free.",
+        raise OutputError(f"This may take {amount(needed)} on disk while it is made, but {amount(free)} are free.",
                           path=out, remedy="Make room, or make it smaller.")  # fmt: skip
     began = time.perf_counter()
     place = plan_grid(view, scene.terrain.grid.crs)
@@ -179,7 +179,7 @@ def draw_tile(scene: Scene, box: Box, draw: Session) -> Tile:
 
 
 class Sheet:
-    """What is known of a large picture while it is put together.
+    """What is known of a large picture while it is assembled.
 
     Attributes:
         facts: as of a ``Picture``.
@@ -281,7 +281,7 @@ class Scratch:
             self.file.write(np.ascontiguousarray(pixels).data)
         except OSError as error:
             raise OutputError(f"The file cannot be written: {error.strerror}.", path=self.out,
-                              remedy="See that the disk has room.") from error  # fmt: skip
+                              remedy="Check that the disk has space.") from error  # fmt: skip
 
     def read(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.uint8]:
         """Pixels [y0, y1) × [x0, x1)."""
@@ -321,7 +321,7 @@ class Scratch:
 
 
 class DepthFile:
-    """A float32 TIFF that is written by whole rows; it appears when it is complete."""
+    """A float32 TIFF written by whole rows; it appears when it is complete."""
 
     def __init__(self, out: Path, width: int, height: int, place: Grid | None) -> None:
         self.out, self.width, self.height, self.place = out, width, height, place
@@ -384,7 +384,7 @@ def encode(
 
 
 def located(place: Grid | None) -> dict[str, Any]:
-    """The part of a raster's profile that says where it lies."""
+    """The part of a raster's profile that gives its position."""
     if place is None:
         return {}
     return {"transform": place.transform} | ({} if place.crs is None else {"crs": place.crs.to_wkt()})

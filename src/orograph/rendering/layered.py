@@ -1,4 +1,4 @@
-"""A surface seen through another one that is transparent: ground with patches over its missing data."""
+"""A surface seen through a transparent one: ground with patches over its missing data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a picture's own arrays fit into memory: asked before any work, for a process that is killed says nothing.
+"""Whether a picture's own arrays fit into memory: checked before any work, because a killed process reports nothing.
 
 Units: bytes.
 """
@@ -22,7 +22,7 @@ ON_GPU = 100
 DRIVER = 320 << 20
 """Bytes that a software driver takes with its compiler."""
 TILED = 704 << 20
-"""Bytes that a picture by tiles takes with a software driver, whatever is allowed."""
+"""Bytes that a tiled picture takes with a software driver, whatever is allowed."""
 
 
 WORKER = 512 << 20
@@ -51,7 +51,7 @@ def band_pixels(max_memory: int | None, *, gpu: bool = False) -> int:
 
 
 def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:
-    """Raise UsageError where a picture of so many pixels cannot be drawn within what is allowed, or available.
+    """Raise UsageError if a picture of this size cannot be drawn in the allowed or available memory.
 
     Args:
         size: (width, height).
@@ -74,7 +74,7 @@ def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:
 
 
 def amount(size: int) -> str:
-    """Bytes as a person reads them: "1.5 GiB"."""
+    """Human-readable bytes: "1.5 GiB"."""
     value = float(size)
     for unit in ("bytes", "KiB", "MiB", "GiB"):
         if value < 1024:
@@ -84,7 +84,7 @@ def amount(size: int) -> str:
 
 
 def available() -> int | None:
-    """Bytes that a process may still take: what is free, or the limit of its control group; None if unknown."""
+    """Bytes that a process may still take: free memory, or the limit of its control group; None if unknown."""
     found: list[int] = []
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():

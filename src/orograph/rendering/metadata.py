@@ -1,4 +1,4 @@
-"""What picture files say besides their pixels: whom to name, and how large they are to be printed.
+"""What picture files state besides their pixels: attribution and print resolution.
 
 Pillow writes that with the pixels (``told``). What GDAL has written a few rows at a time gets it afterwards
 (``stamp``), in one pass over the file: a chunk pHYs (PNG 3rd edition, 11.3.4.3), the density of JFIF's header (ITU-T
@@ -32,13 +32,13 @@ MOST_DPI = 65535
 
 
 def check_dpi(dpi: float | None) -> None:
-    """Raise UsageError unless a resolution is in what files can hold; None: nothing is said of it."""
+    """Raise UsageError unless files can hold a resolution; None: no resolution."""
     if dpi is not None and not (math.isfinite(dpi) and 1 <= dpi <= MOST_DPI):
-        raise UsageError(f"A resolution is 1 to {MOST_DPI} dots per inch, not {dpi:g}.")
+        raise UsageError(f"A resolution must be 1 to {MOST_DPI} dots per inch, not {dpi:g}.")
 
 
 def told(kind: str, attribution: tuple[str, ...], dpi: float | None) -> dict[str, Any]:
-    """What Pillow is told to write into a file of a format: its arguments of ``save``."""
+    """Metadata that Pillow writes into a file of a format: arguments of its ``save``."""
     from PIL.PngImagePlugin import PngInfo
 
     options: dict[str, Any] = {}
@@ -62,7 +62,7 @@ def tiff_tags(dpi: float | None) -> dict[str, Any]:
 
 
 def stamp(path: Path, kind: str, attribution: tuple[str, ...], dpi: float | None) -> None:
-    """Add to a file that GDAL has written what GDAL does not write: the resolution, and to WebP whom to name."""
+    """Add what GDAL does not write to a file it has written: the resolution, and the attribution of WebP."""
     if kind == "PNG" and dpi is not None:
         dots = round(dpi / METRE)
         head = b"pHYs" + struct.pack(">IIB", dots, dots, 1)
@@ -78,7 +78,7 @@ def stamp(path: Path, kind: str, attribution: tuple[str, ...], dpi: float | None
 
 
 def _exif(attribution: tuple[str, ...], dpi: float | None) -> bytes:
-    """EXIF of whom to name and of the resolution; nothing if there is nothing to say."""
+    """EXIF with attribution and resolution; empty if there is neither."""
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 
@@ -108,7 +108,7 @@ def _rewritten(path: Path, head: bytes, skip: int, more: bytes, end: bytes = b""
 
 
 def _extend_webp(path: Path, exif: bytes) -> None:
-    """Make a simple lossless WebP file one of the extended format, with EXIF."""
+    """Convert a simple lossless WebP file to the extended format, with EXIF."""
     head = _start(path, 25)
     if head[12:16] != b"VP8L":
         return

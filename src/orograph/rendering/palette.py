@@ -27,14 +27,14 @@ HATCH, LINE = 7, 2.0
 """Pixels from line to line of the hatching (across the picture, not the line), and of a line's width."""
 
 VISIBLE = 9
-"""Samples of water or of missing data that can be seen as such: a spot of three by three."""
+"""Samples of water or of missing data that are visible as such: a spot of three by three."""
 
 WATER = srgb_to_linear(np.array([0.44, 0.60, 0.70], np.float32))
 AMBIENT = 0.27
-"""The part of the light on level ground, under a 45° sun and an open sky, that comes from the sky."""
+"""The share of the light on level ground, under a 45° sun and an open sky, that comes from the sky."""
 
 BOUNCE = 0.10
-"""The part of all light that ground which does not see the sky gets from lit ground instead."""
+"""The share of all light that ground without a view of the sky gets from lit ground instead."""
 
 
 def illumination(sun: Sun) -> tuple[Array, Colors, Colors]:

@@ -1,4 +1,4 @@
-"""A finished picture: pixels, depth, and how they are written."""
+"""A finished picture: pixels, depth, and writing them."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ ELSEWHERE = {
     "image": "picture.pixels",
     "array": "picture.pixels",
 }
-"""What other libraries call it, and what it is here."""
+"""Names in other libraries → names here."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Picture:
-    """What a backend made of a scene.
+    """A picture drawn by a backend.
 
     Attributes:
         pixels: (height, width, 3) uint8, sRGB.
         depth: (height, width) float32, view-space depth in metres at pixel centres, NaN where nothing is hit.
         view: the camera.
-        facts: what was measured while drawing (windows, rays, seconds by stage), and "warnings": sentences.
+        facts: measurements made while drawing (windows, rays, seconds by stage), and "warnings": sentences.
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
         void_filled: (height, width), where missing data is shown (which has no depth); None: nowhere.
         tint: the colours of heights that were drawn; None: not known.
@@ -85,17 +85,17 @@ class Picture:
         return np.array(self.pixels, dtype, copy=copy)
 
     def describe(self) -> str:
-        """The picture in words: its terrain, camera, light, and data with their values and uncertainty."""
+        """The picture in words: its terrain, camera, light, and data with values and uncertainty."""
         return str(self.facts.get("description", ""))
 
     def show(self) -> None:
-        """Show the picture: in a notebook in the cell, elsewhere in the system's viewer of pictures."""
+        """Show the picture: in a notebook's cell, otherwise in the system's image viewer."""
         from orograph.rendering.plotting import show
 
         show(self)
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
-        """Draw the picture on matplotlib's axes, or cartopy's; a plan where it lies in its CRS (``plotting.plot``).
+        """Draw the picture on matplotlib's or cartopy's axes; a plan at its position in its CRS (``plotting.plot``).
 
         Args:
             ax: the axes; None: new ones.
@@ -139,10 +139,10 @@ class Picture:
         """Write the picture; the format follows the ending (png, jpg, webp, tif). A plan as .tif is a GeoTIFF.
 
         Args:
-            dpi: dots per inch, by which programs that print know how large it is; None: not said.
+            dpi: dots per inch, from which programs take the print size; None: not stated.
 
         Raises:
-            UsageError: the ending is unknown, or the resolution none. OutputError: the file cannot be written.
+            UsageError: the ending is unknown, or the resolution invalid. OutputError: the file cannot be written.
         """
         out = Path(path)
         kind = picture_format(out)
@@ -189,7 +189,7 @@ class Picture:
 
 
 def plan_grid(view: View, crs: CRS | None) -> Grid | None:
-    """Where the pixels of a plan lie; None for a view in perspective."""
+    """The georeference of a plan; None for a view in perspective."""
     if view.projection != "plan":
         return None
     origin, across, down, *_ = view.ray_basis()
@@ -204,13 +204,13 @@ def plan_grid(view: View, crs: CRS | None) -> Grid | None:
 def save_pixels(
     pixels: NDArray[np.uint8], out: Path, attribution: tuple[str, ...] = (), dpi: float | None = None
 ) -> Path:
-    """Write pixels (height, width, 3) in the format that the path's ending stands for.
+    """Write pixels (height, width, 3) in the format of the path's ending.
 
     Args:
-        attribution: whom to name in the file's metadata. dpi: dots per inch in print; None: not said.
+        attribution: whom to name in the file's metadata. dpi: dots per inch in print; None: not stated.
 
     Raises:
-        UsageError: the ending is unknown, or the resolution none. OutputError: the file cannot be written.
+        UsageError: the ending is unknown, or the resolution invalid. OutputError: the file cannot be written.
     """
     from PIL import Image
 
@@ -236,7 +236,7 @@ def picture_format(path: Path) -> str:
     """Pillow's name of the format that a path's ending stands for.
 
     Raises:
-        UsageError: pictures are not written with such an ending.
+        UsageError: pictures cannot be written with this ending.
     """
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:

@@ -1,4 +1,4 @@
-"""Pictures where people of matplotlib and xarray expect them: on axes with their extent, as a Dataset, in a cell."""
+"""Pictures in matplotlib, xarray and notebooks: on axes with their extent, as a Dataset, in a cell."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from orograph.rendering.picture import Picture
 
 DPI = 100
-"""Pixels of a picture to an inch of a new figure."""
+"""Pixels of a picture per inch of a new figure."""
 
 
 def show(picture: Picture) -> None:
-    """Show a picture: in a notebook in the cell, elsewhere in the system's viewer of pictures."""
+    """Show a picture: in a notebook's cell, otherwise in the system's image viewer."""
     ipython = sys.modules.get("IPython")
     if ipython is not None and getattr(ipython.get_ipython(), "kernel", None) is not None:
         ipython.display.display(picture)
@@ -30,10 +30,10 @@ def show(picture: Picture) -> None:
 
 
 def plot(picture: Picture, ax: Any = None, **options: Any) -> Any:
-    """Draw a picture on axes: a plan where it lies, turned if it is; one in perspective by its pixels, without ticks.
+    """Draw a picture on axes: a plan at its position, rotated if it is; a perspective by its pixels, without ticks.
 
     Args:
-        ax: matplotlib's axes, or cartopy's ``GeoAxes``, which bring a plan to their projection; None: new ones.
+        ax: matplotlib's axes, or cartopy's ``GeoAxes``, which transform a plan to their projection; None: new ones.
         options: for ``Axes.imshow``.
 
     Returns: the ``AxesImage``.
@@ -55,7 +55,7 @@ def plot(picture: Picture, ax: Any = None, **options: Any) -> Any:
     a, b, _, d, e, _ = grid.transform[:6]
     if _is_geo(ax):
         if b or d:
-            raise UsageError("A turned plan cannot be brought to a map's projection.", remedy="Draw it north up.")
+            raise UsageError("A rotated plan cannot be transformed to a map's projection.", remedy="Draw it north up.")
         if not ax.has_data():  # else cartopy brings it to a picture of the globe
             ax.set_extent((west, east, south, north), crs=_projection(ax, grid.crs))
         return ax.imshow(
@@ -143,7 +143,9 @@ def _matplotlib() -> Any:
     try:
         import matplotlib.pyplot as pyplot
     except ImportError as error:
-        raise UsageError("Axes are matplotlib's, which is not installed.", remedy="pip install matplotlib") from error
+        raise UsageError(
+            "Plotting needs matplotlib, which is not installed.", remedy="pip install matplotlib"
+        ) from error
     return pyplot
 
 
@@ -153,9 +155,9 @@ def _is_geo(ax: Any) -> bool:
 
 
 def _projection(ax: Any, crs: Any) -> Any:
-    """A picture's CRS as cartopy has it; that of the axes, where they are the same."""
+    """A picture's CRS for cartopy; that of the axes if they are the same."""
     if crs is None:
-        raise UsageError("The picture has no CRS, and a map's axes need one.", remedy="Give the terrain's: crs=…")
+        raise UsageError("The picture has no CRS, but a map's axes need one.", remedy="Give the terrain's: crs=…")
     if crs == ax.projection:
         return ax.projection
     from cartopy.crs import Projection

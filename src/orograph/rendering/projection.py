@@ -1,4 +1,4 @@
-"""Pixels of a picture and places on the ground: a ``View`` seen from sample coordinates, in float64.
+"""Pixels of a picture and places on the ground: a ``View`` in sample coordinates, in float64.
 
 The ray through pixel position (x, y) begins at o + x·ou + y·ov and goes along d + x·du + y·dv; its parameter is the
 depth. In perspective ou = ov = 0, and a place P lies at (x, y) and depth t where P − o = t·(d + x·du + y·dv), so that

@@ -1,4 +1,4 @@
-"""Heights as a camera sees them: the ray caster as a ``Surface`` whose objects are the caster's windows.
+"""Heights as a camera sees them: the ray caster as a ``Surface`` whose objects are its windows.
 
 In perspective the caster takes whole blocks of pixels at once, which are the same to the bit in every area; single
 positions and plans are cast ray by ray. Units as in ``gbuffer``.
@@ -19,10 +19,10 @@ from orograph.rendering.projection import Projection
 Array = NDArray[np.float64]
 
 FARTHEST = 1e13
-"""Metres that rays go at most."""
+"""The longest ray, metres."""
 
 ROWS = 64
-"""Of a plan's pixels that are cast at a time."""
+"""Pixels of a plan that are cast at a time."""
 
 
 class RaySurface:

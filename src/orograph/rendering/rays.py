@@ -1,4 +1,4 @@
-"""A scene's camera and the surface that it looks at: what pixels show, and where that is on the ground.
+"""A scene's camera and the surface it sees: what pixels show, and where that is on the ground.
 
 Positions are sample coordinates (column, row, true height); depth is the rays' parameter, in metres.
 """
@@ -18,7 +18,7 @@ from orograph.scene.scene import Scene
 Array = NDArray[np.float64]
 
 BLOCK = 1 << 13
-"""Positions that a thread asks a surface about at a time."""
+"""Positions that a thread queries at a time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,10 +29,10 @@ MIE_HEIGHT = 1.2
 MIE_G = 0.72
 OZONE = np.array([0.650e-3, 1.881e-3, 0.085e-3])
 ALBEDO = 0.3
-"""Of the ground around, for the light it throws back into the air."""
+"""Albedo of the surrounding ground, for the light it reflects into the air."""
 
 OBSERVER = 0.5
-"""Height of whoever sees the sky."""
+"""Height of the observer."""
 
 ELEVATIONS, AZIMUTHS = 72, 33
 

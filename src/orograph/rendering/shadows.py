@@ -1,4 +1,4 @@
-"""Shadows of floating things on the ground straight below them, with soft borders.
+"""Soft shadows of floating objects on the ground straight below them.
 
 A pixel's place on the ground follows from its depth, and whether it lies below a thing from that place alone: of the
 thing's shape from above, a disc, or what a disc covers that runs along a track.
@@ -20,7 +20,7 @@ DARK, SOFT = 0.62, 0.5
 """How much light a shadow takes, and the part of its radius over which it does so by degrees, inside and outside."""
 
 CELLS = 1 << 20
-"""Cells that shadows are looked up by, at most."""
+"""The most cells of the shadow lookup."""
 
 
 def shade(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating], scene: Scene) -> None:
@@ -38,7 +38,7 @@ def shade(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating]
 
 
 def depth_in(x: Array, y: Array, segments: Array) -> Array:
-    """How deep places lie in shadows: 1 in their middle, 0 at their border, below 0 outside; −inf far away.
+    """How deep places are in shadow: 1 in the middle, 0 at the border, below 0 outside; −inf far away.
 
     Args:
         x, y: places, of any shape, NaN where there is none. segments: (m, 5) both ends' x and y, and a radius.
@@ -61,7 +61,7 @@ def depth_in(x: Array, y: Array, segments: Array) -> Array:
 
 
 def _short(segments: Array) -> Array:
-    """Segments cut into pieces that are no longer than the largest is wide: together they cover the same."""
+    """Segments cut into pieces no longer than the width of the widest: together they cover the same area."""
     long = np.hypot(*(segments[:, 2:4] - segments[:, :2]).T)
     step = max(4 * float(segments[:, 4].max()), float(long.sum()) / CELLS)
     count = np.maximum(1, np.ceil(long / step)).astype(np.int64)

@@ -49,7 +49,7 @@ MIST = 0.85
 """Brightness of the mist beneath the horizon against the sky 2° to 15° above it, away from the sun."""
 
 FADE = 4.0
-"""How fast the horizon becomes mist: by a factor of e in asin(1 / FADE)."""
+"""How fast the horizon turns to mist: by a factor of e in asin(1 / FADE)."""
 
 CROSSTALK = 0.1
 """Share of each channel's light that goes to grey, as in film: keeps bright low suns from turning lemon yellow."""
@@ -76,7 +76,7 @@ class Atmosphere:
         Args:
             scene: only its sun is used.
             visible_range: view-space depths of the nearest and the farthest ground in view, metres.
-            memo: what earlier pictures left.
+            memo: cached from earlier pictures.
         """
         memo = Memo() if memo is None else memo
         azimuth, altitude = math.radians(scene.lighting.sun.azimuth), math.radians(scene.lighting.sun.altitude)
@@ -128,7 +128,8 @@ class Atmosphere:
         return out
 
     def haze(self, color: Colors, directions: Array, depth: NDArray[np.floating]) -> Colors:
-        """What is left of linear colours (n, 3) of ground at ``depth`` (n,) metres, and the air's light before it."""
+        """The remaining linear colours (n, 3) of ground at ``depth`` (n,) metres, and the air's light in front of
+        it."""
         if len(color) == 0 or not self.extinction.any():
             return np.asarray(color, np.float32)
         path = np.maximum(depth - self.near, 0.0).astype(np.float32)

@@ -1,10 +1,10 @@
-"""Pictures and films drawn by the workers of a cluster, sort-last: each has a part of the terrain (``composited``).
+"""Pictures and films drawn by the workers of a cluster, sort-last: each holds a part of the terrain (``composited``).
 
 This process asks all parts for the depths of the pixels that it wants, keeps the nearest, and shades them as ever. A
-part is asked for the pixels alone that its box of heights may cover, and answers with the rows and columns that it
-does. Parts are of the windows' heights, or of the mesh that the scene's method makes: every worker makes that for
-itself, the same one, and keeps its share of triangles. A worker keeps the heights that it has loaded as long as the
-windows stay what they are; when one dies, another takes its part over.
+part is asked only for the pixels that its box of heights may cover, and answers with the rows and columns that it does.
+Parts are of the windows' heights, or of the mesh that the scene's method makes: every worker makes that for itself, the
+same one, and keeps its share of triangles. A worker keeps the heights that it has loaded as long as the windows stay
+what they are; when one dies, another takes its part over.
 
 What light takes beyond the pixels is made here: means, maps of light, and where ground casts shadows, or is patched,
 all windows' heights.
@@ -42,18 +42,19 @@ from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.parts import Surface as Surfacing
 from orograph.scene.scene import Scene
-from orograph.store.clusters import TRIES, Cluster, check_workers, workers_of, workforce
+from orograph.store.clusters import TRIES, Cluster, check_workers, workers_of
 from orograph.store.worker_state import opened
+from orograph.store.workforce import workforce
 from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
 
 HELD = 2
-"""Casters and meshes that a worker keeps: of the part it has, and of one that it took over."""
+"""Casters and meshes that a worker keeps: for its own part, and for one that it took over."""
 
 
 class Part(NamedTuple):
-    """Which part of what is seen from where.
+    """The request to a part: which part, what, and from where.
 
     Attributes:
         view: the whole picture's. surface: how the scene's surface is drawn.
@@ -81,7 +82,7 @@ class Answer(NamedTuple):
 
 
 class Recipe(NamedTuple):
-    """All that workers are told once; ``memory`` and ``base`` as of all recipes."""
+    """Everything that workers get once; ``memory`` and ``base`` as of all recipes."""
 
     scene: Scene
     memory: int
@@ -128,7 +129,7 @@ class Parts:
 
 
 def ask(ident: str, part: Part, area: Area | None, px: Array | None = None, py: Array | None = None) -> Answer:
-    """What a part shows in an area, or at pixel positions; done by a worker."""
+    """What a part shows in an area, or at pixel positions; run by a worker."""
     state = opened(ident)
     assert isinstance(state, Parts)
     began = time.perf_counter()
@@ -191,7 +192,7 @@ class Asked:
         return out
 
     def _answers(self, wanted: dict[int, tuple[Any, ...]]) -> Iterator[tuple[int, Answer]]:
-        """What parts say, all asked at once; of a part whose worker died another is asked."""
+        """The parts' replies, all requested at once; if a part's worker dies, another one is asked."""
         futures = {number: self._begin(number, args, 0) for number, args in wanted.items()}
         for number, args in wanted.items():
             for tries in range(1, TRIES + 1):
@@ -205,14 +206,14 @@ class Asked:
                         raise StoreError(
                             f"Part {number + 1} of {len(self.parts)} of the terrain was given up: "
                             f"{type(error).__name__}: {' '.join(str(error).split())[:300]}.",
-                            remedy="See that the workers and the scheduler run.",
+                            remedy="Check that the workers and the scheduler are running.",
                         ) from error  # fmt: skip
                     futures[number] = self._begin(number, args, tries)
             self.cluster.count(answer.who, answer.seconds, answer.depth.nbytes)
             yield number, answer
 
     def _begin(self, number: int, args: tuple[Any, ...], tries: int) -> Any:
-        """Ask the worker that has a part, if it is there still."""
+        """Ask the worker that holds a part, if it still exists."""
         workers = sorted(workers_of(self.cluster.client))
         own = [workers[(number + tries) % len(workers)]] if workers else None
         return self.cluster.client.submit(
@@ -221,7 +222,7 @@ class Asked:
 
 
 class Casting:
-    """Makes the surfaces of scenes, as ``cpu.draw`` wants them."""
+    """Makes the surfaces of scenes for ``cpu.draw``."""
 
     def __init__(self, cluster: Cluster, count: int) -> None:
         self.cluster, self.count = cluster, count
@@ -256,10 +257,10 @@ def by_parts(
 
     check_workers(workers, dask, what)
     if workers is None and dask is None:
-        raise UsageError("Sort-last is for workers.", remedy="Say how many (`workers`), or which (`dask`).")
+        raise UsageError("Sort-last needs workers.", remedy="Give their number (`workers`) or address (`dask`).")
     for name, there in (("wireframe", scene.surface.wireframe), ("detail", scene.surface.detail is not None)):
         if there:
-            raise UsageError(f"`{name}` is drawn by one process, not sort-last.", remedy="Leave one of them out.")
+            raise UsageError(f"`{name}` is drawn by one process, not sort-last.", remedy="Omit one of the two.")
     jobs = (jobs or 1) if workers is not None else jobs
     needed = worker_memory(band_pixels(max_memory // (workers or 1)), scene.terrain, max_memory // (workers or 1))
     with workforce(workers, dask, 1, max_memory, WORKER + needed) as client:

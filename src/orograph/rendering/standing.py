@@ -1,5 +1,4 @@
-"""Things that stand on the ground, drawn over a finished picture of it: what its depth hides is hidden, or shines
-through.
+"""Things that stand on the ground, drawn over a finished picture: what its depth hides is hidden, or shows through.
 
 Each thing is a solid that rays are cast at, exactly, several through each pixel that it may cover; the pictures of both
 backends carry the depth that this needs. The foot of a thing is at the surface's own height; what stands is not
@@ -29,7 +28,7 @@ ROWS = 32
 """Rows of a picture that a thread draws at a time."""
 
 AMBIENT = 0.45
-"""Of the light on things, what comes from all sides."""
+"""The ambient share of the light on things."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +37,7 @@ class Stood:
 
     Attributes:
         pixels: (height, width, 3) uint8. depth: (height, width), with theirs. which: (height, width) the thing that is
-            seen, −1 where it is none. missing: things whose place has no ground.
+            visible, −1 for none. missing: things whose place has no ground.
     """
 
     pixels: NDArray[np.uint8]
@@ -47,9 +46,9 @@ class Stood:
     missing: int
 
     def told(self, progress: Progress) -> tuple[NDArray[np.uint8], Array]:
-        """Pixels and depth; it is said how many things are not drawn."""
+        """Pixels and depth; reports how many things are not drawn."""
         if self.missing:
-            progress.warn(f"{self.missing} place(s) of the data have no ground: nothing stands there.")
+            progress.warn(f"{self.missing} place(s) of the data have no ground: nothing is drawn there.")
         return self.pixels, self.depth
 
 

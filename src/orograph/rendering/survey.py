@@ -1,4 +1,4 @@
-"""A look at the whole picture before it is drawn: which ground is in view, and how far away.
+"""A survey of the whole picture before it is drawn: which ground is in view, and how far away.
 
 Rays through some forty thousand pixel centres, evenly spread over the whole picture, whatever part of it (a tile) is
 wanted: what depends on all that is seen (maps of light, haze, exaggerated relief) is the same in every tile.
@@ -19,7 +19,7 @@ RAYS = 40_000
 
 
 class Survey:
-    """What some rays of the whole picture met.
+    """What the survey's rays met.
 
     Attributes:
         hits: of the rays that met ground, at least one. px, py: their pixel positions.

@@ -31,7 +31,7 @@ from orograph.rendering.backends import Session, session
 from orograph.rendering.large import COLUMNS, ROWS, Band, Box, Sheet, Tile, draw_large, draw_tile
 from orograph.rendering.memory import BYTES_PER_PIXEL, WORKER, worker_memory
 from orograph.scene.scene import Scene
-from orograph.store.clusters import Cluster, check_workers, threads_of, workforce
+from orograph.store.clusters import Cluster, check_workers, threads_of
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.layout import dumps
@@ -39,12 +39,13 @@ from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.worker_state import guarded
+from orograph.store.workforce import workforce
 
 EACH = 6
-"""Tiles for each worker, at least."""
+"""The fewest tiles per worker."""
 
 COARSE, CELL = 512, (2 * COLUMNS, 4 * ROWS)
-"""Pixels a side of the coarse pass, at most, and those of its parts that are timed."""
+"""The most pixels per side of the coarse pass, and of its parts that are timed."""
 
 LEAST, MOST = 1 << 14, 4 << 20
 """Pixels of a tile."""
@@ -55,7 +56,7 @@ Costs = NDArray[np.float64]
 
 
 class SheetRecipe(NamedTuple):
-    """All that workers are told once of a picture.
+    """Everything that workers get once for a picture.
 
     Attributes:
         scene: that is drawn. backend: that draws. folder: of the tiles. plan: as it lies there. bands: of the tiles.
@@ -75,7 +76,7 @@ class SheetRecipe(NamedTuple):
 
 
 class _SheetState:
-    """What one process has for a picture."""
+    """The state of one process for a picture."""
 
     def __init__(self, recipe: SheetRecipe) -> None:
         storage = guarded(FolderStorage(recipe.folder), PLAN, recipe.plan)
@@ -159,11 +160,11 @@ class Tiles(Stage[Tile]):
     def _again(self, spot: Spot) -> Tile:
         tile = self.found(spot)
         if tile is None:
-            raise StoreError(f"{self.key(spot)} is gone, which was there.", path=self.place, remedy=self.again)
+            raise StoreError(f"{self.key(spot)} has disappeared.", path=self.place, remedy=self.again)
         return tile
 
     def finish(self) -> None:
-        """What the furniture has to know of the picture's colours: those of any part of it."""
+        """What the furniture needs to know about the picture's colours, from any part of it."""
         if self.sheet is not None and self.recipe.scene.annotations.furniture:
             left, top, wide, tall = self.recipe.bands[-1][-1]
             self.sheet.tint = self.sheet.tile((left, top, min(wide, COLUMNS), min(tall, ROWS))).tint
@@ -190,7 +191,7 @@ def draw_by_workers(
     """
     check_workers(workers, dask, "A picture")
     if scene.surface.wireframe and backend == "cpu":
-        raise UsageError("A wireframe is drawn over a whole picture, by one process.", remedy="Leave out the workers.")
+        raise UsageError("A wireframe needs the whole picture in one process.", remedy="Omit the workers.")
     if workers is not None and scene.budget.max_memory is not None:
         # Each holds the heights of its tiles; all tiles, and what is seen of them here, are drawn from the same ones.
         scene = scene.but(max_memory=scene.budget.max_memory // workers)
@@ -222,7 +223,7 @@ def draw_by_workers(
 def _planned(
     scene: Scene, folder: FolderStorage, backend: str, threads: int, most: int, max_memory: int, progress: Progress
 ) -> tuple[bytes, list[Band]]:
-    """The tiles of a picture: those that were begun, or new ones."""
+    """The tiles of a picture: unfinished ones, or new ones."""
     fingerprint = hashlib.sha256(json.dumps([scene.told(), backend], sort_keys=True, default=str).encode()).hexdigest()
     there = folder.get(PLAN)
     if there is not None:
@@ -242,14 +243,14 @@ def _planned(
 
 
 def coarse_costs(scene: Scene, draw: Session, progress: Progress) -> Costs:
-    """What the parts of a picture cost to draw, by a small one: (rows, cols) of seconds in each of its cells."""
+    """What the parts of a picture cost to draw, measured on a small one: (rows, cols) of seconds per cell."""
     view = scene.view
     shrink = max(1.0, max(view.width, view.height) / COARSE)
     small = scene.but(view=view.resized(max(1, round(view.width / shrink)), max(1, round(view.height / shrink))))
     wide, tall = small.view.width, small.view.height
     lefts, tops = range(0, wide, CELL[0]), range(0, tall, CELL[1])
     costs = np.zeros((len(tops), len(lefts)))
-    with progress.task("Looking where it takes long", total=costs.size) as task:
+    with progress.task("Estimating the cost", total=costs.size) as task:
         draw_tile(small, (0, 0, wide, tall), draw)  # what is made once, is made now
         for i, top in enumerate(tops):
             for j, left in enumerate(lefts):

@@ -1,1 +1,2 @@
-"""What is drawn, and nothing that draws: ``scene``, ``camera``, ``contours``, ``silhouettes``, ``diagnostics``."""
+"""The description of what is drawn, without any drawing: ``scene``, ``camera``, ``contours``, ``silhouettes``,
+``diagnostics``."""

@@ -1,7 +1,7 @@
-"""Orientation aids, as users ask for them: what tells where floating things are, and how the view is turned.
+"""Options of orientation aids, which show where floating things are and how the view is turned.
 
-Tory, Kirkpatrick, Atkins & Möller 2006 find that positions in a 3D view are judged well only with cues beside it; these
-are cues within the picture. Units: metres of height and of the ground, true ones.
+Tory, Kirkpatrick, Atkins & Möller 2006 find that people judge positions in a 3D view well only with cues beside it;
+these are cues within the picture. Units: true metres of height and of the ground.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 Step = float | Literal["auto"] | None
 
-HOW = "aids are drops, shadows, poles[=METRES], grid[=METRES], walls and icon, with commas between"
+HOW = "aids are drops, shadows, poles[=METRES], grid[=METRES], walls and icon, separated by commas"
 
 STEPPED = ("poles", "grid")
 
 APART = 110.0
-"""Pixels from grid line to grid line, about, at the picture's middle, where no interval is given."""
+"""Approximate pixels between grid lines at the picture's middle, if no interval is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class Aids:
 
     Attributes:
         drops: lines from what floats straight down to the ground. shadows: on the ground, straight below what floats.
-        poles: ranging rods from the ground to what floats, dark and orange by turns, this many metres each, counted
-            from the ground; every fifth boundary has a plate. grid: lines of easting and northing laid on the ground,
-            this many metres apart, with their values at the border. "auto": a round number; None: none are drawn.
+        poles: ranging rods from the ground to what floats, with alternating dark and orange bands of this many metres,
+            counted from the ground; every fifth boundary has a plate. grid: lines of easting and northing laid on the
+            ground, this many metres apart, with their values at the border. "auto": a round number; None: not drawn.
         walls: sections through the terrain's middle on walls around it, with its profile and the data's colours.
         icon: a cube in the furniture of a perspective that shows how the view is turned.
 
@@ -53,14 +53,14 @@ class Aids:
         for name in STEPPED:
             step = getattr(self, name)
             if not (step is None or step == "auto" or (not isinstance(step, str) and 0 < step < math.inf)):
-                raise UsageError(f"The step of the aid {name} is in metres, above 0, not {step}.")
+                raise UsageError(f"The step of the aid {name} must be more than 0 metres, not {step}.")
 
     @classmethod
     def parse(cls, text: str) -> Aids:
         """Aids by their names.
 
         Raises:
-            ValueError: there is no such aid, or a step is no length.
+            ValueError: there is no such aid, or a step is not a length.
         """
         found: dict[str, Any] = {}
         for part in text.split(","):
@@ -70,7 +70,7 @@ class Aids:
             try:
                 found[name] = (float(value) if equals and value != "auto" else "auto") if name in STEPPED else True
             except ValueError:
-                raise ValueError(f"{value!r} is no number of metres: {HOW}.") from None
+                raise ValueError(f"{value!r} is not a number of metres: {HOW}.") from None
         try:
             return cls(**found)
         except UsageError as error:
@@ -83,7 +83,7 @@ class Aids:
 
 
 def interval_of(aids: Aids | None, view: View) -> float | None:
-    """Metres from grid line to grid line in a picture; None: there is no grid."""
+    """Metres between grid lines in a picture; None: there is no grid."""
     if aids is None or aids.grid is None:
         return None
     return round_number(APART * view.whole.pixel_metres) if aids.grid == "auto" else float(aids.grid)

@@ -1,8 +1,8 @@
-"""Where to stand: cameras made for a terrain out of what people say (from the south-west, at this place, all of it).
+"""Cameras for a terrain from simple descriptions (from the south-west, at this place, all of it).
 
 Framing is exact: for a given direction the position that sees every given point with the least distance has a closed
-form, since each side of the frustum bounds the eye by one half-space (see ``fit``). Where that leaves room in one
-direction, what is seen stands in the middle of it.
+form, since each side of the frustum bounds the eye by one half-space (see ``fit``). If that leaves room in one
+direction, the points are centred in it.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from orograph.viewpoint import View
 Array = NDArray[np.float64]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
-"""Endings of what is no view but a picture."""
+"""File endings of pictures, which are not views."""
 MARGIN = 0.93
 """The part of the picture's half-width and half-height that the fitted terrain may fill."""
 
 Insets = tuple[float, float, float, float]
-"""Parts of the picture's width (left, right) and height (top, bottom) that the terrain leaves free, each below 0.5."""
+"""Parts of the picture's width (left, right) and height (top, bottom) to leave free, each below 0.5."""
 
 NO_INSETS: Insets = (0.0, 0.0, 0.0, 0.0)
 
 
 SIZE = (1280, 720)
-"""Pixels of a picture, where nothing else is said."""
+"""Default size of a picture, pixels."""
 
 
 def _reach(insets: Insets) -> Insets:
     """How far from the picture's middle the terrain may reach to the left, right, top and bottom; the border is 1."""
     if not all(0 <= part < 0.5 for part in insets):
-        raise UsageError(f"Insets are parts of the picture, at least 0 and below one half, not {insets}.")
+        raise UsageError(f"Insets must be parts of the picture from 0 to below one half, not {insets}.")
     left, right, top, bottom = (min(MARGIN, 1 - 2 * part) for part in insets)
     return left, right, top, bottom
 
@@ -53,8 +53,8 @@ def _reach(insets: Insets) -> Insets:
 def outline(terrain: Terrain) -> Array:
     """Positions (n, 3) in the terrain's CRS, float64 metres, around which all valid ground lies.
 
-    They are the samples of the coarsest level, raised and lowered by what that level may be off; and the corners of
-    blocks whose sample is missing there though ground is valid between the samples.
+    They are the samples of the coarsest level, raised and lowered by that level's error, and the corners of blocks
+    whose sample is missing although there is valid ground between the samples.
 
     Raises:
         NothingInViewError: no sample is valid.
@@ -67,7 +67,7 @@ def outline(terrain: Terrain) -> Array:
         raise NothingInViewError(
             "None of the samples is valid, so there is nothing to draw.",
             path=terrain.name,
-            remedy="See what the file holds with orograph info; a wrong `nodata` or `band` hides everything.",
+            remedy="Check what the file holds with orograph info; a wrong `nodata` or `band` hides everything.",
         )
     r, c = np.nonzero(np.isfinite(heights))
     tile = np.minimum(r // TILE, table.error.shape[0] - 1), np.minimum(c // TILE, table.error.shape[1] - 1)
@@ -89,7 +89,7 @@ def outline(terrain: Terrain) -> Array:
 
 
 def direction(azimuth: float, pitch: float) -> Array:
-    """The unit viewing direction (3,) of an eye that stands at ``azimuth`` of what it looks at, ``pitch`` above it.
+    """The unit viewing direction (3,) of an eye at ``azimuth`` from its target and ``pitch`` above it.
 
     Both in degrees; azimuth is clockwise from north.
     """
@@ -98,7 +98,7 @@ def direction(azimuth: float, pitch: float) -> Array:
 
 
 NEAREST = 1e-3
-"""How near the eye may come to what it is to see, as a part of how large that is."""
+"""How near the eye may come to its target, relative to the target's size."""
 
 
 def fit(
@@ -110,21 +110,21 @@ def fit(
     insets: Insets = NO_INSETS,
     heading: float = 0.0,
 ) -> View:
-    """The perspective view along ``forward`` that holds all ``points`` (n, 3) from as near as possible, in its middle.
+    """The perspective view along ``forward`` that shows all ``points`` (n, 3) from as near as possible, centred.
 
-    In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if
-    −l·(c − e_c) ≤ a − e_a ≤ r·(c − e_c), with the tangents l, r of how far each side reaches: two half-spaces in
-    (e_a, e_c), whose nearest common point is the eye; likewise up and down. One direction leaves room at the depth that
-    the other demands: there what is seen reaches as near to one side as to the other on the screen, whose middle is not
-    that of the places the eye may have, since what is near looks larger.
+    In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if −l·(c −
+    e_c) ≤ a − e_a ≤ r·(c − e_c), with the tangents l, r of how far each side reaches: two half-spaces in (e_a, e_c),
+    whose nearest common point is the eye; likewise up and down. One direction leaves room at the depth that the other
+    demands: there the points are centred on the screen. That is not the middle of the possible eye positions, since
+    near points look larger.
 
     Args:
         forward: the viewing direction (3,), as it looks in the picture. size: (width, height), pixels.
-        insets: parts of the picture to leave free. heading: of a view straight down, the direction that is up in the
+        insets: parts of the picture to leave free. heading: for a view straight down, the direction that is up in the
             picture, degrees clockwise from north.
 
     Raises:
-        UsageError: the exaggeration is no factor greater than 0, or an inset is not in [0, 0.5).
+        UsageError: the exaggeration is not greater than 0, or an inset is not in [0, 0.5).
     """
     check_exaggeration(exaggeration)
     width, height = size
@@ -166,19 +166,19 @@ def fit(
 
 
 def _skyward(forward: Array, heading: float) -> Array:
-    """What is up (3,) in a picture: the zenith; to one who looks along it, the direction of a heading (degrees)."""
+    """The up direction (3,) of a picture: the zenith; when looking along it, the direction of a heading (degrees)."""
     if np.hypot(forward[0], forward[1]) >= 1e-9 * np.linalg.norm(forward):
         return np.array([0.0, 0.0, 1.0])
     return direction(heading + 180.0, 0.0)
 
 
 def _centred(across: Array, depth: Array, low: float, high: float, aside: float) -> float:
-    """The place of the eye between ``low`` and ``high`` from which the largest and the least tangent of points sum up
-    to ``aside``.
+    """The eye position between ``low`` and ``high`` from which the largest and the least tangent of points sum to
+    ``aside``.
 
     Args:
-        across, depth: (n,) of the points, metres from the axis and from the eye; the tangents are
-            (across - eye) / depth, so each is linear in the eye and their sum falls piecewise linearly.
+        across, depth: (n,) distances of the points from the axis and from the eye, metres; the tangents are (across -
+            eye) / depth, so each is linear in the eye and their sum falls piecewise linearly.
     """
     eye = (low + high) / 2
     for _ in range(60):
@@ -212,12 +212,12 @@ def view_of(
     if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
         remedy = 'A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.'
         if Path(given).suffix.lower() in PICTURES:
-            remedy = f"Pictures are written by what is returned: `picture.save({given!r})`. {remedy}"
+            remedy = f"Save pictures through the result: `picture.save({given!r})`. {remedy}"
         raise UsageError(f"There is no view {given!r}.", remedy=remedy)
     if isinstance(given, str | os.PathLike):
         return View.load(os.fspath(given), crs=terrain.grid.crs)
     raise UsageError(
-        f"A view is an orograph.View, 'plan', or the path of a VIEW.json, not {given!r}.",
+        f"A view must be an orograph.View, 'plan', or the path of a VIEW.json, not {given!r}.",
         remedy="orograph.camera makes them.",
     )
 
@@ -233,7 +233,7 @@ def whole(
     exaggeration: float = 1.0,
     insets: Insets = NO_INSETS,
 ) -> View:
-    """A view that shows the whole terrain well: from the south, obliquely, with a long lens.
+    """A view that shows the whole terrain well: obliquely from the south, with a long lens.
 
     ``insets`` are parts of the picture to leave free, such as ``furniture.insets``.
     """
@@ -252,10 +252,10 @@ def around(
     exaggeration: float = 1.0,
     insets: Insets = NO_INSETS,
 ) -> View:
-    """A view from ``azimuth`` and ``pitch`` at ``distance`` of the terrain's middle (None: all of it in the picture).
+    """A view from ``azimuth`` and ``pitch`` at ``distance`` from the terrain's middle (None: all of it in the picture).
 
-    Pitch (degrees) and distance (metres) are those of the picture: of the ground as it is stretched there. ``insets``
-    are parts of the picture to leave free where the distance is not given.
+    Pitch (degrees) and distance (metres) refer to the stretched ground of the picture. ``insets`` are parts of the
+    picture to leave free if no distance is given.
 
     Raises:
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
@@ -273,14 +273,14 @@ def around(
 
 
 def check_around(azimuth: float, pitch: float, distance: float | None, exaggeration: float) -> None:
-    """Raise UsageError where a number of ``around`` is out of its range."""
+    """Raise UsageError if a number of ``around`` is out of range."""
     if not math.isfinite(azimuth):
         raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     if not -90 <= pitch <= 90:
-        raise UsageError(f"`pitch` is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+        raise UsageError(f"`pitch`, the angle of looking down, must be −90 to 90 degrees, not {pitch:g}.")
     check_exaggeration(exaggeration)
     if distance is not None and not 0 < distance < math.inf:
-        raise UsageError(f"`distance` is in metres, more than 0, not {distance:g}.")
+        raise UsageError(f"`distance` must be more than 0 metres, not {distance:g}.")
 
 
 @takes_terrain
@@ -296,13 +296,13 @@ def standing(
 
     Args:
         size: (width, height) in pixels.
-        eye: degrees of longitude and latitude (WGS 84), metres above the heights' own zero.
+        eye: degrees of longitude and latitude (WGS 84), metres above the zero of the heights.
         look_at: degrees of longitude and latitude; None: the terrain's middle.
         fov_y: vertical field of view, degrees.
 
     Raises:
-        UsageError: the terrain has no CRS, a place cannot be brought to it, its two numbers seem to be swapped, or what
-            is to be looked at lies more than the terrain's width or height outside of it.
+        UsageError: the terrain has no CRS, a place cannot be transformed to it, its two numbers seem to be swapped, or
+            the target lies outside the terrain by more than the terrain's width or height.
     """
     size = size_of(size)
     x, y = place(terrain.grid, eye[0], eye[1])
@@ -315,7 +315,7 @@ def standing(
             raise UsageError(
                 f"There is no ground to look at near longitude {look_at[0]:g}, latitude {look_at[1]:g}: it lies "
                 f"{beyond(terrain.grid, tx, ty)}.", path=terrain.name,
-                remedy="Longitude comes first, then latitude; orograph info tells where the terrain lies.",
+                remedy="Longitude comes first, then latitude; orograph info shows where the terrain lies.",
             )  # fmt: skip
     z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
@@ -326,10 +326,10 @@ def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets:
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:
-        azimuth: the side that lies at the foot of the picture, degrees clockwise from north; 180 has north up.
+        azimuth: the side at the bottom of the picture, degrees clockwise from north; 180 has north up.
 
     Raises:
-        UsageError: the azimuth is no angle, an inset not in [0, 0.5). NothingInViewError: no sample is valid.
+        UsageError: the azimuth is not an angle, or an inset is not in [0, 0.5). NothingInViewError: no sample is valid.
     """
     if not math.isfinite(azimuth):
         raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
@@ -348,19 +348,19 @@ def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets:
     x, y, _ = middle
     fov_y = 30.0
     distance = metres / 2 / math.tan(math.radians(fov_y) / 2)
-    # The eye is above the highest summit; the target lies as far below it as makes a pixel the wanted size.
+    # The eye is above the highest summit; its height above the target gives pixels the wanted size.
     eye = terrain.height_range[1] + max(10.0, 0.1 * distance)
     return View((x, y, eye), (x, y, eye - distance), tuple(up), fov_y, size[0], size[1], projection="plan")
 
 
 def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
-    """Height of the full-resolution surface at a place in the terrain's CRS; ``default`` beside it or in a hole."""
+    """Height of the full-resolution surface at a place in the terrain's CRS; ``default`` outside it or in a hole."""
     col, row = (float(v) for v in terrain.grid.index(x, y))
     rows, cols = terrain.grid.shape
     if not (0 <= col <= cols - 1 and 0 <= row <= rows - 1):
         return default
     c, r = min(int(col), max(cols - 2, 0)), min(int(row), max(rows - 2, 0))
-    # An even corner keeps the diagonals' parity in the little window.
+    # An even corner preserves the parity of the diagonals in the small window.
     c0, r0 = c & ~1, r & ~1
     patch = terrain.read(0, r0, min(r0 + 3, rows), c0, min(c0 + 3, cols))
     from orograph.raycast.caster import Caster
@@ -371,7 +371,7 @@ def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
     return height if math.isfinite(height) else default
 
 
-if not TYPE_CHECKING:  # (who check types look for names themselves)
+if not TYPE_CHECKING:  # (type checkers look for names themselves)
 
     def __getattr__(name: str) -> object:
         raise absent("orograph.camera", name, ("whole", "around", "standing", "plan"))

@@ -1,13 +1,13 @@
-"""Contour lines: which heights have one, and how much of a pixel a line covers.
+"""Contour lines: their heights, and how much of a pixel a line covers.
 
-A line's coverage is found in every pixel from its own height: the height's change from pixel to pixel on the ground's
-tangent plane (its slope averaged over the pixel, as for the light) tells how far away the line is. So lines are equally
-thin everywhere, whatever the distance, and no line is traced. Where lines would run together they fade, first the plain
-ones, then the index contours; level ground, of which no line can be said to be the contour, and water have none.
+Each pixel computes a line's coverage from its own height: the change of height from pixel to pixel on the ground's
+tangent plane (its slope averaged over the pixel, as for the light) gives the distance to the line. So lines are equally
+thin at any distance, and no line is traced. Where lines would run together they fade, first the plain ones, then the
+index contours. Level ground and water have no lines.
 
-The interval that suits a picture follows the cartographers' rule (Imhof 1965): on the steepest common slopes
-lines must still be told apart, so it is tan α of those slopes times the smallest distance between lines, rounded to
-1, 2 or 5 times a power of ten.
+The automatic interval follows the cartographers' rule (Imhof 1965): lines must remain distinct on the steepest common
+slopes, so it is tan α of those slopes times the smallest distance between lines, rounded to 1, 2 or 5 times a power of
+ten.
 
 Units: metres, pixels; colours are sRGB from 0 to 1.
 """
@@ -21,25 +21,25 @@ from typing import TYPE_CHECKING
 from orograph.errors import UsageError
 from orograph.lod.options import check, option
 
-if TYPE_CHECKING:  # the command line's help is made from these fields, before anything is loaded
+if TYPE_CHECKING:  # help of the command line uses these fields before anything is loaded
     from orograph.memo import Memo
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
 APART = 5.0
-"""Pixels that an interval found by itself leaves between lines on the steepest common slopes."""
+"""Pixels between lines on the steepest common slopes, for an automatic interval."""
 
 STEEP = 0.9
-"""The part of the ground that is less steep than those."""
+"""The part of the ground that is less steep than these slopes."""
 
 WORKING = 512
-"""Samples a side of what slopes are measured on, at most."""
+"""Maximum samples per side for measuring slopes."""
 
 GENTLE, LEAST = 0.25, 0.02
 """See ``Contours.finer``."""
 
 LEVEL = 2e-4
-"""Slopes below this (water, as a rule) have no say in it."""
+"""Slopes below this (usually water) do not count."""
 
 USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines and labels grow with it: such pictures are for print."""
@@ -50,12 +50,12 @@ class Contours:
     """How contour lines are drawn.
 
     Attributes:
-        interval: metres of height from line to line; None: what suits the relief and the scale.
+        interval: metres of height between lines; None: suited to the relief and the scale.
         index, opacity, labels: see their help.
         width: of plain lines in pixels (index contours are twice as wide); larger in pictures for print (``USUAL``).
         color: sRGB, 0 to 1.
         type_size: of the labels, pixels; as ``width``.
-        fading: labels come and go by degrees as the camera moves, as a film wants it; else each is there or is not.
+        fading: labels fade in and out as the camera moves, for films; otherwise each is either drawn or not.
 
     Raises:
         UsageError: a number is out of its range.
@@ -63,37 +63,38 @@ class Contours:
 
     interval: float | None = None
     index: int = option(
-        5, "Every how many contour lines a thick one; 0: none.", least=0, flag="contour-index", metavar="N"
+        5, "Every how many contour lines there is a thick one; 0: none.", least=0, flag="contour-index", metavar="N"
     )
     width: float = 1.0
-    opacity: float = option(0.7, "Of the lines.", least=0, most=1, flag="contour-opacity")
+    opacity: float = option(0.7, "Opacity of the lines.", least=0, most=1, flag="contour-opacity")
     color: tuple[float, float, float] = (0.38, 0.30, 0.22)
-    labels: bool = option(True, "Whether thick contour lines bear their height.", flag="contour-labels")
+    labels: bool = option(True, "Whether thick contour lines are labelled with their height.", flag="contour-labels")
     type_size: float = 12.0
     fading: bool = False
 
     def __post_init__(self) -> None:
         check(self)
         if self.interval is not None and not 0 < self.interval < math.inf:
-            raise UsageError(f"Contour lines (`contours`) lie more than 0 metres apart, not {self.interval:g}.")
+            raise UsageError(
+                f"The interval of contour lines (`contours`) must be more than 0 metres, not {self.interval:g}."
+            )
         if not 0 < self.width < math.inf or not 0 < self.type_size < math.inf:
-            raise UsageError("The width of contour lines and the size of their labels are pixels, more than 0.")
+            raise UsageError("The width of contour lines and the size of their labels must be more than 0 pixels.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
-            raise UsageError(f"The colour of contour lines is three numbers from 0 to 1, not {self.color}.")
+            raise UsageError(f"The colour of contour lines must be three numbers from 0 to 1, not {self.color}.")
 
     def fitted(self, terrain: Terrain, view: View, memo: Memo) -> Contours:
-        """These lines for one picture: with an interval, and sizes for its number of pixels."""
+        """These options for one picture: with an interval, and sizes that suit its number of pixels."""
         _, _, width, height = view.frame
         large = max(1.0, min(width, height) / USUAL)
         interval = self.interval or suitable(memo("steepness", (), lambda: steepness(terrain), terrain), view)
         return replace(self, interval=interval, width=self.width * large, type_size=self.type_size * large)
 
     def finer(self, terrain: Terrain, view: View, memo: Memo) -> float:
-        """What part of a tolerance the ground may be displaced by, so that lines stay where they belong.
+        """The part of a tolerance by which the ground may be displaced so that lines stay in place.
 
-        A height that is off by e moves a line by e / slope over the ground, and on the screen by that times the sine of
-        the angle at which it is seen; the height itself shows by its cosine. Slopes of ``GENTLE`` of the steep ones
-        are held to it.
+        A height error e moves a line by e / slope over the ground, and on the screen by that times the sine of the
+        viewing angle; the height itself moves by its cosine. Slopes down to ``GENTLE`` of the steep ones meet this.
         """
         slope = GENTLE * memo("steepness", (), lambda: steepness(terrain), terrain)
         if view.projection == "plan":

@@ -1,4 +1,4 @@
-"""Detail beyond the data, as users ask for it."""
+"""Options of detail beyond the data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Detail:
 
     Attributes:
         exemplar: fine terrain to take the detail from, whatever ``orograph.terrain`` takes; None: fractal noise, as
-            rough as the data. seed: another number, another detail.
+            rough as the data. seed: each number gives other detail.
     """
 
     exemplar: Any = None
@@ -25,7 +25,7 @@ class Detail:
 
     @classmethod
     def parse(cls, text: str) -> Detail:
-        """What a text says: ``fractal`` or ``exemplar=FILE``, and ``seed=N``.
+        """Parse ``fractal`` or ``exemplar=FILE``, and ``seed=N``.
 
         Raises:
             ValueError: it is neither.
@@ -43,7 +43,7 @@ class Detail:
 
     @property
     def words(self) -> str:
-        """What pictures say of it."""
+        """The note that pictures carry about it."""
         name = getattr(self.exemplar, "name", self.exemplar)
         if self.exemplar is None:
             return "detail beyond the data is invented: fractal"

@@ -1,4 +1,4 @@
-"""What makes a scene's picture surprising without being an error: an eye under the ground, a sun under the horizon.
+"""Reasons why a picture may surprise without being an error: an eye under the ground, a sun below the horizon.
 
 Sentences for ``Progress.warn``. Units: metres, degrees.
 """
@@ -13,24 +13,24 @@ from orograph.scene.camera import ground
 from orograph.scene.scene import Scene
 
 TWILIGHT = -6.0
-"""Degrees of the sun's altitude below which civil twilight is over: only the sky gives light."""
+"""Altitude of the sun below which civil twilight is over, degrees: only the sky gives light."""
 
 
 TALL = 1e5
-"""Metres above or below zero beyond which no ground reaches, on any planet."""
+"""Metres above or below zero beyond which there is no ground on any planet."""
 
 NEEDLE = 100.0
-"""How many times as tall as wide a terrain may be to be looked for in a picture of all of it."""
+"""A terrain this many times as tall as wide probably has wrong heights."""
 
 
 SMALL = 0.1
 """Part of the picture's height; a terrain that fills less of it may have been meant to be elsewhere."""
 
-LEAVE_CAMERA = "Leave the camera options away to see all of it."
+LEAVE_CAMERA = "Leave out the camera options to see all of it."
 
 
 def diagnose(scene: Scene) -> list[str]:
-    """What the user of a scene should know before looking at it."""
+    """Warnings about a scene, before it is drawn."""
     return [text for text in (_eye(scene), _sun(scene)) if text is not None]
 
 
@@ -40,7 +40,7 @@ def _eye(scene: Scene) -> str | None:
         top = scene.terrain.height_range[1]
         if not z < top:
             return None
-        return f"the plan's eye is at {z:.0f} m: what rises above it, up to {top:.0f} m, is left out."
+        return f"the plan's eye is at {z:.0f} m: ground above it, up to {top:.0f} m, is left out."
     far = beyond(scene.terrain.grid, x, y)
     if far is not None:
         across = _across(scene)
@@ -65,7 +65,7 @@ def _sun(scene: Scene) -> str | None:
 
 
 def _looks_like_degrees(scene: Scene) -> bool:
-    """Whether the eye could be a longitude and a latitude, and lies far outside the terrain as it is."""
+    """Whether the eye looks like a longitude and a latitude, and lies far outside the terrain."""
     x, y, _ = scene.view.eye
     crs = scene.terrain.grid.crs
     if crs is None or not crs.is_projected or abs(x) > 180 or abs(y) > 90:
@@ -74,13 +74,13 @@ def _looks_like_degrees(scene: Scene) -> bool:
 
 
 def _across(scene: Scene) -> float:
-    """Metres from corner to opposite corner of the terrain."""
+    """Distance between opposite corners of the terrain, metres."""
     rows, cols = scene.terrain.grid.shape
     return math.hypot(*(n * s for n, s in zip((cols, rows), scene.terrain.grid.spacing, strict=True)))
 
 
 def why_empty(scene: Scene) -> str:
-    """Why nothing of a terrain is in view, a sentence or two."""
+    """Why nothing of a terrain is in view, in a sentence or two."""
     view, terrain = scene.view, scene.terrain
     low, high = terrain.height_range
     wide = _across(scene)
@@ -88,7 +88,7 @@ def why_empty(scene: Scene) -> str:
     if tall > NEEDLE * wide:
         return (
             f"Nothing of the terrain is in view: it is {wide:,.0f} m across and {tall:,.0f} m tall, which is thinner "
-            "than a pixel where all of it is in view."
+            "than a pixel when all of it is in view."
         )
     far = beyond(terrain.grid, view.eye[0], view.eye[1])
     place = "above or under its area" if far is None else f"{far},"
@@ -99,9 +99,9 @@ def why_empty(scene: Scene) -> str:
 
 
 def what_to_do(scene: Scene) -> str:
-    """What may help where nothing is in view."""
+    """What may help if nothing is in view."""
     if _looks_like_degrees(scene):
-        return 'Do these numbers stand for longitude and latitude? Then add "crs": "EPSG:4326" to the view.'
+        return 'If these numbers are longitude and latitude, add "crs": "EPSG:4326" to the view.'
     if max(map(abs, scene.terrain.height_range)) > TALL:
-        return "Say what unit its heights have (`vertical_unit`), or which number means missing data (`nodata`)."
+        return "Give the unit of its heights (`vertical_unit`), or the number that means missing data (`nodata`)."
     return LEAVE_CAMERA

@@ -1,4 +1,4 @@
-"""Scenarios of a flight that change by degrees, with the camera's height above ground and its speed.
+"""Scenarios of a flight that change gradually with the camera's height above ground and its speed.
 
 Dübel et al. (2017, section 4) have three: near the ground, in take-off and approach, the terrain comes first; in
 overflight the data; in re-planning, where a pilot stops to think, their uncertainty. Here the first holds below a
@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 BASE, OTHERS = "approach", ("overflight", "replanning")
 
 LOW, HIGH = 0.5, 1.5
-"""Of the terrain's range of heights."""
+"""Default heights, as parts of the terrain's range of heights."""
 
 SLOW, FAST = 240.0, 60.0
-"""Seconds in which the terrain's longer side is passed."""
+"""Default speeds, as seconds in which the terrain's longer side is passed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Flight:
     """When scenarios change; None: by the terrain's size.
 
     Attributes:
-        low, high: metres above ground. slow, fast: metres a second.
+        low, high: metres above ground. slow, fast: metres per second.
 
     Raises:
         UsageError: they are negative, or not in order.
@@ -50,7 +50,7 @@ class Flight:
     def __post_init__(self) -> None:
         for a, b in ((self.low, self.high), (self.slow, self.fast)):
             if (a is None) != (b is None) or (a is not None and b is not None and not 0 <= a < b < math.inf):
-                raise UsageError(f"Scenarios change from a lower to a higher value, not from {a:g} to {b:g}.")
+                raise UsageError(f"Scenarios must change from a lower to a higher value, not from {a:g} to {b:g}.")
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -66,11 +66,11 @@ class Flight:
         except ValueError:
             found = []
         if len(found) not in (2, 4):
-            raise UsageError(f"A flight is auto, LOW:HIGH or LOW:HIGH:SLOW:FAST, not {text!r}.")
+            raise UsageError(f"A flight must be auto, LOW:HIGH or LOW:HIGH:SLOW:FAST, not {text!r}.")
         return cls(*found)
 
     def over(self, terrain: Terrain) -> Flight:
-        """The same with all numbers, by a terrain's size."""
+        """The same with missing numbers filled in by a terrain's size."""
         low, high = terrain.height_range
         tall = max(high - low, 1.0)
         grid = terrain.grid
@@ -79,10 +79,10 @@ class Flight:
         return made if made.slow is not None else replace(made, slow=longer / SLOW, fast=longer / FAST)
 
     def shares(self, height: float, speed: float | None) -> tuple[float, float, float]:
-        """How much shows of approach, overflight and re-planning, 1 together.
+        """The weights of approach, overflight and re-planning, which sum to 1.
 
         Args:
-            height: metres above ground. speed: metres a second; None: not known, as fast as in overflight.
+            height: metres above ground. speed: metres per second; None: unknown, taken as fast as in overflight.
         """
         high = _between(height, self.low, self.high)
         fast = 1.0 if speed is None else _between(speed, self.slow, self.fast)
@@ -96,11 +96,11 @@ def _between(value: float, low: float | None, high: float | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Flown(Weight):
-    """How much of a scenario shows: as much everywhere.
+    """The weight of a scenario, the same everywhere.
 
     Attributes:
-        flight: with all its numbers. which: 0 overflight, which lies over approach, 1 re-planning, over both.
-        told: how much shows of the three, of a film; None: as the height of the eye says.
+        flight: with all its numbers. which: 0 overflight, drawn over approach; 1 re-planning, drawn over both.
+        told: the weights of the three, in a film; None: computed from the eye's height.
     """
 
     terrain: Terrain
@@ -119,11 +119,12 @@ class Flown(Weight):
         return self.shares(eye)[1 + self.which] > 0
 
     def shares(self, eye: Array) -> tuple[float, float, float]:
-        """How much shows of approach, overflight and re-planning."""
+        """The weights of approach, overflight and re-planning."""
         return self.flight.shares(self.height(eye), None) if self.told is None else self.told
 
     def height(self, eye: Array) -> float:
-        """Metres of the eye above the ground under it; beside the terrain above its border, over holes its middle."""
+        """Metres of the eye above the ground under it; outside the terrain above its border, over holes above its
+        middle."""
         rows, cols = self.terrain.grid.shape
         col, row = self.terrain.grid.index(eye[0], eye[1])
         x, y = np.clip(col, 0, cols - 1).reshape(1), np.clip(row, 0, rows - 1).reshape(1)

@@ -1,8 +1,9 @@
-"""Ghosted surfaces: another surface over or under the terrain, seen through, such as a second DEM or a water table.
+"""Ghosted surfaces: another, transparent surface over or under the terrain, such as a second DEM or a water table.
 
-It is drawn by itself, in one colour with light and shadow, and laid over the terrain's picture pixel by pixel: where it
-is nearer than the ground it covers that by ``opacity``, where the ground hides it it shines through by ``hidden``. So
-ground below it stays visible, and what lies underground is seen, paler. Heights are metres, as the terrain's.
+It is drawn separately, in one colour with light and shadow, and composited with the terrain's picture pixel by pixel:
+where it is nearer than the ground it covers it with ``opacity``; where the ground hides it, it shows through with
+``hidden``. So ground below it stays visible, and what lies underground appears paler. Heights are metres, as the
+terrain's.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ KEYS = ("color", "opacity", "hidden", "name", "band", "vertical_unit")
 
 @dataclass(frozen=True, slots=True)
 class Ghost:
-    """A surface that is seen through.
+    """A transparent surface.
 
     Attributes:
         source: whatever ``orograph.terrain`` takes: a DEM in any CRS, a ``Terrain``; or an array (rows, cols) of the
             terrain's samples.
-        color: a name or #rrggbb. opacity: before the ground, 0 to 1; hidden: behind it. name: in the legend; None: the
-            file's.
+        color: a name or #rrggbb. opacity: in front of the ground, 0 to 1; hidden: behind it. name: in the legend; None:
+            the file's.
         band, vertical_unit: as of ``orograph.terrain``.
 
     Raises:
@@ -57,7 +58,7 @@ class Ghost:
         _rgb(self.color)
         for what in ("opacity", "hidden"):
             if not 0 <= getattr(self, what) <= 1:
-                raise UsageError(f"{what} is a number from 0 to 1, not {getattr(self, what)}.")
+                raise UsageError(f"{what} must be a number from 0 to 1, not {getattr(self, what)}.")
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -70,14 +71,12 @@ class Ghost:
         made: dict[str, Any] = dict(told)
         for key, value in told.items():
             if key not in KEYS:
-                raise UsageError(
-                    f"There is no {key!r} of a ghost.", path=source, remedy=f"There are {', '.join(KEYS)}."
-                )
+                raise UsageError(f"A ghost has no key {key!r}.", path=source, remedy=f"The keys are {', '.join(KEYS)}.")
             if key in ("opacity", "hidden", "band"):
                 try:
                     made[key] = int(value) if key == "band" else float(value)
                 except ValueError:
-                    raise UsageError(f"{key} is a number, not {value!r}.", path=source) from None
+                    raise UsageError(f"{key} must be a number, not {value!r}.", path=source) from None
         return cls(source, **made)
 
     def over(self, terrain: Terrain) -> Terrain:
@@ -93,25 +92,25 @@ class Ghost:
         if isinstance(self.source, np.ndarray):
             if self.source.shape != grid.shape:
                 raise UsageError(
-                    f"A ghost has the terrain's {grid.rows} × {grid.cols} samples, not {self.source.shape}."
+                    f"A ghost must have the terrain's {grid.rows} × {grid.cols} samples, not {self.source.shape}."
                 )
             told |= {"transform": grid.transform, "name": self.name or "surface"}
         found = self.source if isinstance(self.source, Terrain) else opened(self.source, False, **told)
         if found.grid.crs != grid.crs:
             raise UsageError(
-                f"{found.name} is in another CRS than the terrain.", remedy="Open it in that of the terrain (`crs`)."
+                f"{found.name} is in a different CRS from the terrain.", remedy="Open it in the terrain's CRS (`crs`)."
             )
         west, south, east, north = grid.bounds()
         a, b, c, d = found.grid.bounds()
         if a >= east or c <= west or b >= north or d <= south or math.isnan(found.height_range[0]):
             raise UsageError(
-                f"{found.name} has no heights over the terrain.", remedy="Name a surface of the same area."
+                f"{found.name} has no heights over the terrain.", remedy="Give a surface of the same area."
             )
         return found
 
     @property
     def table(self) -> Table:
-        """Its colour, for all heights."""
+        """Its colour, the same for all heights."""
         from orograph.geovis.tables import Table
 
         return Table("ghost", bytes((*_rgb(self.color), 255)) * 2)
@@ -123,7 +122,7 @@ class Ghost:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen(Weight):
-    """How much of a ghost shows, by what is nearer; nothing beside a terrain with this grid."""
+    """The weight of a ghost, from which of the two is nearer; nothing outside a terrain with this grid."""
 
     grid: Grid
     opacity: float
@@ -133,7 +132,7 @@ class Seen(Weight):
         return np.ones(places.shape[:2])
 
     def of_depths(self, ground: NDArray[Any], ghost: NDArray[Any], places: Array) -> Array:
-        """(rows, cols), 0 to 1, of two pictures' depths, NaN where they show nothing; ``places``: of the ghost."""
+        """(rows, cols), 0 to 1, from two pictures' depths, NaN where they show nothing; ``places``: of the ghost."""
         before = ~(ghost > ground)
         with np.errstate(invalid="ignore"):
             col, row = self.grid.index(places[..., 0], places[..., 1])
@@ -147,5 +146,5 @@ def _rgb(color: str) -> tuple[int, int, int]:
     try:
         red, green, blue = ImageColor.getrgb(color)[:3]
     except ValueError:
-        raise UsageError(f"The colour of a ghost is a name or #rrggbb, not {color!r}.") from None
+        raise UsageError(f"The colour of a ghost must be a name or #rrggbb, not {color!r}.") from None
     return red, green, blue

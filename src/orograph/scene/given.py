@@ -1,9 +1,10 @@
-"""What users give for a scene's options: texts of the command line, and what Python takes besides an option's own type.
+"""Convert what users give for a scene's options: texts of the command line, and what Python takes besides an option's
+own type.
 
 A text is read before there is a terrain (``read`` of ``lod.options.option``; ValueError says what is wrong with the
-text, other errors what is wrong with a file that it names). What it stands for follows from the terrain (``given``):
-the sun of a moment, a place by longitude and latitude.
-What is an option's own value already stays as it is. Units: degrees, metres; colours are sRGB from 0 to 1.
+text, other errors what is wrong with a file that it names). Its meaning may depend on the terrain (``given``): the sun
+at a moment, a place by longitude and latitude. Values of an option's own type stay as they are. Units: degrees, metres;
+colours are sRGB from 0 to 1.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ DISC = "AZ,ALT,DIAMETER,RED,GREEN,BLUE"
 
 
 def numbers(text: str, names: str, optional: int = 0) -> tuple[float, ...]:
-    """Numbers with commas between, as ``names`` are; the last ``optional`` of them may be missing together.
+    """Numbers separated by commas, named as in ``names``; the last ``optional`` of them may be missing together.
 
     Raises:
         ValueError: the text is not that.
@@ -63,7 +64,7 @@ def numbers(text: str, names: str, optional: int = 0) -> tuple[float, ...]:
 
 
 def read_span(text: str) -> tuple[float, float]:
-    """Two numbers with a colon (or a comma) between.
+    """Two numbers separated by a colon (or a comma).
 
     Raises:
         ValueError: the text is not that.
@@ -71,12 +72,12 @@ def read_span(text: str) -> tuple[float, float]:
     try:
         low, high = map(float, text.replace(",", ":").split(":"))
     except ValueError:
-        raise ValueError(f"{text!r} is not LOW:HIGH, two numbers with a colon between.") from None
+        raise ValueError(f"{text!r} is not LOW:HIGH, two numbers separated by a colon.") from None
     return low, high
 
 
 def read_numbers(names: str, optional: int = 0) -> Callable[[str], tuple[float, ...]]:
-    """The reader of ``numbers``."""
+    """A reader for ``numbers``."""
     return lambda text: numbers(text, names, optional)
 
 
@@ -90,7 +91,7 @@ def read_sun(text: str) -> Placed | Moment:
 
 
 def read_layer(text: str) -> Layer:
-    """A layer as ``Layer.parse`` reads it, whose file is there."""
+    """A layer as ``Layer.parse`` reads it; its file must exist."""
     from orograph.geovis.layers import Layer
 
     layer = Layer.parse(text)
@@ -99,7 +100,7 @@ def read_layer(text: str) -> Layer:
 
 
 def read_data(text: str) -> Dataset:
-    """Data as ``Dataset.parse`` reads them, whose file is there."""
+    """Data as ``Dataset.parse`` reads them; their file must exist."""
     from orograph.dem.handles import locate
     from orograph.geovis.data.dataset import Dataset
 
@@ -167,10 +168,10 @@ def read_contours(text: str) -> Contours:
 
 
 def read_method(text: str) -> str:
-    """``NAME[,key=value…]``: the name is looked at at once, the options when the method is loaded."""
+    """``NAME[,key=value…]``: the name is checked at once, the options when the method is loaded."""
     name = text.partition(",")[0].strip()
     if name != "auto" and name not in METHODS:
-        raise ValueError(f"There is no method {name!r}; there are {', '.join(METHODS)}.")
+        raise ValueError(f"There is no method {name!r}; the methods are {', '.join(METHODS)}.")
     return text
 
 
@@ -195,7 +196,7 @@ def view(value: View | str | os.PathLike[str] | None, terrain: Terrain) -> View 
 
 
 def lamps(value: Iterable[Lamp | tuple[float, ...]], terrain: Terrain) -> tuple[Lamp, ...]:
-    """Takes several: such numbers, or each a `Lamp`."""
+    """Takes several: such numbers, or a `Lamp` each."""
     from orograph.geo.transform import place
     from orograph.lighting.aperture import Lamp
 
@@ -207,7 +208,7 @@ def lamps(value: Iterable[Lamp | tuple[float, ...]], terrain: Terrain) -> tuple[
 
 
 def discs(value: Iterable[Disc | tuple[float, ...]], terrain: Terrain) -> tuple[Disc, ...]:
-    """Takes several: such numbers, or each a `Sun` with its colour, (1, 1, 1) being about that of the sun at 45°."""
+    """Takes several: such numbers, or a `Sun` each with its colour; (1, 1, 1) is about that of the sun at 45°."""
     from orograph.lighting.sun import Sun
 
     def disc(azimuth: float, altitude: float, diameter: float, *color: float) -> Disc:
@@ -225,15 +226,15 @@ def colormap(value: Any, terrain: Terrain) -> str | Table | None:
 
 def layers(value: Any, terrain: Terrain) -> tuple[Layer, ...]:
     """Takes one or several: paths, arrays (which span the terrain), DataArrays, open rasterio datasets, or a `Layer`
-    of each, which says what keys say, and where an array lies."""
+    for each, with the same settings as the keys and the place of an array."""
     from orograph.geovis.layers import layers_of
 
     return layers_of(value)
 
 
 def data(value: Any, terrain: Terrain) -> tuple[Dataset, ...]:
-    """Takes one or several: paths, DataArrays, arrays (which span the terrain), or an `orograph.Dataset` of each, which
-    says what keys say, and how uncertain they are."""
+    """Takes one or several: paths, DataArrays, arrays (which span the terrain), or an `orograph.Dataset` for each, with
+    the same settings as the keys and the uncertainty."""
     from orograph.geovis.data.dataset import datasets_of
 
     return datasets_of(value)
@@ -261,8 +262,8 @@ def flight(value: Flight | str | None, terrain: Terrain) -> Flight | None:
 
 
 def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
-    """Takes one or several: what `orograph.terrain` takes, arrays of the terrain's samples, or an `orograph.Ghost` of
-    each, which says what keys say."""
+    """Takes one or several: what `orograph.terrain` takes, arrays of the terrain's samples, or an `orograph.Ghost` for
+    each, with the same settings as the keys."""
     from orograph.scene.ghosts import Ghost
 
     several = value if isinstance(value, list | tuple) else (value,)
@@ -270,22 +271,22 @@ def ghosts(value: Any, terrain: Terrain) -> tuple[Ghost, ...]:
 
 
 def _parsed(kind: type[T], value: Any) -> T | None:
-    """A value of a kind, or the text of one."""
+    """A value of a kind, or its text."""
     if value is None or isinstance(value, kind):
         return value
     if not isinstance(value, str):
-        raise TypeError(f"it is a text, or a {kind.__name__}")
+        raise TypeError(f"give a text, or a {kind.__name__}")
     found: T = kind.parse(value)  # type: ignore[attr-defined]
     return found
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
-    """None: there is none."""
+    """None: nothing is drawn."""
     return value if value is None or value == "auto" else float(value)
 
 
 def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:
-    """Takes "auto", metres from line to line, or a `Contours`, which without an interval finds one itself."""
+    """Takes "auto", metres between lines, or a `Contours`, whose interval may be automatic."""
     return value if value is None or isinstance(value, Contours) else Contours(float(value))
 
 
@@ -304,5 +305,5 @@ def silhouettes(value: Silhouettes | bool | None, terrain: Terrain) -> Silhouett
     if value is None or isinstance(value, Silhouettes):
         return value
     if not isinstance(value, bool):
-        raise TypeError("it is True, False or a Silhouettes")
+        raise TypeError("give True, False or a Silhouettes")
     return Silhouettes() if value else None

@@ -1,7 +1,8 @@
-"""Methods for scenes: which one makes the mesh of a picture, and a method made with all that it uses.
+"""Methods for scenes: choose the method that makes the mesh of a picture, and create it with all that it uses.
 
-What draws can draw the terrain by itself: the CPU by rays, the GPU by patches that it streams (``registry.AUTO``). A
-scene whose method is that has no mesh; every other's selection is drawn as triangles, on the GPU that of rays by rays.
+Each backend can draw the terrain by itself: the CPU by rays, the GPU by patches that it streams (``registry.AUTO``). A
+scene with that method has no mesh; the selection of any other method is drawn as triangles, or on the GPU as rays if it
+selects rays.
 """
 
 from __future__ import annotations
@@ -16,20 +17,20 @@ from orograph.lod.registry import AUTO, Backend, Choice, chosen
 from orograph.store.terrain import Terrain
 
 TOLERANCE = 1.0
-"""Pixels: what a method is asked to keep unless the scene says."""
+"""The tolerance that a method keeps unless the scene sets one, pixels."""
 
 MEMORY = 1 << 30
-"""Bytes of tiles that a method may hold where no limit is given."""
+"""Bytes of tiles that a method may hold if no limit is given."""
 
 ALWAYS = ("cull", "geomorph")
-"""Options of patches that the GPU leaves open: it leaves out what is out of view, and lets vertices grow."""
+"""Options of patches that the GPU does not set: it culls, and lets vertices grow."""
 
 
 def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> Choice | None:
-    """The method whose selection is drawn; None where the backend draws the terrain by itself.
+    """The method whose selection is drawn; None if the backend draws the terrain by itself.
 
     Args:
-        method: as ``--method`` has it. triangles: a budget, which what the GPU streams does not know.
+        method: as for ``--method``. triangles: a budget, which streamed patches do not support.
 
     Raises:
         UsageError: as ``registry.chosen``; or the backend cannot draw what the method selects.
@@ -42,8 +43,8 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
         if own and choice.options == choice.info.options():
             return None
         raise UsageError(
-            f"{choice} cannot be drawn so: the CPU draws the rays of {AUTO['cpu']} alone, at the exact surface.",
-            remedy='Draw it by the GPU (`backend="gpu"`), or choose another.',
+            f"{choice} cannot be drawn by the CPU: it draws only the rays of {AUTO['cpu']}, at the exact surface.",
+            remedy='Draw it on the GPU (`backend="gpu"`), or choose another.',
         )
     if own and backend == "gpu" and triangles is None:
         usual = choice.info.options()
@@ -55,13 +56,13 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
 
 
 def check_promise(method: str, backend: Backend) -> None:
-    """Raise UsageError unless a tolerance is a promise with a scene's method."""
+    """Raise UsageError unless a scene's method guarantees its tolerance."""
     if method != "auto":
         chosen(method, backend).check_promise()
 
 
 def goal_of(tolerance: float | None, triangles: int | None) -> Goal:
-    """What a scene's method is asked for."""
+    """The goal of a scene's method."""
     if triangles is not None:
         return Goal(triangles=triangles)
     return Goal(TOLERANCE if tolerance is None else tolerance)

@@ -1,8 +1,8 @@
 """The parts of a scene: lighting, data, annotations, surface, budget. Each option is declared here, once.
 
 Keyword arguments of ``orograph.render`` with their documentation, options of the command line with their help, and the
-window's settings come from these fields: a new option is a field here, and what draws it. This module loads quickly,
-for the command line's help. Units: metres, pixels, degrees; colours are sRGB from 0 to 1.
+window's settings come from these fields: a new option needs only a field here and the code that draws it. This module
+loads quickly, for the command line's help. Units: metres, pixels, degrees; colours are sRGB from 0 to 1.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ SurfaceNormals = Literal["auto", "computed", "stored", "sampled", "derivatives",
 """Where normals come from."""
 
 SHINING = ("aperture", "raytraced")
-"""Those with lamps and further discs."""
+"""Lights that take lamps and further discs."""
 
 CALLED = "`{0.name}`"
-"""What errors call an option."""
+"""How error messages call an option."""
 
 
 STEEPEST = 1e9
-"""By how much heights can be stretched."""
+"""Limit on the exaggeration of heights."""
 
 
 def _ends(pair: Any) -> tuple[float, float]:
-    """Two finite numbers; else two that are NaN, which no comparison is true of."""
+    """Two finite numbers; otherwise two NaNs, with which every comparison is false."""
     try:
         low, high = map(float, pair)
     except (TypeError, ValueError):
@@ -64,23 +64,23 @@ def _ends(pair: Any) -> tuple[float, float]:
 
 
 def _some(value: Any) -> bool:
-    """Whether an option says something: not None, False or an empty list. (Arrays have no truth of their own.)"""
+    """Whether an option is set: not None, False or an empty list. (Arrays have no truth value.)"""
     return value is not None and value is not False and not (isinstance(value, tuple | list) and not value)
 
 
 def check_exaggeration(factor: float) -> None:
     """Raise UsageError unless heights can be stretched by ``factor``."""
     if not 0 < factor <= STEEPEST:
-        raise UsageError(f"The exaggeration is a factor greater than 0, and at most {STEEPEST:g}, not {factor:g}.")
+        raise UsageError(f"The exaggeration must be greater than 0 and at most {STEEPEST:g}, not {factor:g}.")
 
 
 _HIGHEST = 1e9
-"""Metres that no ground of any body reaches."""
+"""Metres that exceed the heights of any body."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """How light falls, and the air that it goes through.
+    """Light and air.
 
     Raises:
         UsageError: a number is out of its range, or options contradict each other.
@@ -89,37 +89,37 @@ class Lighting:
     sun: Sun = option(
         given.default_sun,
         "Where the sun stands: degrees clockwise from grid north and degrees above the horizon (315,45), or a time "
-        "with its zone (2026-06-21T12:00+02:00), which means the real sun over the terrain's middle, refraction "
+        "with its zone (2026-06-21T12:00+02:00), which gives the real sun at the terrain's middle, refraction "
         "included.",
         read=given.read_sun, given=given.sun, metavar="AZ,ALT|TIME", shown="315,45",
     )  # fmt: skip
     light: Light = option(
         "relief",
         "How light falls: relief: shadows by the skyline, a sky-view factor for the sky; ao: ambient occlusion; "
-        "aperture: ambient apertures; raytraced: rays to the sun's disc and to the sky; none: bare colours. What "
-        "`orograph.bake` has put into a store is used.",
+        "aperture: ambient apertures; raytraced: rays to the sun's disc and to the sky; none: bare colours. Products "
+        "that `orograph.bake` has put into a store are used.",
         choices=get_args(Light),
     )
     shadows: bool = option(True, "Whether the ground casts shadows.")
-    rays: int = option(64, 'With `light="raytraced"`: to each disc of light, and to the sky.', least=1)
+    rays: int = option(64, 'With `light="raytraced"`: rays to each disc of light, and to the sky.', least=1)
     lamps: tuple[Lamp, ...] = option(
         (),
-        "A lamp, HEIGHT metres above the heights' own zero, as bright as a sun REACH metres away; its colour from 0 to "
-        '1. Needs `light="aperture"` or `light="raytraced"`.',
+        "A lamp, HEIGHT metres above the zero of the heights, as bright as a sun REACH metres away; its colour from 0 "
+        'to 1. Needs `light="aperture"` or `light="raytraced"`.',
         read=given.read_numbers(given.LAMP, 3), given=given.lamps, flag="light-at", metavar=given.LAMP, multiple=True,
     )  # fmt: skip
     discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = option(
         (),
-        'Another distant disc of light, so many degrees across. Needs `light="aperture"` or `light="raytraced"`.',
+        'Another distant disc of light, with its diameter in degrees. Needs `light="aperture"` or `light="raytraced"`.',
         read=given.read_numbers(given.DISC, 3), given=given.discs, flag="disc", metavar=given.DISC, multiple=True,
     )  # fmt: skip
     relief: float | None = option(
-        None, "Stretch slopes for shading only; 1 is nature.", least=0, metavar="X",
+        None, "Stretch slopes for shading only; 1: true slopes.", least=0, metavar="X",
         shown="1 to 6, more for gentle land",
     )  # fmt: skip
-    sky: bool = option(False, "Draw sky and haze, instead of paper.")
+    sky: bool = option(False, "Draw sky and haze instead of paper.")
     depths: tuple[float, float] | None = option(
-        None, "Metres of depth of the nearest and the farthest ground, between which haze grows.", flag=None,
+        None, "Depths in metres of the nearest and the farthest ground, between which haze grows.", flag=None,
         shown="those of the ground in view",
     )  # fmt: skip
 
@@ -128,14 +128,14 @@ class Lighting:
         more = [name for name in ("lamps", "discs") if _some(getattr(self, name))]
         if more and self.light not in SHINING:
             raise UsageError(
-                f"`light={self.light!r}` knows no `{more[0]}`.",
+                f"`light={self.light!r}` does not support `{more[0]}`.",
                 remedy=f"Use {' or '.join(f'`light={one!r}`' for one in SHINING)}.",
             )
         if self.depths is not None:
             nearest, farthest = _ends(self.depths)
             if not 0 <= nearest <= farthest:
                 raise UsageError(
-                    f"The depths are those of the nearest and the farthest ground, metres, not {self.depths!r}."
+                    f"The depths must be those of the nearest and the farthest ground, metres, not {self.depths!r}."
                 )
 
 
@@ -144,11 +144,11 @@ class Data:
     """What the ground shows: its tint, layers over it, water.
 
     Raises:
-        UsageError: a water level is no height. (``Scene.of`` raises it where there are more layers than can be drawn.)
+        UsageError: a water level is not a height. (``Scene.of`` raises it if there are more layers than can be drawn.)
     """
 
     colormap: str | Table | None = option(
-        None, "Colours of heights: alpine, mars, grey or any name of the cmap catalogue.", metavar="NAME",
+        None, "Colours of heights: alpine, mars, grey or any name from the cmap catalogue.", metavar="NAME",
         shown="alpine", given=given.colormap,
     )  # fmt: skip
     range: tuple[float, float] | None = option(
@@ -169,60 +169,60 @@ class Data:
 
     def __post_init__(self) -> None:
         if isinstance(self.water, float) and not abs(self.water) < _HIGHEST:
-            raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
+            raise UsageError(f"A water level must be a height in metres, not {self.water:g}.")
         if self.range is not None:
             low, high = _ends(self.range)
             if not low < high:
-                raise UsageError(f"A `range` of heights goes from a lower to a higher one, not {self.range!r}.")
+                raise UsageError(f"A `range` of heights must go from a lower to a higher one, not {self.range!r}.")
 
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Data that belong to the ground, how uncertain they are, and what of terrain, data and uncertainty comes first.
+    """Data on the ground, their uncertainty, and the priorities of terrain, data and uncertainty.
 
     Attributes:
-        things: what of the data stands on the ground, of a scene that is drawn.
+        things: the data that stand on the ground, in a scene that is drawn.
     """
 
     data: tuple[Dataset, ...] = option(
         (),
         "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
         "variable, band, time (2019-03-01T12, T12; A..B: a span, which films play), member, value (of several: median, "
-        "min, max, spread, p90), exceeds (how probably), "
-        "layer, geometry (which of several), style "
-        "(continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, "
-        "spheres, cones, discs, flags; of lines tubes, curtains; of tracks tubes, paths; of boreholes columns, logs; "
-        "of volumes curtains, walls), colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: "
-        "0:5:10), height, above, depth (ATTRIBUTE[:km|ft]: metres of points over the heights' zero, or over or below "
-        "the ground; from+to), group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks), level (of "
-        "a volume), vertical (what its levels are: height, above, depth, pressure), along (FILE of lines, or "
-        "LON:LAT:LON:LAT…: where curtains through a volume run), hidden (how what is below the ground shows through "
-        "it), size, width, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        "min, max, spread, p90), exceeds (probability of exceeding this value), layer, geometry (which of several), style (continuous, segmented, isolines, "
+        "isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, spheres, cones, discs, flags; "
+        "of lines tubes, curtains; of tracks tubes, paths; of boreholes columns, logs; of volumes curtains, walls), "
+        "colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: 0:5:10), height, above, "
+        "depth (ATTRIBUTE[:km|ft]: metres of points over the heights' zero, or over or below the ground; from+to), "
+        "group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks), level (of a volume), vertical "
+        "(what its levels are: height, above, depth, pressure), along (FILE of lines, or LON:LAT:LON:LAT…: where "
+        "curtains through a volume run), hidden (how strongly things below the ground show through it), size, width, "
+        "opacity, name, unit: era5.grib,time=T12,style=segmented.",
         read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     priority: Priority | None = option(
         None,
-        "What comes first: T+ shaded relief, T- a line drawing; D+ a continuous scale, D- classes; U+ glyphs of "
+        "Priorities: T+ shaded relief, T- a line drawing; D+ a continuous scale, D- classes; U+ glyphs of "
         "uncertainty, U- transparency or noise. Or overview, approach, overflight, replanning.",
         read=given.read_priority, given=given.priority, metavar="T±D±U±", shown="T+D+U- with data",
     )  # fmt: skip
     focus: Focus | None = option(
         None,
-        "Another priority in a part of the picture: lens (a disc: at=0.5:0.5, radius=0.25, parts of the picture), near "
-        "(distance=METRES from the eye), a file of polygons, or of lines with width=METRES. Keys: priority, blend "
-        "(metres; of a lens, parts of the height): route.geojson,width=4000,priority=T+D+U+.",
+        "A different priority in a part of the picture: lens (a disc: at=0.5:0.5, radius=0.25, parts of the "
+        "picture), near (distance=METRES from the eye), a file of polygons, or of lines with width=METRES. Keys: "
+        "priority, blend (metres; of a lens, parts of the height): route.geojson,width=4000,priority=T+D+U+.",
         read=given.read_focus, given=given.focus, metavar="lens|near|FILE[,KEY=VALUE…]",
     )  # fmt: skip
     flight: Flight | None = option(
         None,
-        "Change the priority by degrees with the camera's height above ground: approach below LOW metres, above HIGH "
-        "overflight, or in films slower than SLOW metres a second (not faster than FAST) replanning.",
+        "Change the priority gradually with the camera's height above ground: approach below LOW metres; above HIGH "
+        "overflight, or in films replanning at speeds below SLOW metres per second (overflight above FAST).",
         read=given.read_flight, given=given.flight, metavar="auto|LOW:HIGH[:SLOW:FAST]",
     )  # fmt: skip
     ghosts: tuple[Ghost, ...] = option(
         (),
-        "Another surface over or under the ground, seen through: a DEM in any CRS, a water table. Keys: color, opacity "
-        "(before the ground), hidden (behind it), name, band, vertical_unit: table.tif,color=#2f7fd1,hidden=0.4.",
+        "Another, transparent surface over or under the ground: a DEM in any CRS, a water table. Keys: color, "
+        "opacity (in front of the ground), hidden (behind it), name, band, vertical_unit: "
+        "table.tif,color=#2f7fd1,hidden=0.4.",
         read=given.read_ghost, given=given.ghosts, flag="ghost", metavar="DEM[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     things: Things | None = None
@@ -230,10 +230,10 @@ class Theme:
 
 @dataclass(frozen=True, slots=True)
 class Annotations:
-    """Lines on the ground, and what stands around the picture."""
+    """Lines on the ground, and furniture around the picture."""
 
     contours: Contours | None = option(
-        None, "Draw contour lines; auto: at the interval that suits the relief and the scale.",
+        None, "Draw contour lines; auto: at an interval that suits the relief and the scale.",
         read=given.read_contours, given=given.contours, metavar="auto|METRES", details=Contours,
     )  # fmt: skip
     silhouettes: Silhouettes | None = option(
@@ -241,16 +241,16 @@ class Annotations:
     )
     aids: Aids | None = option(
         None,
-        "Draw aids to see heights and directions: drops (lines from what floats down to the ground), shadows (straight "
-        "below it), poles (in bands of METRES above ground), grid (lines of easting and northing on the ground, METRES "
-        "apart), walls (sections through the middle, beside the terrain), icon (a cube that is turned as the view is; "
-        "with `furniture`, in perspective).",
+        "Draw aids to see heights and directions: drops (lines from what floats down to the ground), shadows "
+        "(straight below it), poles (in bands of METRES above ground), grid (lines of easting and northing on the "
+        "ground, METRES apart), walls (sections through the middle, beside the terrain), icon (a cube turned like "
+        "the view; with `furniture`, in perspective).",
         read=Aids.parse, given=given.aids, metavar="drops,shadows,poles[=METRES],grid[=METRES],walls,icon",
     )  # fmt: skip
     furniture: bool = option(False, "Add a title, a legend, a north arrow and a scale bar.")
     inset: bool = option(
         False,
-        "With `furniture`, in perspective: a small map in the picture of what of the terrain it shows.",
+        "With `furniture`, in perspective: a small map of the part of the terrain that the picture shows.",
     )
     title: str | None = option(None, "The title (with `furniture`).", shown="the file's name")
 
@@ -260,16 +260,16 @@ class Annotations:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Which surface is drawn, by which method, and how finely.
+    """The surface to draw, the method, and the level of detail.
 
     Raises:
         UsageError: a number is out of its range, or options contradict each other.
     """
 
     exaggeration: float = option(1.0, "Stretch heights on the screen.", metavar="X")
-    samples: int = option(4, "Rays per pixel where the picture has edges; 1: jagged ones.", least=1, most=1024)
+    samples: int = option(4, "Rays per pixel where the picture has edges; 1: jagged edges.", least=1, most=1024)
     tolerance: float | None = option(
-        None, "Pixels by which the ground may be displaced; 0 draws every sample.", least=0, metavar="PX",
+        None, "How far the ground may be displaced, pixels; 0 draws every sample.", least=0, metavar="PX",
         shown="0 up to 16.8 million samples, else 0.5; with a `method` 1",
     )  # fmt: skip
     method: str = option(
@@ -278,13 +278,13 @@ class Surface:
         "by rays on the CPU, by patches on the GPU. The methods and their options: `orograph.methods()`.",
         read=given.read_method, metavar="NAME[,KEY=VALUE…]",
     )  # fmt: skip
-    triangles: int | None = option(None, "With a `method`, instead: at most so many.", least=2, metavar="N")
+    triangles: int | None = option(None, "With a `method`, instead: maximum number of triangles.", least=2, metavar="N")
     wireframe: bool = option(False, "With a `method`: draw its triangles' edges over the relief.")
     normals: SurfaceNormals = option(
         "auto",
-        "Where the normals come from that light falls on (GPU): computed for every pixel from heights; stored at the "
-        "mesh's vertices; sampled: from heights half a pixel to every side; derivatives of the position on the screen; "
-        "faces of the triangles. auto: computed, or of a `method`'s mesh its faces.",
+        "Source of the normals for lighting (GPU): computed for every pixel from heights; stored at the mesh's "
+        "vertices; sampled from heights half a pixel to every side; derivatives of the position on the screen; faces "
+        "of the triangles. auto: computed, or faces with the mesh of a `method`.",
         choices=get_args(SurfaceNormals),
     )  # fmt: skip
     mesh_view: View | None = option(
@@ -294,8 +294,8 @@ class Surface:
 
     detail: Detail | None = option(
         None,
-        "Invent detail where samples are coarser than pixels: fractal, as rough as the data, or after fine terrain "
-        "(exemplar=lidar.tif). The samples stay as they are; nothing that is measured has it.",
+        "Invent detail where samples are coarser than pixels: fractal, as rough as the data, or like a fine terrain "
+        "(exemplar=lidar.tif). The samples stay as they are, and measurements ignore it.",
         read=Detail.parse, given=given.detail, metavar="fractal|exemplar=FILE[,seed=N]", shown="none",
     )  # fmt: skip
 
@@ -305,9 +305,9 @@ class Surface:
         check_exaggeration(self.exaggeration)
         if self.detail and not _invents(self.method):
             raise UsageError(
-                "`detail` is drawn by rays, or by clipmaps as printed: other methods go by errors, and of what is "
-                "invented none is known.",
-                remedy="Leave out the method, or the detail.",
+                "`detail` is drawn only by rays, or by clipmaps as printed: other methods need errors, which "
+                "invented detail does not have.",
+                remedy="Leave out the method or the detail.",
             )
         if self.triangles is not None and self.tolerance is not None:
             raise UsageError("Give one goal: `tolerance` or `triangles`.")
@@ -315,14 +315,14 @@ class Surface:
             for name in ("triangles", "wireframe", "mesh_view"):
                 if _some(getattr(self, name)):
                     raise UsageError(
-                        f"`{name}` is about the mesh that a method makes.",
-                        remedy='Choose one, such as `method="soar"`.',
+                        f"`{name}` applies to the mesh that a method makes.",
+                        remedy='Choose a method, such as `method="soar"`.',
                     )
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What drawing may take."""
+    """Resources that drawing may use."""
 
     max_memory: int | None = option(
         None, 'Bytes that heights and pictures may take: a number, or "1GiB".', least=1, read=parse_bytes,
@@ -356,16 +356,16 @@ def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     parts: dict[str, dict[str, Any]] = {}
     for name, value in options.items():
         if name not in HOMES:
-            raise UsageError(f"A scene has no option {name!r}; there are {', '.join(HOMES)}.")
+            raise UsageError(f"A scene has no option {name!r}; the options are {', '.join(HOMES)}.")
         parts.setdefault(HOMES[name], {})[name] = value
     return parts
 
 
 def made_of(name: str, value: Any, terrain: Terrain) -> Any:
-    """What a user gave for an option, a text of the command line or a value, made what it is over a terrain.
+    """Convert what a user gave for an option, a text of the command line or a value, to its value over a terrain.
 
     Raises:
-        UsageError: it cannot be that option's value.
+        UsageError: it cannot be a value of that option.
     """
     one = OPTIONS[name]
     value = one.worded(value)
@@ -374,14 +374,14 @@ def made_of(name: str, value: Any, terrain: Terrain) -> Any:
     except (TypeError, ValueError, AttributeError, LookupError) as error:
         raise UsageError(
             f"`{name}` cannot be {reprlib.repr(value)}: {error}.",
-            remedy=f"It is {one.metavar.replace('|', ', ') or one.annotation}: see help(orograph.render).",
+            remedy=f"It must be {one.metavar.replace('|', ', ') or one.annotation}: see help(orograph.render).",
         ) from error
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Raise UsageError where options contradict each other or a number is out of its range, before there is a terrain.
+    """Raise UsageError if options contradict each other or a number is out of range, before there is a terrain.
 
-    Values may be as users give them: which are given is what is looked at.
+    Values may be as users give them: mostly it matters which are given.
     """
     for part, values in by_part(options).items():
         PARTS[part](**{name: OPTIONS[name].worded(value) for name, value in values.items()})

@@ -1,4 +1,4 @@
-"""What is drawn: terrain, camera, and the scene's parts, the same description for every backend."""
+"""What is drawn: terrain, camera, and the scene's parts; the same description for every backend."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from orograph.scene.ghosts import Ghost
 
 DEFAULT_TOLERANCE = 0.5
-"""Pixels: what larger terrains may be displaced by on the screen."""
+"""Default tolerance of larger terrains, pixels."""
 
 
 BY_PRIORITY = ("light", "contours", "silhouettes", "colormap", "water", "layers", "data", "priority", "focus",
                "flight", "ghosts")  # fmt: skip
-"""Options in which variants of a scene differ."""
+"""Options in which the variants of a scene differ."""
 
 
 OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "title")
@@ -47,16 +47,16 @@ OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "tit
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A scene that shows instead of another one, where, and what its legend says beside names."""
+    """A scene that is shown in place of another, where, and what its legend adds."""
 
     scene: Scene
     weight: Weight
     name: str = "focus"
     rgb: tuple[int, int, int] | None = None
-    """Of a ghost, its colour."""
+    """The colour of a ghost."""
 
     def but(self, terrain: Terrain | None, view: View | None, options: Mapping[str, Any]) -> Variant:
-        """The same in another scene; a ghost has its own terrain, and takes the light and the exaggeration."""
+        """The same variant of another scene; a ghost keeps its own terrain and takes the light and the exaggeration."""
         if self.rgb is None:
             return replace(self, scene=self.scene.but(terrain=terrain, view=view, **options))
         own = {name: options[name] for name in OF_GHOSTS if name in options}
@@ -65,12 +65,12 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A picture to be.
+    """The description of a picture.
 
     Attributes:
-        terrain, view: what is looked at, and from where.
+        terrain, view: what is drawn, and from where.
         surface, lighting, annotations, data, theme, budget: see ``scene.parts``.
-        variants: scenes that show instead of this one, each by its weight at a pixel, the later over the earlier.
+        variants: scenes shown in place of this one, each with its weight at a pixel, later ones over earlier ones.
 
     Raises:
         ReadError: the terrain has fewer than two rows or columns.
@@ -97,10 +97,10 @@ class Scene:
     @classmethod
     @sharing()
     def of(cls, terrain: Terrain, view: View, **options: Any) -> Self:
-        """A scene by its options' names, whichever parts they belong to, as users give them (``scene.given``).
+        """A scene from options by name, whichever parts they belong to, as users give them (``scene.given``).
 
         Raises:
-            UsageError: there is no such option, or as the parts.
+            UsageError: there is no such option, or as for the parts.
         """
         theme = themed(options, terrain, (view.whole.width, view.whole.height))
         things, parts = theme.things, _sorted(theme.options, terrain)
@@ -119,7 +119,7 @@ class Scene:
 
     @classmethod
     def ghost(cls, scene: Self, ghost: Ghost) -> Variant:
-        """Another surface that is seen through."""
+        """Another, transparent surface."""
         from orograph.scene.ghosts import Seen
 
         surface = ghost.over(scene.terrain)
@@ -140,7 +140,7 @@ class Scene:
         assert flight is not None
         for name in ("priority", "focus"):
             if options.get(name) is not None:
-                raise UsageError(f"`flight` says which priority holds, and so does `{name}`.", remedy="Give one.")
+                raise UsageError(f"`flight` and `{name}` both set the priority: give one of them.", remedy="Give one.")
         bare = {**options, "flight": None}
         first, *rest = (cls.of(terrain, scene.view, **{**bare, "priority": name}) for name in (BASE, *OTHERS))
         whole = flight.over(terrain)
@@ -166,10 +166,10 @@ class Scene:
         return replace(self, **parts)
 
     def told(self) -> dict[str, Any]:
-        """What a picture of it looks like, in short: its options, view and terrain, for JSON with ``default=str``."""
+        """A short description of the picture: its options, view and terrain, for JSON with ``default=str``."""
         left_out = ("sun", "jobs", "max_memory", "mesh_view")
         said = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}
-        said["layers"] = [layer for layer in said["layers"] if layer.key is None]  # (data are told by themselves)
+        said["layers"] = [layer for layer in said["layers"] if layer.key is None]  # (data are described separately)
         sun, mesh_view, grid = self.lighting.sun, self.surface.mesh_view, self.terrain.grid
         return {
             "scene": said, "sun": [sun.azimuth, sun.altitude, sun.diameter], "view": self.view.to_dict(),
@@ -179,12 +179,13 @@ class Scene:
 
     @property
     def attribution(self) -> tuple[str, ...]:
-        """Whom the makers of its heights and layers want to be named."""
+        """The credits that the makers of its heights and layers ask for."""
         return attributed(self.terrain.attribution, self.data.layers)
 
     @property
     def keys(self) -> tuple[Legend, ...]:
-        """What the colours and signs of its data mean: of what stands, then of painted data, the uppermost first."""
+        """The meaning of the data's colours and signs: first of standing things, then of painted data, the uppermost
+        first."""
         things = self.theme.things
         painted = [layer.key for layer in reversed(drawn(self.data.layers)) if layer.key is not None]
         own = (*((things.legend,) if things is not None else ()), *painted)
@@ -197,7 +198,7 @@ class Scene:
 
     @property
     def pixel_tolerance(self) -> float:
-        """The tolerance in force, pixels."""
+        """The effective tolerance, pixels."""
         if self.surface.tolerance is not None:
             return self.surface.tolerance
         rows, cols = self.terrain.grid.shape
@@ -205,7 +206,7 @@ class Scene:
 
 
 def beyond(own: tuple[Legend, ...], key: Legend, name: str) -> Legend | None:
-    """What a legend says that others do not say yet; None: nothing."""
+    """Legend entries that the others do not have yet; None: nothing."""
     scales = {(one.words, one.low, one.high, one.colors.tobytes()) for legend in own for one in legend.scales}
     words = {word for legend in own for word, _ in (*legend.swatches, *legend.classes)}
     notes = {legend.note for legend in own}
@@ -223,7 +224,7 @@ def beyond(own: tuple[Legend, ...], key: Legend, name: str) -> Legend | None:
 
 
 def _sorted(options: Mapping[str, Any], terrain: Terrain) -> dict[str, dict[str, Any]]:
-    """Options by the part that they belong to, each made what it is over a terrain."""
+    """Options by the part that they belong to, each converted to its value over a terrain."""
     return {
         part: {name: made_of(name, value, terrain) for name, value in own.items()}
         for part, own in by_part(options).items()

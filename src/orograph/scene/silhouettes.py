@@ -1,6 +1,6 @@
-"""How silhouettes are drawn: the lines where one ridge stands before another or before the sky, and creases.
+"""How silhouettes are drawn: the lines where a ridge stands in front of another or of the sky, and creases.
 
-What they are and how they are found: ``rendering.lines.silhouettes``. Units: pixels; colours are sRGB from 0 to 1.
+Their definition and how they are found: ``rendering.lines.silhouettes``. Units: pixels; colours are sRGB from 0 to 1.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from orograph.errors import UsageError
 from orograph.lod.options import check, option
 
-if TYPE_CHECKING:  # the command line's help is made from these fields, before anything is loaded
+if TYPE_CHECKING:  # help of the command line uses these fields before anything is loaded
     import numpy as np
     from numpy.typing import NDArray
 
@@ -28,33 +28,33 @@ class Silhouettes:
 
     Attributes:
         width: in pixels; more in pictures for print (``USUAL``). opacity: of the nearest ones, 0 to 1.
-        color: sRGB, 0 to 1. creases: see its help; as a part of how heavy lines are where ground hides something.
+        color: sRGB, 0 to 1. creases: see its help; relative to lines where ground hides something.
 
     Raises:
         UsageError: a number is out of its range.
     """
 
     width: float = option(
-        2.0, "Of the nearest ones; farther ones are thinner.", unit="pixels", least=0.25, most=32,
+        2.0, "Width of the nearest lines; farther ones are thinner.", unit="pixels", least=0.25, most=32,
         flag="silhouette-width", metavar="PX",
     )  # fmt: skip
     opacity: float = 0.8
     color: tuple[float, float, float] = (0.20, 0.18, 0.20)
     creases: float = option(
         0.6,
-        "How heavy silhouettes are where ground turns away and back but hides nothing; 0: none there.", least=0, most=1,
+        "Weight of silhouettes where ground turns away and back but hides nothing; 0: not drawn.", least=0, most=1,
         flag="creases",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)
         if not 0 <= self.opacity <= 1:
-            raise UsageError(f"The opacity of silhouettes is from 0 to 1, not {self.opacity:g}.")
+            raise UsageError(f"The opacity of silhouettes must be from 0 to 1, not {self.opacity:g}.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
-            raise UsageError(f"The colour of silhouettes is three numbers from 0 to 1, not {self.color}.")
+            raise UsageError(f"The colour of silhouettes must be three numbers from 0 to 1, not {self.color}.")
 
     def fitted(self, view: View) -> Silhouettes:
-        """These lines for one picture: with a width for its number of pixels."""
+        """These options for one picture: with a width that suits its number of pixels."""
         _, _, width, height = view.frame
         return replace(self, width=min(self.width * max(1.0, min(width, height) / USUAL), 32.0))
 
@@ -69,5 +69,5 @@ class Silhouettes:
 
     @property
     def reach(self) -> int:
-        """Pixels from a line within which a pixel may be covered by it."""
+        """Distance from a line within which it may cover a pixel, pixels."""
         return math.ceil(self.width / 2 + 0.5)

@@ -9,10 +9,10 @@ from typing import Any
 from orograph.errors import UsageError
 
 Size = tuple[int, int] | str
-"""A picture's size: (width, height) in pixels, or a text: "1280x720", on paper "20x15cm@300"."""
+"""A picture's size: (width, height) in pixels, or a text such as "1280x720", or "20x15cm@300" on paper."""
 
 DPI = 300.0
-"""Dots per inch of a size on paper, where nothing else is said."""
+"""Default dots per inch of a size on paper."""
 
 INCHES = {"cm": 1 / 2.54, "mm": 1 / 25.4, "in": 1.0}
 
@@ -20,13 +20,13 @@ SPELT = re.compile(r"(\d+(?:\.\d+)?)\s*[x×]\s*(\d+(?:\.\d+)?)\s*(cm|mm|in)?\s*(
 
 
 class Pixels(tuple[int, int]):
-    """A size in pixels, (width, height), that is to be printed at ``dpi`` dots per inch; None: not said."""
+    """A size in pixels, (width, height), to be printed at ``dpi`` dots per inch; None: unspecified."""
 
     dpi: float | None = None
 
     @classmethod
     def of(cls, width: float, height: float, unit: str | None, dpi: float | None) -> Pixels:
-        """Of a size in pixels (None), "cm", "mm" or "in"; rounded to whole pixels."""
+        """From pixels (None), "cm", "mm" or "in"; rounded to whole pixels."""
         dpi = DPI if unit is not None and dpi is None else dpi
         scale = 1.0 if unit is None or dpi is None else dpi * INCHES[unit]
         made = cls((round(width * scale), round(height * scale)))
@@ -35,15 +35,15 @@ class Pixels(tuple[int, int]):
 
 
 def dpi_of(size: tuple[int, int] | None) -> float | None:
-    """The resolution that a size was given with."""
+    """The resolution given with a size."""
     return size.dpi if isinstance(size, Pixels) else None
 
 
 def read_size(text: str) -> Pixels:
-    """A size of its text.
+    """Parse a size.
 
     Raises:
-        ValueError: it is none, or less than a pixel.
+        ValueError: it is not a size, or less than a pixel.
     """
     found = SPELT.fullmatch(text.strip().lower())
     if found is None or (found[3] is None and "." in found[1] + found[2]):
@@ -59,7 +59,7 @@ def size_of(size: Any) -> tuple[int, int]:
     """(width, height) in pixels of what a user gave (``Size``).
 
     Raises:
-        UsageError: it is no size.
+        UsageError: it is not a size.
     """
     if isinstance(size, str):
         try:
@@ -68,5 +68,5 @@ def size_of(size: Any) -> tuple[int, int]:
             raise UsageError(str(error)) from None
     whole_numbers = isinstance(size, tuple | list) and all(isinstance(n, Integral) and int(n) > 0 for n in size)
     if not whole_numbers or len(size) != 2:
-        raise UsageError(f"A size is (width, height) in pixels, such as (1280, 720), or '1280x720', not {size!r}.")
+        raise UsageError(f"A size must be (width, height) in pixels, such as (1280, 720), or '1280x720', not {size!r}.")
     return size if isinstance(size, Pixels) else (int(size[0]), int(size[1]))

@@ -1,6 +1,6 @@
-"""A theme becomes what every backend draws: data as painted layers, priorities as light, lines and tint.
+"""Turn a theme into what every backend draws: data into painted layers, priorities into light, lines and tint.
 
-A scene's other options stand where they are given; a priority sets those that are left as they are.
+A priority sets only those of the scene's options that are not given.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 FINER, LEAST, MOST = 1.6, 1024, 3072
-"""Texels along the longer side of painted data: so many to a pixel of the picture, within these bounds."""
+"""Texels along the longer side of painted data: this many per pixel of the picture, within these bounds."""
 
 PAPER = "#f4f2ec"
-"""The ground under data."""
+"""The tint of ground under data."""
 
 
 @dataclass(frozen=True, slots=True)
 class Themed:
-    """A theme that is carried out.
+    """A theme turned into options.
 
     Attributes:
-        options: the scene's, its data being layers. things: what stands on its ground, or None. painted: what its
-            layers of data show, bottom to top.
+        options: the scene's, its data as layers. things: what stands on its ground, or None. painted: what its data
+            layers show, bottom to top.
     """
 
     options: dict[str, Any]
@@ -48,13 +48,13 @@ class Themed:
 
 
 def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> Themed:
-    """A scene's options with its theme carried out.
+    """A scene's options with its theme applied.
 
     Args:
-        size: pixels (width, height) of the picture, which painted data suit.
+        size: pixels (width, height) of the picture; sets the resolution of painted data.
 
     Raises:
-        ReadError, UsageError: data cannot be read, or do not belong here.
+        ReadError, UsageError: data cannot be read, or do not fit here.
     """
     from orograph.geovis.data.bivariate import pairs
     from orograph.geovis.data.painted import painted
@@ -78,7 +78,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     priority = given or Priority(data=True)
     around = [one for one in data if one.style == "walls"]
     if len(around) > 1:
-        raise UsageError("Walls show one volume.", remedy="Give one of the data another style: curtains.")
+        raise UsageError("Walls can show only one volume.", remedy="Give one of the data another style: curtains.")
     inside = tuple(one for one in data if one.style != "walls")
     stretch = float(options.get("exaggeration") or 1.0)
     aspects = priority.data, priority.uncertainty, max(size), stretch, id(terrain)
@@ -105,7 +105,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
 
 
 def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things:
-    """Things that know what their values are."""
+    """Wrap things so that they know what their values mean."""
     from orograph.geovis.data.standing import Variable
 
     key = things.legend
@@ -120,7 +120,7 @@ def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things
 def _read(
     dataset: Dataset | tuple[Dataset, Dataset], terrain: Terrain, pixels: int, priority: Priority, stretch: float
 ) -> Shown | Things:
-    """What a dataset is shown by: something painted, or things that stand.
+    """How a dataset is shown: painted, or as standing things.
 
     Args:
         pixels: along the longer side of the picture. stretch: of its heights.
@@ -144,14 +144,14 @@ def _read(
     features = read_features(dataset, grid) if has_features(dataset.source) else None
     if dataset.derived and (features is not None or is_table(dataset.source)):
         raise UsageError(
-            "value= and exceeds= are of rasters with several members or times.", path=str(dataset.source),
-            remedy="Leave them away.",
+            "value= and exceeds= need rasters with several members or times.", path=str(dataset.source),
+            remedy="Leave them out.",
         )  # fmt: skip
     pointed = is_table(dataset.source) if features is None else features.kind == "points"
     if not pointed and dataset.leveled is not None:
         raise UsageError(
-            f"{dataset.leveled}= says how high points are, and these are none.", path=str(dataset.source),
-            remedy="Leave it away; lines float at their own z.",
+            f"{dataset.leveled}= gives the heights of points, and these are not points.", path=str(dataset.source),
+            remedy="Leave it out; lines float at their own z.",
         )  # fmt: skip
     if features is not None and features.kind != "points" and stands(dataset):
         return things_of_lines(dataset, features, grid, priority)
@@ -173,10 +173,10 @@ def _read(
 
 
 def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None:
-    """What stands for tracks; None: a source of lines that say no times.
+    """The things that show tracks; None: a source of lines without times.
 
     Raises:
-        UsageError: their heights are to be times.
+        UsageError: heights were requested as times.
     """
     from orograph.geovis.data.standing_tracks import things_of_tracks
     from orograph.geovis.data.times import seconds_of
@@ -186,7 +186,7 @@ def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None
     if rows is None and dataset.style == "tubes":
         return None
     if rows is None:
-        raise UsageError("Its lines say no times.", path=str(dataset.source), remedy="Name points with times, or GPX.")
+        raise UsageError("Its lines have no times.", path=str(dataset.source), remedy="Give points with times, or GPX.")
     moment = None if dataset.time is None else float(seconds_of([dataset.time], "time=", "value")[0])
     found = read_tracks(dataset.but(time=None), rows, terrain.grid)
     if dataset.above is not None or dataset.depth is not None:
@@ -198,8 +198,8 @@ def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None
 
 
 def _heights(terrain: Terrain, over: Grid) -> Any:
-    """Heights (rows, cols) at the samples of a grid over a terrain, of the coarsest level that is as fine; NaN where
-    none are."""
+    """Heights (rows, cols) at the samples of a grid over a terrain, from the coarsest level that is fine enough; NaN
+    where there are none."""
     from orograph.geovis.data.sampling import bilinear
 
     coarser, level = max(over.spacing) / max(terrain.grid.spacing), 0
@@ -212,7 +212,7 @@ def _heights(terrain: Terrain, over: Grid) -> Any:
 
 
 def _aided(things: Things, aids: Aids, terrain: Terrain) -> Things:
-    """Things with aids to see where those are that float."""
+    """Things with aids that show where the floating ones are."""
     from orograph.geovis.data import standing_aids as made
     from orograph.geovis.data.standing import Things
 
@@ -264,7 +264,7 @@ def _walls(
 
 
 def _ground_at(terrain: Terrain, x: Any, y: Any) -> Any:
-    """Heights (n,) of the surface at places in its CRS; NaN where there is none."""
+    """Heights (n,) of the surface at places in its CRS; NaN where there are none."""
     from orograph.measuring.ground import heights
 
     col, row = terrain.grid.index(x, y)
@@ -274,7 +274,7 @@ def _ground_at(terrain: Terrain, x: Any, y: Any) -> Any:
 
 
 def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
-    """What stands for a raster's values, on a lattice."""
+    """The things that show a raster's values, on a lattice."""
     from orograph.geovis.data.derived import deviations, read_data
     from orograph.geovis.data.painting import as_shown
     from orograph.geovis.data.points import Points
@@ -303,12 +303,12 @@ def _ground() -> dict[str, Any]:
 
 
 def _lines() -> dict[str, Any]:
-    """Terrain that is not prioritised: lines, and no shading."""
+    """Options for terrain without priority: lines, and no shading."""
     return {"light": "none", "contours": Contours(), "silhouettes": Silhouettes()}
 
 
 def _usual(name: str, value: Any) -> bool:
-    """Whether an option is as it would be without being said."""
+    """Whether an option has its default value."""
     from orograph.scene.parts import OPTIONS
 
     return value is None or bool(value == OPTIONS[name].default)

@@ -1,8 +1,8 @@
-"""Python's names in messages, put into other words: those of the command line, or of the window.
+"""Translate Python's names in messages to those of the command line, or of the window.
 
 The library writes Python in backticks: an argument (```tolerance```), with a value (```tolerance=2```), or a call
-(```orograph.bake(store, ["openness"], overwrite=True)```). ``spoken`` calls arguments as it is told; a call becomes the
-command line that does the same (``orograph bake STORE --products openness --overwrite``), wherever it is read.
+(```orograph.bake(store, ["openness"], overwrite=True)```). ``spoken`` renames arguments as instructed; a call becomes
+the equivalent command line (``orograph bake STORE --products openness --overwrite``), wherever it is read.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ VERBS = {
     "orograph.fetching.products": "orograph fetch --products",
     "orograph.geovis.color_store.store_colors": "orograph build --color-errors",
 }
-"""Functions that are options of a verb; others are called as their verb."""
+"""Functions that are options of a verb; others have the name of their verb."""
 
 PLACES = {"orograph.bake": ("", "--products"), "orograph.build": ("", "-o")}
-"""The options of arguments that a call gives by their places; "": the verb takes it by its place, too."""
+"""The options of arguments that a call gives by position; "": positional in the verb, too."""
 
 ELSEWHERE = {
     **dict.fromkeys(("plot", "show", "draw", "imshow", "relief", "shade"), "render"),
@@ -39,7 +39,7 @@ ELSEWHERE = {
     **dict.fromkeys(("contour", "isolines"), "contours"),
     **dict.fromkeys(("subtract", "diff", "dod", "change"), "difference"),
 }  # fmt: skip
-"""What functions are called elsewhere, and here."""
+"""Names of functions in other tools, and here."""
 
 MEANT = {
     **dict.fromkeys(("legend", "scale_bar", "scalebar", "north_arrow", "colorbar", "attribution"), "furniture"),
@@ -55,19 +55,19 @@ MEANT = {
     **dict.fromkeys(("verbose", "quiet"), "progress"),
     "camera": "view",
 }  # fmt: skip
-"""What options are called elsewhere, and here."""
+"""Names of options in other tools, and here."""
 
 Call = Callable[[str], str]
-"""What an argument is called, by its name in Python."""
+"""The display name of an argument, by its Python name."""
 
 
 def flag(name: str) -> str:
-    """What an argument is called on the command line, unless a verb calls it otherwise."""
+    """The command-line name of an argument, unless a verb overrides it."""
     return f"--{OPTIONS[name].key if name in OPTIONS else name.replace('_', '-')}"
 
 
 def spoken(text: str, call: Call) -> str:
-    """A text with its Python in backticks in other words."""
+    """A text whose Python in backticks is translated."""
     return re.sub("`([^`]+)`", lambda found: _said(found[1], call), text)
 
 
@@ -110,7 +110,7 @@ def _option(given: ast.keyword, call: Call) -> list[str]:
 
 
 def _value(tree: ast.expr, between: str = ",") -> str:
-    """A value as words of the command line; a name stands for what the user has."""
+    """A value as words of a command line; a name stands for what the user has."""
     if isinstance(tree, ast.Tuple | ast.List):
         return between.join(_value(one) for one in tree.elts)
     if isinstance(tree, ast.Constant):

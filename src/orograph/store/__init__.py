@@ -1,4 +1,4 @@
-"""The terrain at all its resolutions: in memory, or built once into a store and read tile by tile.
+"""Terrain at all resolutions: in memory, or built once into a store and read tile by tile.
 
 >>> from orograph import store
 >>> terrain = store.build(["n36.tif", "n37.tif"], "area.oro")  # doctest: +SKIP

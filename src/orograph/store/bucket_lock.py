@@ -151,7 +151,7 @@ class Lease:
         if self.place.swap(self.key, b"{}", None) is not None:
             self.place.remove(self.key)
             raise StoreError(
-                "This storage ignores conditions of writes (If-None-Match), on which locks rest.", path=self.url,
+                "This storage ignores conditional writes (If-None-Match), which locks need.", path=self.url,
                 remedy="Build in a folder, and copy the store there with orograph publish.",
             )  # fmt: skip
 
@@ -182,7 +182,9 @@ class Lease:
             age = max(0, round((datetime.now(UTC) - seen.written).total_seconds()))
             heard = f" Its last sign of life is {age} s old."
         why = (
-            " Its plan is another." if self.shared is not None and said.get("shared") not in (None, self.shared) else ""
+            " Its plan is different."
+            if self.shared is not None and said.get("shared") not in (None, self.shared)
+            else ""
         )
         return StoreError(
             f"Another process is {said.get('doing', 'at work on this store')}{who}.{why}{heard}", path=self.url,

@@ -1,8 +1,8 @@
-"""What a worker of a cluster needs for a build (``worker_state``): where the store is made, by which plan, of what.
+"""What a worker of a cluster needs for a build (``worker_state``): the store, the plan, and the source.
 
-It opens those files itself, and does nothing if they are others than those the plan was made of, or if the build was
-given up or begun anew meanwhile: its plan is looked at before every write. What stages need of earlier ones (the
-digests of shards, by which these are read) lies in ``parts/`` of the store.
+It opens those files itself, and does nothing if they differ from those of the plan, or if the build was abandoned or
+restarted meanwhile: it checks the plan before every write. What stages need from earlier ones (the digests of shards,
+needed to read them) is in ``parts/`` of the store.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from orograph.store.writer import ShardWriter
 
 
 class BuildRecipe(NamedTuple):
-    """All that workers are told once.
+    """What workers are told once.
 
     Attributes:
-        url: where the store is made. storage_options: beside the environment, for the bucket (obstore's).
-        plan: of the build. coding: how heights are kept. begun: the plan, as it lies in the storage.
+        url: where the store is made. storage_options: for the bucket (obstore's), in addition to the environment.
+        plan: of the build. coding: how heights are encoded. begun: the plan, as stored.
         files, options: of the source (``inputs.opened``).
         levels: of the groups of heights and errors; 0: none.
-        memory: bytes a task may take, besides ``base`` of the process.
+        memory: bytes that a task may take, in addition to ``base`` of the process.
     """
 
     url: str
@@ -66,11 +66,11 @@ def recipe_of(
     said = getattr(raster, "recipe", lambda: None)()
     if said is None:
         raise UsageError(
-            "Workers of a cluster open the files of a terrain themselves, and these heights are in no files.",
+            "Workers of a cluster open the files of a terrain themselves, but these heights are not in files.",
             remedy="Write them to a file (orograph.write), or build without a cluster.",
         )
     if storage.url.startswith("memory:"):
-        raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Name a folder.")
+        raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Give a folder.")
     files, options = said
     if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
         files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
@@ -118,8 +118,9 @@ class BuildState:
             raster = opened(self.recipe.files, self.recipe.options)
             if raster.fingerprint() != self.plan["source"]:
                 raise StoreError(
-                    "A worker finds other files under the names of the sources than the process that builds.",
-                    path=self.recipe.url, remedy="See that all of them have the same file system, and files at rest.",
+                    "A worker finds different files under the names of the sources than the building process.",
+                    path=self.recipe.url, remedy="Make sure that all of them see the same file system, and that the "
+                                                 "files do not change.",
                 )  # fmt: skip
             self._raster = raster
         return self._raster

@@ -1,4 +1,4 @@
-"""Decoded chunks kept in memory up to a budget of bytes, the least recently used dropped first. Thread-safe."""
+"""Decoded chunks cached in memory up to a budget of bytes; the least recently used is dropped first. Thread-safe."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ChunkCache:
             return array
 
     def put(self, key: Hashable, array: NDArray[Any]) -> None:
-        """Keep ``array`` (it must not change any more), dropping older ones to stay within the budget."""
+        """Keep ``array`` (which must not change any more), dropping older ones to stay within the budget."""
         if array.nbytes > self.budget:
             return
         with self._lock:

@@ -1,12 +1,12 @@
-"""Chunks' meshes in few bytes, so that a GPU decodes them: bits of splits level by level, heights in steps.
+"""Chunks' meshes in few bytes that a GPU can decode: bits of splits level by level, quantised heights.
 
 After Dick, Schneider & Westermann, *Efficient Geometry Compression for GPU-based Decoding in Realtime Terrain
 Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, whose positions follow from how
-triangles were split, and whose heights are steps from what is expected. There a mesh is a strip along a path, a code a
-triangle. Here it is one level of the binary tree of right triangles after the other: all triangles of a level are
-halved at once, and where each finds its bit, its vertex and its neighbours is a prefix sum. So a workgroup decodes a
-chunk, and no chain of look-ups is longer than the tree is deep. The next coarser mesh, to which vertices move, is told,
-too.
+triangles were split, and whose heights are stored as differences from predictions. There a mesh is a strip along a
+path, with one code per triangle. Here it is the binary tree of right triangles level by level: all triangles of a level
+are halved at once, and prefix sums tell each where its bit, its vertex and its neighbours are. So a workgroup decodes a
+chunk, and no chain of look-ups is longer than the tree is deep. The next coarser mesh, to which vertices move, is
+encoded too.
 
 *Words* (uint32) of a chunk: 15 of ``HEADER``, then, each filled up to whole words: a bit for each owner of a
 hypotenuse (``chunk_code_kernels``) in each level but the finest, whether it is split; a bit for each vertex but the
@@ -50,20 +50,20 @@ vertices on its sides; ``flags``: 64 + log2 of the step (8 bits), ``drop`` (8 bi
 heights in steps, and in the coarser mesh in ``PARTS`` of a step."""
 
 VOIDS, EXACT = 1 << 16, 1 << 17
-"""Flags: heights may be missing; no height is off."""
+"""Flags: heights may be missing; heights are exact."""
 
 BLOCK = 16
 """Vertices whose steps have the same number of bits."""
 
 FINER = 4
-"""So many steps at least are the error of the finest chunks."""
+"""The error of the finest chunks is at least this many steps."""
 
 MOST = 1 << 18
-"""Heights are fewer steps than this, so that their parts are whole numbers of float32, too."""
+"""Heights are fewer steps than this, so that their parts are also whole numbers in float32."""
 
 
 class Decoded(NamedTuple):
-    """A chunk's mesh in whole numbers.
+    """A chunk's mesh in integers.
 
     Attributes:
         places: (v, 2) int64, rows and columns, not squeezed. heights, targets, low: (v,) int32: steps; in the coarser
@@ -206,7 +206,7 @@ def mesh_of(words: Words, layout: Layout, compressed: bool, level: int, i: int, 
 
 
 def off_by(words: Words) -> float:
-    """By how much heights of a chunk may be off, metres."""
+    """The largest error of a chunk's heights, metres."""
     flags = int(words[HEADER.index("flags")])
     return 0.0 if flags & EXACT else float(2.0 ** ((flags & 255) - 65))
 
@@ -228,7 +228,7 @@ def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
 
 def _alive(leaves: NDArray[np.int32], places: Corners, heights: NDArray[np.int64] | NDArray[np.int32],
            layout: Layout) -> NDArray[np.int32]:  # fmt: skip
-    """The triangles that have three heights and, where vertices beyond the raster lie on its border, an area."""
+    """The triangles that have three heights and, if vertices beyond the raster lie on its border, an area."""
     at = np.minimum(places, np.array(layout.shape) - 1)[leaves]
     u, v = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]
     found: NDArray[np.int32] = leaves[(heights[leaves] != MISSING).all(1) & (u[:, 0] * v[:, 1] != u[:, 1] * v[:, 0])]
@@ -246,7 +246,7 @@ def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.i
 
 
 def _lengths(numbers: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """How many bits numbers have."""
+    """The bit lengths of numbers."""
     return np.ceil(np.log2(np.asarray(numbers, np.float64) + 1)).astype(np.int64)
 
 
@@ -266,7 +266,7 @@ def _spread(numbers: NDArray[np.uint32], widths: NDArray[np.int64]) -> NDArray[n
 
 
 class _Reader:
-    """Reads one part of words after the other."""
+    """Reads parts of words one after the other."""
 
     def __init__(self, words: Words, at: int) -> None:
         self.data, self.at = words, at

@@ -1,10 +1,10 @@
-"""Chunks of a terrain's quadtree, each a mesh of its own that is simplified to its level's error, with skirts.
+"""Chunks of a terrain's quadtree, each a separate mesh simplified to its level's error, with skirts.
 
 Ulrich, *Rendering Massive Terrains using Chunked Level of Detail Control* (SIGGRAPH 2002 course notes). Chunks of level
 l are squares of ``cells`` · 2^l cells; the vertices of their meshes are those whose error, that of the middle of their
-hypotenuse, reaches the level's: ``error`` at level 0, and twice as much from level to level, rounded in the exponent;
-besides them those that these depend on. One decision a vertex and level for the whole terrain: chunks of one level fit.
-A *skirt* hangs from a chunk's sides, as low as no neighbour's edge can be that is up to ``APART`` levels coarser.
+hypotenuse, reaches the level's: ``error`` at level 0, doubled from level to level, rounded in the exponent; plus those
+that these depend on. Each vertex and level is decided once for the whole terrain, so chunks of one level fit. A *skirt*
+hangs from a chunk's sides, below any edge of a neighbour that is up to ``APART`` levels coarser.
 
 Of a chunk is kept which triangles were split (``chunked_kernels``), the heights of the vertices in the order in which
 they are met, how low its skirt reaches, and the heights of its corners in the mesh of the next coarser level. The rest
@@ -31,29 +31,29 @@ from orograph.store.array_spec import ArraySpec
 from orograph.store.terrain import Shape, exponent
 
 CELLS = 32
-"""Cells along a finest chunk's side, unless otherwise asked."""
+"""Default number of cells along a finest chunk's side."""
 
 ALL_CELLS = (16, 32, 64, 128)
-"""What that can be."""
+"""The allowed numbers."""
 
 APART = 2
-"""Chunks beside each other differ by as many levels at most."""
+"""Adjacent chunks differ by at most this many levels."""
 
 PER_WORD = 16
 """Codes in a word."""
 
 MISSING = -(1 << 31)
-"""Of a height in steps (``chunk_code``): there is none."""
+"""A quantised height (``chunk_code``) that is missing."""
 
 PARTS = 64
-"""Of a step, in which heights in the coarser mesh are told there."""
+"""Parts of a step in which heights of the coarser mesh are stored there."""
 
 Words = NDArray[np.uint32]
 Corners = NDArray[np.int64]
 
 
 class Kind(NamedTuple):
-    """What chunks there are to be.
+    """The kind of chunks to make.
 
     Attributes:
         cells, finest: of the finest chunks: cells along a side, and their error in metres, 0: found from the terrain.
@@ -65,12 +65,12 @@ class Kind(NamedTuple):
     compressed: bool = False
 
     def __str__(self) -> str:
-        """As `orograph.build` has it."""
+        """As an argument of `orograph.build`."""
         return f"({self.cells}, {self.finest:g}{', True' if self.compressed else ''})"
 
 
 def checked_kind(chunked: Any) -> Kind:
-    """The kind of chunks that somebody wants, as numbers.
+    """The requested kind of chunks.
 
     Raises:
         UsageError: they make no sense.
@@ -84,9 +84,9 @@ def checked_kind(chunked: Any) -> Kind:
         or not isinstance(told.compressed, bool)
     ):
         raise UsageError(
-            f"'chunked' is cells along a side, one of {', '.join(map(str, ALL_CELLS))}, metres, 0 or more, and whether "
-            f"they are compressed (not, unless it is said), not {chunked!r}.",
-            remedy="(32, 0) is what chunked-lod takes by itself.",
+            f"'chunked' must be cells along a side, one of {', '.join(map(str, ALL_CELLS))}, metres, 0 or more, and "
+            f"optionally whether they are compressed, not {chunked!r}.",
+            remedy="The default of chunked-lod is (32, 0).",
         )  # fmt: skip
     return told._replace(cells=int(told.cells), finest=float(told.finest))
 
@@ -109,13 +109,13 @@ class Chunk:
 
     @property
     def nbytes(self) -> int:
-        """Bytes it takes in memory."""
+        """Bytes that it takes in memory."""
         return self.vertices.nbytes + self.targets.nbytes + self.triangles.nbytes
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which chunks there are.
+    """The layout of chunks.
 
     Attributes:
         shape: of the raster. cells: along a side of the finest chunks, as asked for.
@@ -126,7 +126,7 @@ class Layout:
 
     @property
     def p(self) -> int:
-        """The exponent of a finest chunk's side; smaller than asked for if the raster is."""
+        """The exponent of a finest chunk's side; smaller than requested if the raster is."""
         return min(self.cells.bit_length() - 1, max(exponent(self.shape), 1))
 
     @property
@@ -139,7 +139,7 @@ class Layout:
         return 1 << (self.p + level)
 
     def chunks(self, level: int) -> Shape:
-        """Rows and columns of a level's chunks that have a cell of the raster."""
+        """Rows and columns of a level's chunks that contain a cell of the raster."""
         rows, cols = (-((1 - size) >> (self.p + level)) for size in self.shape)
         return max(rows, 1), max(cols, 1)
 
@@ -172,7 +172,7 @@ def unpacked(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
     places, triangles = np.empty((count, 2), np.int64), np.empty((codes, 3), np.int32)
     vertices, targets = np.empty((count, 3)), np.empty(count)
     last_row, last_col = layout.shape[0] - 1, layout.shape[1] - 1
-    from orograph.store.chunked_kernels import read_walk  # a store is read without Numba
+    from orograph.store.chunked_kernels import read_walk  # a store can be read without Numba
 
     made = read_walk(
         bits.reshape(-1)[:codes].astype(np.uint8), heights, layout.corners(level, i, j), coarse, last_row, last_col,
@@ -194,7 +194,7 @@ def with_skirt(
     vertices: NDArray[np.float64], targets: NDArray[np.float64], triangles: NDArray[np.int32], places: Corners,
     low: NDArray[np.float64], side: int, i: int, j: int,
 ) -> Chunk:  # fmt: skip
-    """A chunk's mesh with its skirt: two triangles below each edge on a side, where both ends know how low."""
+    """A chunk's mesh with its skirt: two triangles below each edge on a side whose two ends have a lower height."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     on = on_sides(places, side, i, j)
     hangs = ~np.isnan(low[edges]).any(1) & np.any([one[edges].all(1) for one in on], axis=0)

@@ -1,8 +1,8 @@
-"""Meshes of chunks made from a terrain's heights (Ulrich 2002): which levels have a vertex, then chunk by chunk.
+"""Make meshes of chunks from a terrain's heights (Ulrich 2002): first the levels of each vertex, then chunk by chunk.
 
 What a vertex needs to know follows from errors of diamonds (``midpoint``: how far a vertex is above or below the middle
 of its hypotenuse, no less than for those that depend on it): the levels whose error it reaches. Chunks need nothing
-else of each other, so they are made in any order, by any number of threads, when they are asked for.
+else from each other, so they are made on demand, in any order, by any number of threads.
 """
 
 from __future__ import annotations
@@ -20,30 +20,31 @@ from orograph.store.chunked_kernels import lowest, middle, write_walk
 from orograph.store.terrain import TILE, Heights, Terrain
 
 SHARE = 1 / 2
-"""Of the median error of the finest vertices: the error of level 0, unless it is given."""
+"""Default error of level 0, as a share of the median error of the finest vertices."""
 
 BAND = 256
-"""Rows of diamonds that are read at once."""
+"""Rows of diamonds read at once."""
 
 CORNERS = 1 << 16
-"""Corners of chunks whose heights in coarser meshes are remembered."""
+"""How many corners of chunks have their heights in coarser meshes cached."""
 
 SEEN = 64
-"""Bands of the finest vertices that the median is found from, at most."""
+"""Maximum number of bands of the finest vertices used for the median."""
 
 Integers = NDArray[np.int64]
 
 
 class MemoryChunks:
-    """The chunks of a terrain, each made when it is asked for.
+    """The chunks of a terrain, each made on demand.
 
-    Some 1.4 bytes a sample are held: of large terrains in a temporary file, of which memory holds what is at work.
+    About 1.4 bytes per sample are held; for large terrains in a temporary file, of which only the active parts are in
+    memory.
 
     Args:
         terrain: the ground; its ``midpoint`` errors are needed. kind: of the chunks.
 
     Attributes:
-        layout: which there are. error: metres, of level 0. compressed: whether words are those of ``chunk_code``.
+        layout: of the chunks. error: metres, of level 0. compressed: whether words are encoded by ``chunk_code``.
 
     Raises:
         StoreError: a store has no such errors. DamagedChunkError: as ``terrain.read``.
@@ -63,7 +64,7 @@ class MemoryChunks:
         return mesh_of(self.words(level, i, j), self.layout, self.compressed, level, i, j)
 
     def words(self, level: int, i: int, j: int) -> Words:
-        """What is kept of a chunk."""
+        """The stored words of a chunk."""
         corners, side = self.layout.corners(level, i, j), self.layout.side(level)
         codes, places, known = self._walk(corners, level)
         places = np.concatenate([corners, places])
@@ -83,13 +84,13 @@ class MemoryChunks:
     # ---- which levels have a vertex ----
 
     def _usual(self) -> float:
-        """The error of level 0 where none is given: a share of the median of the finest vertices'."""
+        """The default error of level 0: a share of the median of the finest vertices' errors."""
         found = [errors[(errors > 0) & np.isfinite(errors) & (radii >= 0)] for errors, radii in self._bands(0, SEEN)]
         some = np.concatenate([np.zeros(0, np.float32), *found])
         return float(np.median(some)) * SHARE if len(some) else 1.0
 
     def _bands(self, level: int, most: int | None = None) -> Iterator[tuple[Heights, Heights]]:
-        """Errors and radii of a level's diamonds, by rows; ``most``: so many bands at most, evenly spaced."""
+        """Errors and radii of a level's diamonds in bands of rows; ``most``: at most this many bands, evenly spaced."""
         if self._table is None:
             return
         rows, cols = self.terrain.diamond_shape(level)
@@ -100,7 +101,7 @@ class MemoryChunks:
             yield self._table.read(level, row, min(row + BAND, rows), 0, cols)
 
     def _vertices(self) -> tuple[NDArray[np.uint8], Integers]:
-        """The levels of all vertices, and where the table of each octave lies (``chunked_kernels.level_of``)."""
+        """The levels of all vertices, and the offset of each octave's table (``chunked_kernels.level_of``)."""
         if self._table is None:  # a raster of one cell, whose square has one diamond, squeezed onto it
             return np.full(9, 255, np.uint8), np.array([[0, 3, 3]], np.int64)
         reached = self.error * 2.0 ** np.append(0.0, np.arange(1, self.layout.top + 1) - 0.5)
@@ -155,12 +156,13 @@ class MemoryChunks:
     def _skirt(
         self, places: Integers, heights: Heights, known: NDArray[np.uint8], level: int, i: int, j: int, side: int
     ) -> Heights:
-        """How low the skirt reaches at the vertices on the sides; NaN along the raster's border, where none hangs."""
+        """The lower end of the skirt at the vertices on the sides; NaN along the raster's border, where there is no
+        skirt."""
         low = np.full(len(places), np.nan, np.float32)
         last_row, last_col = (size - 1 for size in self.terrain.grid.shape)
         sides = on_sides(places, side, i, j)
         for number, on in enumerate(sides):
-            across, along = (0, 1) if number % 2 == 0 else (1, 0)  # (the coordinate that is the same all along, …)
+            across, along = (0, 1) if number % 2 == 0 else (1, 0)  # (the coordinate that is constant along it, …)
             fixed = int((i, j)[across] + number // 2) * side
             if not 0 < fixed < (last_row, last_col)[across]:
                 continue
@@ -169,8 +171,8 @@ class MemoryChunks:
             first = int((i, j)[along]) * side
             end = min(first + side, (last_row, last_col)[along]) + 1
             window = (fixed, fixed + 1, first, end) if across == 0 else (first, end, fixed, fixed + 1)
-            # A neighbour is as much coarser as chunks may be apart and as its own border allows, and may be moving to
-            # the next level.
+            # A neighbour is coarser by at most APART levels and no coarser than its own border allows, and may be
+            # moving to the next level.
             coarsest = min(int(diamonds.octave(fixed, 0)) - self.layout.p, level + APART)
             reach = min(coarsest + 1, self.layout.top) - level
             line = np.ascontiguousarray(self.terrain.read(0, *window).reshape(-1))
@@ -184,7 +186,7 @@ class MemoryChunks:
         return low[sides.any(0)]
 
     def _corner(self, level: int, row: int, col: int) -> float:
-        """The height of a corner of chunks in the mesh of a coarser level (its own above the last)."""
+        """The height of a corner of chunks in the mesh of a coarser level (above the last level, its own height)."""
         key = level, row, col
         found = self._corners.get(key)
         if found is not None:

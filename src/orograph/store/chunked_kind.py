@@ -1,4 +1,4 @@
-"""Chunks' meshes as a kind of derived data: what a store has of them, and how they are opened, made and written."""
+"""Chunks' meshes as a kind of derived data: what a store records about them, and how to open, make and write them."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class ChunkedKind(Derived[dict[str, Any]]):
-    """Meshes of chunks. Options: those of ``chunked.Kind``, as asked for.
+    """Meshes of chunks. Options: those of ``chunked.Kind``, as requested.
 
-    A record has all, the ``error`` of level 0 in metres, and of each level the ``rows`` of its words.
+    A record has all of these, the ``error`` of level 0 in metres, and for each level the ``rows`` of its words.
     """
 
     name, version, group = "chunked", 2, "chunked"
@@ -58,7 +58,7 @@ class ChunkedKind(Derived[dict[str, Any]]):
                 f"This store has no{' compressed' if kind.compressed else ''} chunks of {kind.cells} cells"
                 + (f" and {kind.finest:g} m." if kind.finest else "."),
                 path=terrain.url,
-                remedy=f"Build it with them (`orograph.build(..., chunked={kind})`), or have them made.",
+                remedy=f"Build it with them (`orograph.build(..., chunked={kind})`), or let the method make them.",
             )
         return StoredChunks(terrain, found)
 
@@ -72,16 +72,16 @@ CHUNKED = ChunkedKind()
 
 
 def rows_of(words: int, chunk: int) -> int:
-    """Rows of so many words, one at least."""
+    """Rows for this many words, at least one."""
     return max(1, -(-words // chunk))
 
 
 @contextmanager
 def spooled() -> Iterator[IO[bytes]]:
-    """A temporary file that has no name.
+    """An unnamed temporary file.
 
     Raises:
-        OutputError: the disk that temporary files are on is full.
+        OutputError: the disk of temporary files is full.
     """
     try:
         with tempfile.TemporaryFile(prefix="orograph-") as file:
@@ -90,6 +90,6 @@ def spooled() -> Iterator[IO[bytes]]:
         if error.errno != errno.ENOSPC:
             raise
         raise OutputError(
-            "No room for what is kept while chunks are made.", path=tempfile.gettempdir(),
-            remedy="Point the environment variable TMPDIR to a folder on a larger disk.",
+            "There is no room for temporary data while chunks are made.", path=tempfile.gettempdir(),
+            remedy="Set the environment variable TMPDIR to a folder on a larger disk.",
         ) from error  # fmt: skip

@@ -19,7 +19,7 @@ class StoredChunks:
     """The chunks of a store. Safe from any number of threads.
 
     Attributes:
-        layout: which there are. error: metres, of level 0. compressed: whether words are those of ``chunk_code``.
+        layout: of the chunks. error: metres, of level 0. compressed: whether words are encoded by ``chunk_code``.
     """
 
     def __init__(self, terrain: StoredTerrain, what: dict[str, Any]) -> None:
@@ -39,7 +39,7 @@ class StoredChunks:
         return mesh_of(self.words(level, i, j), self.layout, self.compressed, level, i, j)
 
     def words(self, level: int, i: int, j: int) -> Words:
-        """What is kept of a chunk.
+        """The stored words of a chunk.
 
         Raises:
             DamagedChunkError: as ``terrain.read``.
@@ -56,7 +56,7 @@ class StoredChunks:
         return read[begin - first * wide : end - first * wide]
 
     def _of(self, level: int) -> NDArray[np.int64]:
-        """Where each chunk of a level begins, and the last one ends."""
+        """The offset of each chunk of a level, and the end of the last."""
         with self._lock:
             if level not in self._starts:
                 rows, cols = self.layout.chunks(level)

@@ -1,17 +1,16 @@
-"""Heights as whole numbers of one step, at an error that is stated and measured (``orograph build --max-error``).
+"""Heights quantised to one step, with a stated and measured error (``orograph build --max-error``).
 
-A store that is not lossless rounds its heights once, before anything else is made of them: h becomes step · q with
-q = round(h / step). The steps are counted from 0 m for the whole terrain, so a sample is the same number in whatever
-tile and at whatever level it is stored, and tiles agree along their borders to the bit. From then on the rounded
-heights *are* the terrain: levels, extremes, errors, bounds and derived data are computed of them, and a promise in
-pixels needs no term for the codec. How far they are from what was read is measured sample by sample (``Coding``).
+A lossy store rounds its heights once, before anything else is made from them: h becomes step · q with q = round(h /
+step). The steps are counted from 0 m for the whole terrain, so a sample is the same number in whatever tile and at
+whatever level it is stored, and tiles agree along their borders to the bit. From then on the rounded heights *are* the
+terrain: levels, extremes, errors, bounds and derived data are computed from them, and a promise in pixels needs no term
+for the codec. Their distance from what was read is measured sample by sample (``Coding``).
 
 For a stated error e the step is 2e, rounded down to ten binary digits and to a multiple of 2^-10 m: such heights are
-exact in float32 up to 16 km and more, so that every reader finds the same ones whatever arithmetic it uses, and none is
-further off than e. ``auto`` takes the steps that the data have by themselves, which are kept as they are: whole metres,
-feet, centimetres…
+exact in float32 up to 16 km and more, so that every reader gets the same heights whatever arithmetic it uses, and none
+is off by more than e. ``auto`` uses the data's own steps, which are kept exactly: whole metres, feet, centimetres…
 
-Means are kept in a quarter of that step: those of four samples that are there are exact.
+Means are kept in a quarter of that step, so means of four valid samples are exact.
 
 Units: metres, float32, NaN where missing; numbers are int32, ``MISSING`` where missing.
 """
@@ -42,22 +41,22 @@ FINEST = 2.0**-10
 """The finest step of a stated error, metres."""
 
 OWN_STEPS = (1.0, 0.5, 0.3048, 1200 / 3937, 0.25, 0.1, 0.03048, 120 / 3937, 0.01, 0.003048, 12 / 3937, 0.001)
-"""What data's own steps are looked for among: metres, feet, US survey feet, and their parts."""
+"""Candidates for the data's own steps: metres, feet, US survey feet, and their parts."""
 
 MEANS = 4
-"""Steps of means in a step of heights."""
+"""Steps of means per step of heights."""
 
 _MOST = 1 << 29  # (means have numbers four times as large)
-_FINER = 16  # steps of *progressive* in twice the error, about
-_STRIP = 256  # rows that are rounded at once
-_WINDOWS, _SIDE = 8, 64  # windows each way in which steps are looked for, and samples along their sides
+_FINER = 16  # steps of *progressive* per twice the error, approximately
+_STRIP = 256  # rows rounded at once
+_WINDOWS, _SIDE = 8, 64  # windows per axis in which steps are looked for, and samples along their sides
 
 Numbers = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How an array holds heights.
+    """How an array encodes heights.
 
     Attributes:
         step: metres.
@@ -80,19 +79,19 @@ class Packing:
         return found
 
     def attributes(self) -> dict[str, Any]:
-        """Of the array, after CF."""
+        """Attributes of the array, after CF."""
         return {"scale_factor": self.step, "add_offset": 0.0, "_FillValue": MISSING}
 
 
 @dataclass(frozen=True, slots=True)
 class Coding:
-    """How a store keeps its heights, and how far they are from those it was built from.
+    """How a store encodes its heights, and how far they are from those that it was built from.
 
     Attributes:
         codec: what packs the numbers.
         step: metres.
-        max_error: what was asked for, metres; None: the data's own steps.
-        largest, rms: of the distances between what was read and what is kept, metres.
+        max_error: the requested error, metres; None: the data's own steps.
+        largest, rms: of the differences between the heights read and stored, metres.
     """
 
     codec: Codec
@@ -115,16 +114,16 @@ class Coding:
 
     @property
     def factor(self) -> int:
-        """Steps of heights in twice the largest error, of the codec *progressive*."""
+        """Steps of heights per twice the largest error, of the codec *progressive*."""
         return 1 if self.max_error is None else int(2 * self.max_error / self.step)
 
     def rounded(self, heights: Heights, own: int, kept: Numbers | None = None) -> tuple[Heights, NDArray[np.float64]]:
-        """Heights as they are kept, and what that loses of the first ``own`` rows and columns: (the largest distance,
-        the sum of the squares of all).
+        """Heights as stored, and the loss in the first ``own`` rows and columns: (the largest difference, the sum of
+        the squares of all).
 
         Args:
             heights: of a shard of ``own`` samples a side, with the row and column that follow.
-            kept: the numbers that they become (of the codec *progressive*); None: the nearest.
+            kept: the numbers that they become (with the codec *progressive*); None: the nearest.
 
         Raises:
             UsageError: heights are too large for such steps.
@@ -145,23 +144,23 @@ class Coding:
         return out, np.array([largest, math.fsum(squares)])
 
     def bounded(self, read: NDArray[Any], worst: float = 0.0) -> None:
-        """Check that heights can be kept.
+        """Check that heights can be stored.
 
         Args:
-            worst: how far off they came out, metres.
+            worst: the largest error found, metres.
 
         Raises:
-            UsageError: heights are too large, or came out further off than was stated.
+            UsageError: heights are too large, or off by more than stated.
         """
         highest = float(np.nanmax(np.abs(read), initial=0.0))
         if highest >= _MOST * self.step or (self.max_error is not None and worst > self.max_error):
             raise UsageError(
-                f"Heights of {highest:g} m cannot be kept in steps of {self.step:g} m.",
+                f"Heights of {highest:g} m cannot be stored in steps of {self.step:g} m.",
                 remedy="State a larger error (`max_error`), or build it lossless.",
             )
 
     def measured(self, found: Sequence[NDArray[np.float64]], samples: int) -> Coding:
-        """With what all tasks of a build found.
+        """The coding with the losses that all tasks of a build found.
 
         Args:
             found: by ``rounded``. samples: that are valid.
@@ -171,17 +170,17 @@ class Coding:
         return replace(self, largest=largest, rms=rms)
 
     def surprise(self, height_range: tuple[float, float], resampled: bool) -> str | None:
-        """What is to be said where data were taken to have steps of their own, and not all have."""
+        """A warning if data were assumed to have steps of their own, but not all of them have."""
         highest = np.float32(max(map(abs, height_range)))
         if self.max_error is not None or resampled or not self.largest > np.spacing(highest):
             return None
         return (
-            f"The heights that were looked at lie in steps of {self.step:g} m, but others do not: they are up to "
-            f"{self.largest:.3g} m off. State the error that is allowed (`max_error`), or build it lossless."
+            f"The sampled heights are in steps of {self.step:g} m, but others are not: they are up to "
+            f"{self.largest:.3g} m off. State an allowed error (`max_error`), or build it lossless."
         )
 
     def asked(self) -> dict[str, Any]:
-        """What was asked for, without what was found."""
+        """The requested coding, without the losses found."""
         return {"name": self.codec, "step": self.step, "max_error": self.max_error}
 
     def __str__(self) -> str:
@@ -199,22 +198,22 @@ class Coding:
 
 
 def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Coding | None:
-    """How a store of these heights is to keep them; None: as float32, lossless.
+    """The coding for a store of these heights; None: float32, lossless.
 
     Args:
-        source: the heights, of which some are looked at for ``auto``.
+        source: the heights, of which some are sampled for ``auto``.
         codec: its name. max_error: metres, "auto" or "lossless".
 
     Raises:
         UsageError: there is no such codec, or it cannot keep such an error.
     """
     if codec not in CODECS:
-        raise UsageError(f"`codec` is one of {', '.join(CODECS)}, not {codec!r}.")
+        raise UsageError(f"`codec` must be one of {', '.join(CODECS)}, not {codec!r}.")
     if max_error == "lossless":
         if codec != CODECS[0]:
             raise UsageError(
-                f"The codec {codec} keeps whole numbers of steps, not float32.",
-                remedy="State the error that is allowed; `max_error='auto'` keeps data that have steps as they are.",
+                f"The codec {codec} stores whole numbers of steps, not float32.",
+                remedy="State the allowed error; `max_error='auto'` keeps data with steps of their own exactly.",
             )
         return None
     if max_error == "auto":
@@ -222,11 +221,11 @@ def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Codin
     try:
         error = float(max_error)
     except (TypeError, ValueError):
-        raise UsageError(f"`max_error` is lossless, auto or a number of metres, not {max_error!r}.") from None
+        raise UsageError(f"`max_error` must be lossless, auto or a number of metres, not {max_error!r}.") from None
     if not FINEST / 2 <= error < _MOST:
         raise UsageError(
             f"`max_error` is at least {FINEST / 2:.3g} m, not {error:g}.",
-            remedy="For less, keep the heights as they are: `max_error='lossless'`.",
+            remedy="For less, store the heights exactly: `max_error='lossless'`.",
         )
     return Coding(codec, floored(2 * error / (_FINER if codec == "progressive" else 1)), error)
 
@@ -238,7 +237,7 @@ def floored(width: float) -> float:
 
 
 def _step(source: HeightSource) -> float:
-    """The step of the data: their own; of what was resampled a tenth of it; ``FINEST`` where they have none."""
+    """The step of the data: their own; for resampled data a tenth of it; ``FINEST`` if they have none."""
     lattices = getattr(source, "resampled_from", ())
     if not lattices:
         return _own(source) or FINEST
@@ -246,7 +245,7 @@ def _step(source: HeightSource) -> float:
 
 
 def _own(raster: Any) -> float | None:
-    """The coarsest of ``OWN_STEPS`` in which all heights that are looked at lie, to a rounding of float32."""
+    """The coarsest of ``OWN_STEPS`` that fits all sampled heights, to a rounding of float32."""
     rows, cols = raster.grid.shape
     steps = list(OWN_STEPS)
     for row in _places(rows):
@@ -261,5 +260,5 @@ def _own(raster: Any) -> float | None:
 
 
 def _places(size: int) -> list[int]:
-    """Where windows begin along an axis."""
+    """The starts of windows along an axis."""
     return sorted({(size - _SIDE) * at // (_WINDOWS - 1) for at in range(_WINDOWS)}) if size > _SIDE else [0]

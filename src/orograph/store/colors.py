@@ -1,7 +1,7 @@
 """Color errors of diamonds as derived data: how much coarser triangles change colours, one byte each.
 
-``geovis.color_errors`` says what they mean, ``geovis.color_store`` makes them and puts them into complete stores. They
-lie like errors (``diamond_table``).
+``geovis.color_errors`` defines them, ``geovis.color_store`` makes them and puts them into complete stores. They are
+laid out like errors (``diamond_table``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def color_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
 
 
 class Colors(Derived[dict[str, Any]]):
-    """Color errors of one choice of colours, which a record tells (``color_store.made_with``). No options."""
+    """Color errors of one choice of colours, which a record describes (``color_store.made_with``). No options."""
 
     name, version, group, later = "colors", 1, "colors", True
 
@@ -61,7 +61,7 @@ class Colors(Derived[dict[str, Any]]):
 
 
 class ColorCodes:
-    """Those of a store."""
+    """The color errors of a store."""
 
     def __init__(self, terrain: StoredTerrain) -> None:
         self.terrain = terrain

@@ -1,8 +1,8 @@
-"""The codec *compact*: chunks of whole numbers, predicted from what surrounds them and entropy-coded.
+"""The codec *compact*: chunks of integers, predicted from their surroundings and entropy-coded.
 
-A sample is predicted by twelve others to the left and above (weights by least squares, one set a chunk), and what it
-differs by is written with ranged asymmetric numeral systems (Duda 2013), in one of up to eight tables that the size
-of the differences above it chooses. docs/codec.md has the format, byte by byte.
+A sample is predicted from twelve others to the left and above (weights by least squares, one set per chunk), and the
+difference is coded with range asymmetric numeral systems (rANS, Duda 2013), with one of up to eight tables, chosen by
+the size of the differences above it. docs/codec.md has the format, byte by byte.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from orograph.store.coding import Numbers
 
 NAME = "orograph.compact"
-"""In the metadata of arrays, and in Zarr's registry of codecs."""
+"""Its name in the metadata of arrays and in Zarr's registry of codecs."""
 
 WRONG = {
     1: "it ends too early",
-    2: "it is of another version of the codec, or no chunk of it",
-    3: "its tables are not possible",
-    4: "its runs of missing samples are not possible",
-    5: "its stream does not end where it must",
+    2: "it is of another version of the codec, or not a chunk of it",
+    3: "its tables are invalid",
+    4: "its runs of missing samples are invalid",
+    5: "its stream ends in the wrong place",
 }
 
 
@@ -35,7 +35,7 @@ def compressed(numbers: Numbers) -> bytes:
 
 
 def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
-    """A chunk of its bytes.
+    """Decode a chunk from its bytes.
 
     Raises:
         ValueError: they are not those of such a chunk.
@@ -46,7 +46,7 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
 
 
 def unpacked(decode: Callable[[NDArray[np.uint8], Numbers], int], data: bytes, shape: tuple[int, int]) -> Numbers:
-    """A chunk of its bytes, by a codec's kernel, which fills it and returns what is wrong (``WRONG``), or 0.
+    """Decode a chunk from its bytes with a codec's kernel, which fills it and returns an error code (``WRONG``), or 0.
 
     Raises:
         ValueError: something is.

@@ -1,7 +1,7 @@
-"""What other Zarr tools understand of a store: groups, the conventions they follow, and coordinates as CF has them.
+"""Metadata for other Zarr tools: groups, the conventions that they follow, and CF coordinates.
 
-The *multiscales*, *spatial* and *proj* conventions (their version here, once) say where a raster lies and what levels
-it has; coordinates along x and y and a ``spatial_ref`` let xarray and rioxarray open a level by itself.
+The *multiscales*, *spatial* and *proj* conventions (versions defined here) say where a raster lies and which levels it
+has; coordinates along x and y and a ``spatial_ref`` let xarray and rioxarray open a level by itself.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ CONVENTIONS = [
 
 
 def level_transform(grid: Grid, level: int, mean: bool) -> Affine:
-    """The geotransform of a level: blocks for means; for nested heights cells centred on the samples they keep."""
+    """The geotransform of a level: blocks for means; for nested heights, cells centred on the samples."""
     scale = Affine.scale(1 << level)
     if mean:
         return compose(grid.transform, scale)
@@ -62,7 +62,7 @@ def level_transform(grid: Grid, level: int, mean: bool) -> Affine:
 
 def consolidated(nodes: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """The metadata of all that is below a group, as the group keeps them."""
-    # zarr-python wants the children of a group one after the other
+    # zarr-python wants the children of a group in sorted order
     in_order = dict(sorted(nodes.items(), key=lambda item: (item[0].count("/"), item[0])))
     return {"kind": "inline", "must_understand": False, "metadata": in_order}
 
@@ -92,12 +92,13 @@ def spatial_attributes(grid: Grid) -> dict[str, Any]:
 
 @lru_cache(maxsize=8)
 def _code(crs: CRS) -> str:
-    """AUTHORITY:CODE of a CRS, "" if it has none; looking for it takes a tenth of a second, and all arrays have one."""
+    """AUTHORITY:CODE of a CRS, "" if it has none; cached, since finding it takes a tenth of a second and all arrays
+    have one."""
     return ":".join(crs.to_authority(min_confidence=100) or ())
 
 
 def root_attributes(grid: Grid) -> dict[str, Any]:
-    """The root's: where it lies, and what its levels are."""
+    """The root's attributes: its place and its levels."""
     spatial = spatial_attributes(grid)
     layout: list[dict[str, Any]] = []
     for level in range(level_count(grid.shape)):

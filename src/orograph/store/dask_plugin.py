@@ -1,6 +1,6 @@
-"""How the workers of a Dask cluster are told of work: those that are there, and those that come later.
+"""Give work to the workers of a Dask cluster: present ones and those that join later.
 
-It is imported only where Dask is installed.
+Imported only if Dask is installed.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from distributed import WorkerPlugin
 from orograph.store.worker_state import Recipe, forget, learn
 
 TRIM, MAP = -1, -3
-"""Of glibc's ``mallopt``: free memory at the end of the heap that is given back, and what is mapped from the system."""
+"""Parameters of glibc's ``mallopt``: free memory at the end of the heap that is returned, and the size mapped from the
+system."""
 
 
 class Telling(WorkerPlugin):
-    """Tells each worker a recipe when it comes, and takes it away again.
+    """Gives each worker a recipe when it joins, and removes it again.
 
     Args:
-        ident: what tasks call the recipe.
+        ident: the recipe's name in tasks.
     """
 
     def __init__(self, ident: str, recipe: Recipe) -> None:
@@ -38,8 +39,8 @@ class Telling(WorkerPlugin):
 def keep_memory() -> None:
     """Let this process keep memory that it frees, for the next array.
 
-    Dask has its workers give all of it back at once. Tasks that make arrays of some megabytes then spend a third of
-    their time on pages that the system clears.
+    By default, Dask's workers return it all at once. Tasks that allocate arrays of a few megabytes then spend a third
+    of their time on pages that the system clears.
     """
     with contextlib.suppress(OSError, AttributeError):  # another C library
         allocator = ctypes.CDLL(None)

@@ -1,9 +1,9 @@
-"""Data that follow from a terrain's heights and lie beside them in its store: what each kind is, said once.
+"""Data derived from a terrain's heights and stored beside them: each kind is declared once.
 
-A kind says under which name a store's record and the methods' needs have it, which version its arrays have, what it is
-made of, where its arrays lie and how it is opened. Records, metadata, checks and readers go through the registry
-(``registry.KINDS``) and name no kind. What makes a kind by tasks over shards is in ``makers``, or, of those that are
-put into complete stores, a verb of its own. What a store has of another version counts as not there.
+A kind declares its name in a store's record and in methods' needs, the version of its arrays, what it is made from,
+where its arrays lie and how it is opened. Records, metadata, checks and readers go through the registry
+(``registry.KINDS``) and name no kind. The tasks over shards that make a kind are in ``makers``; kinds that are put into
+complete stores have a verb. Data of another version count as absent.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class At(NamedTuple):
 
 
 class Derived(ABC, Generic[T]):
-    """A kind of derived data. What a record says of it is a ``T``; ``nothing`` if the store has none.
+    """A kind of derived data. Its entry in a record is a ``T``; ``nothing`` if the store has none.
 
     Attributes:
         name: in records and needs. version: of its arrays. group: the group of a store that holds them.
         needs: names of the kinds that it is made of, besides heights.
         later: whether it is put into complete stores, whose terrain stays the same.
-        shared: whether several are put into its group one by one, so that the group's own document must not list them.
+        shared: whether several are added to its group one by one, so that the group's own document must not list them.
     """
 
     name: ClassVar[str]
@@ -55,7 +55,7 @@ class Derived(ABC, Generic[T]):
 
     @abstractmethod
     def nothing(self) -> T:
-        """What a record says that has none."""
+        """The entry of a record that has none."""
 
     @abstractmethod
     def parse(self, told: dict[str, Any], grid: Grid) -> T:
@@ -70,7 +70,7 @@ class Derived(ABC, Generic[T]):
         """All its arrays, with their attributes."""
 
     def groups(self, what: T, at: At) -> tuple[Nodes, dict[str, bytes]]:
-        """Its groups, and objects besides (coordinates)."""
+        """Its groups, and other objects (coordinates)."""
         from orograph.store.conventions import group
 
         paths = [spec.path for spec, _ in self.arrays(what, at)]
@@ -79,7 +79,7 @@ class Derived(ABC, Generic[T]):
 
     @abstractmethod
     def open(self, terrain: StoredTerrain, **options: Any) -> Any:
-        """A reader of what a store has.
+        """A reader of a store's data.
 
         Raises:
             StoreError: it has none made with these options.
@@ -91,7 +91,7 @@ class Derived(ABC, Generic[T]):
         Raises:
             StoreError: only stores have such data.
         """
-        raise StoreError(f"A raster in memory has no {self.name}.", path=terrain.name)
+        raise StoreError(f"A terrain in memory has no {self.name}.", path=terrain.name)
 
     def has(self, terrain: StoredTerrain, **options: Any) -> bool:
         """Whether a store has it, made with these options."""
@@ -102,15 +102,15 @@ class Derived(ABC, Generic[T]):
         return True
 
     def remedy(self, url: str, keys: list[str]) -> str | None:
-        """What makes damaged objects of it again; None: they follow from the heights, and a repair makes them."""
+        """The call that remakes damaged objects; None: they follow from the heights, and a repair makes them."""
         return None
 
     def of(self, record: Record) -> T:
-        """What a record says of it."""
+        """The entry of a record."""
         found = record.derived.get(self.name)
         return self.nothing() if found is None else found
 
     def put(self, record: Record, what: T) -> Record:
-        """A record that says so of it."""
+        """A record with this entry."""
         others = {name: other for name, other in record.derived.items() if name != self.name}
         return replace(record, derived={**others, self.name: what} if what else others)

@@ -1,6 +1,6 @@
 """Stages of a build that make derived data of a terrain whose heights (and what else they need) are written.
 
-Each reads the store as any reader does, by the record that the process that builds leaves in ``parts/``.
+Each reads the store like any reader, using the record that the building process leaves in ``parts/``.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from orograph.store.terrain import Heights
 from orograph.store.writer import ShardWriter
 
 KNOWN = f"{PARTS}/record.json"
-"""What the store is by now, for other processes."""
+"""The current state of the store, for other processes."""
 
 RUN = 256
-"""Chunks of a task."""
+"""Chunks per task."""
 
 CACHE = 64 << 20
-"""Decoded chunks that a worker's terrain keeps."""
+"""Number of decoded chunks that a worker's terrain caches."""
 
 
 def known(storage: Storage) -> StoredTerrain:
-    """The terrain of a store that is built, as the process that builds has left it."""
+    """The terrain of the store being built, as the building process left it."""
     record = Record.from_json(json.loads(storage.get(KNOWN) or b"{}"), storage.url)
     return StoredTerrain(storage, record, CACHE, 1)
 
@@ -47,7 +47,7 @@ class TerrainStage(ShardStage[Found]):
     """Work on a terrain.
 
     Args:
-        terrain: what is written by now. writer: of what it makes.
+        terrain: what is written so far. writer: of the results.
     """
 
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter) -> None:
@@ -99,16 +99,16 @@ class PatchStage(TerrainStage[Heights]):
 
 
 class ChunkStage(TerrainStage[list[Words]]):
-    """Meshes of chunks. A task makes some of a level, which follow one another row by row.
+    """Meshes of chunks. A task makes consecutive chunks of a level, row by row.
 
-    What is made waits in a temporary file until all of it is there. Every process that makes chunks finds the levels of
-    all vertices for itself (``MemoryChunks``).
+    Results wait in a temporary file until all are there. Every process that makes chunks computes the levels of all
+    vertices itself (``MemoryChunks``).
 
     Args:
-        kind: of the chunks. spool: where chunks wait; None where they are only made.
+        kind: of the chunks. spool: where chunks wait; None if they are only made.
 
     Attributes:
-        rows: of words, by level, when it is finished.
+        rows: of words, by level, once it is finished.
     """
 
     name, label = "chunks", "Making chunks"

@@ -1,17 +1,17 @@
 """Errors and spheres of diamonds as derived data: two numbers for every vertex of the hierarchy, read by windows.
 
 Entry (i, j) of level k belongs to the vertex (i·2^k, j·2^k). Where i or j is odd it is the diamond of octave k at that
-vertex; where both are even it is 0 and means nothing, but for the top level (``levels`` − 1): its arrays are the padded
-square of side 2^(n − top) + 1 and hold the octaves above as well, the diamond at (row, col) in entry (row >> top,
-col >> top). The square's four corners are no diamonds (0). ``store.diamonds`` puts them there, ``error.diamonds`` finds
-them, ``error.quantise`` codes them.
+vertex; where both are even it is 0 and meaningless, except at the top level (``levels`` − 1): its arrays are the padded
+square of side 2^(n − top) + 1 and hold the octaves above as well, the diamond at (row, col) in entry (row >> top, col
+>> top). The square's four corners are not diamonds (0). ``store.diamonds`` lays them out, ``error.diamonds`` computes
+them, ``error.quantise`` encodes them.
 
 *Errors*, float32 metres: "exact" (a bound, the tightest), "wedgie" (ROAM's looser one) or "midpoint" (no bound); no
 less than those of the diamond's children; +inf where the diamond is *mixed* (part of its region is surface, part hole).
 
 *Radii*, float32 metres: the sphere of this radius around the vertex (squeezed, its height filled where it is missing)
 holds the region's corners and the children's spheres. Negative where the diamond is *empty* (no surface in its region,
-which may lie beyond the raster); then its size means nothing.
+which may lie beyond the raster); then its magnitude is meaningless.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class DiamondTable(Protocol):
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Heights]:
         """Errors and radii of the entries ``[row0, row1) × [col0, col1)`` of a level.
 
-        Both may be shared with a cache: they are read-only, copy them to change them.
+        Both may be shared with a cache: they are read-only; copy them to change them.
 
         Raises:
             UsageError: there is no such level, or the window is not inside ``diamond_shape(level)``.
@@ -52,7 +52,7 @@ class DiamondTable(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DiamondCodes:
-    """How a store codes them.
+    """How a store encodes them.
 
     Attributes:
         errors: by kind. radius: of all kinds; None if there are no errors.
@@ -77,12 +77,12 @@ def check_kind(kind: str) -> ErrorKind:
         UsageError: there is none.
     """
     if kind not in KINDS:
-        raise UsageError(f"There is no error called {kind!r}; there are {', '.join(KINDS)}.")
+        raise UsageError(f"There is no error called {kind!r}; the kinds are {', '.join(KINDS)}.")
     return kind
 
 
 class Diamonds(Derived[DiamondCodes]):
-    """Errors of diamonds, of as many kinds as were asked for, and their spheres. Option: ``error``, a kind."""
+    """Errors of diamonds, of the requested kinds, and their spheres. Option: ``error``, a kind."""
 
     name, version, group = "diamonds", 1, "diamonds"
 
@@ -126,7 +126,7 @@ class Diamonds(Derived[DiamondCodes]):
 
 
 class MemoryDiamonds:
-    """All of them in memory."""
+    """Errors and spheres of a terrain in memory."""
 
     def __init__(self, terrain: MemoryTerrain, errors: list[Heights], radii: list[Heights]) -> None:
         self.terrain, self.errors, self.radii = terrain, errors, radii
@@ -137,7 +137,7 @@ class MemoryDiamonds:
 
 
 class StoredDiamonds:
-    """Those of a store."""
+    """Errors and spheres of a store."""
 
     def __init__(self, terrain: StoredTerrain, kind: ErrorKind, code: ErrorCode, radius: RadiusCode) -> None:
         self.terrain, self.kind, self.code, self.radius = terrain, kind, code, radius
@@ -160,7 +160,7 @@ class StoredDiamonds:
         return array.read(row0, row1, col0, col1)
 
     def _top_radii(self) -> Heights:
-        """The decoded radii of the top level, several octaves."""
+        """The decoded radii of the top level, which covers several octaves."""
         if self._top is None:
             level = self.terrain.levels - 1
             side, _ = self.terrain.diamond_shape(level)

@@ -1,9 +1,9 @@
-"""How the diamonds of a terrain lie in arrays: one pair of arrays per nested level, errors and radii.
+"""The layout of a terrain's diamonds in arrays: one pair of arrays per nested level, errors and radii.
 
 The array of level k has the level's shape and holds the diamonds of octave k: entry (i, j), i or j odd, belongs to the
 vertex (i·2^k, j·2^k). That of the top level is the whole padded square of side 2^(n − top) + 1; the octaves above have
-their entries there too, each vertex (row, col) at (row >> top, col >> top), where every diamond finds a place of its
-own because a vertex belongs to one octave only. See ``diamond_table`` for what the numbers mean.
+their entries there too, each vertex (row, col) at (row >> top, col >> top), where every diamond has its own place
+because a vertex belongs to only one octave. See ``diamond_table`` for the meaning of the numbers.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from numpy.typing import DTypeLike, NDArray
 from orograph.geo.grid import Grid
 from orograph.store.terrain import Heights, Shape, diamond_shape, level_count
 
-if TYPE_CHECKING:  # kernels are compiled only where diamonds are made
+if TYPE_CHECKING:  # kernels are only compiled where diamonds are made
     from orograph.error import ErrorKind
     from orograph.error.diamonds import Part, Surface
 
 NESTED = 4
-"""The level whose heights ``error.diamonds`` asks for: every 16th sample."""
+"""The level whose heights ``error.diamonds`` needs: every 16th sample."""
 
 
 def metric(grid: Grid) -> NDArray[np.float64]:
-    """Metres of easting and northing per column and row, (2, 2)."""
+    """Easting and northing per column and row, metres, (2, 2)."""
     a, b, _, d, e, _ = grid.samples[:6]
     return np.array([[a, b], [d, e]])
 
 
 def surface(grid: Grid, minimum: Heights, lowest: float) -> Surface:
-    """What the spheres must know of a terrain.
+    """What the spheres need from a terrain.
 
     Args:
         minimum: of the tiles of level 0.
@@ -44,10 +44,10 @@ def surface(grid: Grid, minimum: Heights, lowest: float) -> Surface:
 
 
 def blank_top(shape: Shape, dtype: DTypeLike, empty: float) -> NDArray[Any]:
-    """The top level before any part is known: what lies wholly beyond the raster stays ``empty``."""
+    """The top level before any part is known: what is wholly beyond the raster stays ``empty``."""
     side, _ = diamond_shape(shape, level_count(shape) - 1)
     whole = np.full((side, side), empty, dtype)
-    whole[:: side - 1, :: side - 1] = 0  # the square's corners are no diamonds
+    whole[:: side - 1, :: side - 1] = 0  # the square's corners are not diamonds
     return whole
 
 
@@ -67,7 +67,8 @@ def place(whole: NDArray[Any], values: NDArray[Any], octave: int, i: int, j: int
 
 
 def gather(shape: Shape, parts: Iterable[Part], kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
-    """The errors of a kind and the radii of every level from all parts (no radii worth having if those have none)."""
+    """The errors of a kind and the radii of every level, merged from all parts (radii are left empty if the parts have
+    none)."""
     from orograph.error.diamonds import NOTHING
 
     top = level_count(shape) - 1

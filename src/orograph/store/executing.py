@@ -1,13 +1,13 @@
-"""How work on terrain is done, builds, baked light, films and pictures: stages of tasks, by whatever runs them.
+"""How work on terrain is organised, for builds, baked light, films and pictures: stages of tasks, run by an executor.
 
 A *stage* is all work of one kind: the heights, the samples of a lattice, the errors, the frames of a film. Its tasks
-may be done in any order, by any threads, processes or machines, and again at any time: each reads what earlier stages
-and the sources have, writes whole files (shards) that no other task writes, the same bytes every time, and keeps beside
-them what the rest of the work needs of it (``parts/``). Whoever finishes the stage adds up what the tasks found, and
-makes what no task could. Stages follow one another; tasks of one stage need nothing of each other.
+may run in any order, in any thread, process or machine, and more than once: each reads the sources and the results of
+earlier stages, writes whole files (shards) that no other task writes, the same bytes every time, and stores beside them
+what the rest of the work needs (``parts/``). Whoever finishes the stage combines the tasks' results and makes what no
+single task could. Stages follow one another; tasks of one stage are independent.
 
 An *executor* runs stages: ``Threads`` in this process, ``clusters.Cluster`` on the workers of a Dask cluster, and
-``in_parts`` has those of job arrays, where processes that know nothing of each other do a share each.
+``in_parts`` has those for job arrays, where independent processes do a share each.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ class Stage(ABC, Generic[Found]):
     """Work of one kind. Its methods are safe from any thread, for different tasks.
 
     Attributes:
-        name: of the kind. number: which of several stages of that kind. label: what is done, for the progress line.
-        again: how work that was broken off goes on.
+        name: of the kind. number: which of several stages of that kind. label: for the progress line.
+        again: how to resume interrupted work.
     """
 
     name: ClassVar[str]
     number: int = 0
     label: str
-    again: ClassVar[str] = "What was done is kept: run the same again, and it goes on."
+    again: ClassVar[str] = "What was done is kept: run the same again to go on."
 
     @property
     @abstractmethod
     def place(self) -> str:
-        """Where what it makes lies, for messages."""
+        """Where its results are, for messages."""
 
     def hand_over(self) -> None:
-        """Leave for other processes what their tasks need of this one, before any begins."""
+        """Leave for other processes what their tasks need from this one, before any begins."""
 
     def remarks(self, found: Found) -> tuple[str, ...]:
-        """What a task that was just done has to say to whoever adds up: warnings."""
+        """What a task that was just done reports to the combining process: warnings."""
         return ()
 
     @abstractmethod
     def kept(self, spot: Spot) -> bool:
-        """Whether a task was done before, without a look at what it wrote."""
+        """Whether a task was done before, without checking what it wrote."""
 
     @abstractmethod
     def tasks(self) -> Sequence[Spot]:
@@ -62,34 +62,34 @@ class Stage(ABC, Generic[Found]):
 
     @abstractmethod
     def make(self, spot: Spot) -> Found:
-        """Do a task: write its shards, keep what it found, and return that."""
+        """Do a task: write its shards, store its result, and return that."""
 
     @abstractmethod
     def key(self, spot: Spot) -> str:
-        """Where what a task found is kept."""
+        """Where the result of a task is stored."""
 
     @abstractmethod
     def found(self, spot: Spot, proof: bool = True) -> Found | None:
-        """What was kept of a task that was done before; None if it was not, or what it wrote is damaged.
+        """The stored result of a task that was done before; None if it was not, or what it wrote is damaged.
 
         Args:
-            proof: read what it wrote whole; else only what the ends of shards say is compared with what was kept.
+            proof: read everything that it wrote; otherwise only the ends of shards are compared with the stored result.
         """
 
     @abstractmethod
     def add(self, spot: Spot, found: Found) -> None:
-        """Add what a task found to what follows of all."""
+        """Combine a task's result with the others."""
 
     def finish(self) -> None:
-        """Make what no task could, when all are added."""
+        """Make what no task could, once all results are combined."""
 
 
 KNOWN = f"{PARTS}/digests.json"
-"""The digests by which other processes read what earlier stages of a build wrote."""
+"""The digests that other processes need to read what earlier stages of a build wrote."""
 
 
 class ShardStage(Stage[Found]):
-    """Work over the shards of a store that is built.
+    """Work over the shards of a store being built.
 
     Attributes:
         writer: of its shards.
@@ -113,7 +113,7 @@ class Executor(Protocol):
     """Runs stages.
 
     Attributes:
-        here: threads of this process that do tasks; 0: other processes do them.
+        here: threads of this process that run tasks; 0: other processes run them.
     """
 
     here: int
@@ -122,14 +122,14 @@ class Executor(Protocol):
         """Levels of the groups in which heights or errors are made (``groups.group_levels``); 0: shard by shard."""
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
-        """Do what is left of a stage's tasks, add all up and finish the stage."""
+        """Run the remaining tasks of a stage, combine all results and finish the stage."""
 
 
 class Threads:
     """Threads of this process.
 
     Args:
-        jobs: threads. resume: whether anything may have been done before.
+        jobs: threads. resume: whether some tasks may already be done.
     """
 
     def __init__(self, jobs: int, resume: bool) -> None:

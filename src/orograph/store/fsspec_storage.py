@@ -1,7 +1,7 @@
 """Stores at addresses that fsspec alone knows: ``memory://``, ``ftp://``, ``sftp://``… (the web and buckets:
 ``bucket``).
 
-Nothing is written under a condition there, so nobody keeps two writers apart.
+There are no conditional writes there, so nothing keeps two writers apart.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class FsspecStorage(Storage):
             self.fs, self.root = fsspec.core.url_to_fs(self._url, **(options or {}))
         except (ImportError, ValueError) as error:
             raise StoreError(
-                f"Its kind of address cannot be opened: {error}.", path=self.url,
-                remedy="Buckets (s3, gs, az) and the web are there with pip install 'orograph[remote]'; "
-                "other protocols need their fsspec package.",
+                f"This kind of address cannot be opened: {error}.", path=self.url,
+                remedy="Buckets (s3, gs, az) and the web need pip install 'orograph[remote]'; other protocols need "
+                       "their fsspec package.",
             ) from error  # fmt: skip
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
@@ -86,7 +86,7 @@ class FsspecStorage(Storage):
         return [cut(pieces[key], start, stop) for key, start, stop in wanted]
 
     def stamp(self, key: str) -> tuple[Any, ...] | None:
-        data = self.get(key)  # (what file systems say of an object besides differs from one to the next)
+        data = self.get(key)  # (other details of an object differ between file systems)
         return None if data is None else (len(data), zlib.crc32(data))
 
     def put(self, key: str, parts: Sequence[bytes]) -> None:
@@ -109,5 +109,5 @@ class FsspecStorage(Storage):
         try:
             self.fs.invalidate_cache()
             return int(self.fs.du(self.root))
-        except Exception:  # not all can list what they have
+        except Exception:  # not all file systems can list
             return None

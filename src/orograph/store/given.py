@@ -1,6 +1,7 @@
-"""What people have heights in, as something that reads windows of them: files, arrays, DataArrays, open datasets.
+"""Heights in all forms that users have, as something that reads windows of them: files, arrays, DataArrays, open
+datasets.
 
-``source_of`` is the one place that tells them apart; ``store.opening.terrain`` makes a terrain of any of them.
+``source_of`` is the one place that distinguishes them; ``store.opening.terrain`` makes a terrain from any of them.
 """
 
 from __future__ import annotations
@@ -27,27 +28,27 @@ TAKES = (
     "an xarray.DataArray or Dataset, an open rasterio dataset or (dataset, window), or an array of heights (with "
     "transform= and crs=)"
 )
-"""What every function that wants a terrain takes."""
+"""What every function that takes a terrain accepts."""
 
 OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
-"""How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
+"""How to read a file; ``OF_ARRAYS`` also apply to heights in memory."""
 OF_POINTS = ("max_edge", "height_column", "point_layer", "point_classes")
 """How points are read and become a surface (``dem.gridding``)."""
 OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
 OF_AREAS = ("bbox", "clip")
-"""What of the ground is read (``dem.area``)."""
+"""Which part of the ground to read (``dem.area``)."""
 OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS)
-"""What the grid of the terrain is to be (``Mosaic.open``)."""
+"""The grid of the terrain (``Mosaic.open``)."""
 
 OF_MANY = ("skip_damaged",)
-"""What is done where some of many files cannot be read (``Mosaic.open``)."""
+"""What to do if some of many files cannot be read (``Mosaic.open``)."""
 
 READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF_MANY)))
-"""All that can be said of how heights are read."""
+"""All options of reading heights."""
 
 
 def is_dataset(thing: Any) -> bool:
-    """Whether something is a dataset of rasterio's (``dem.datasets``), without importing what reads it."""
+    """Whether something is a rasterio dataset (``dem.datasets``), without importing the reader."""
     if "rasterio" not in sys.modules:
         return False
     from orograph.dem import datasets
@@ -56,7 +57,7 @@ def is_dataset(thing: Any) -> bool:
 
 
 def files_of(given: Any) -> list[str] | None:
-    """The files and stores that something names, by path, or as open datasets of them; None of all else."""
+    """The files and stores that something names, by path or as open datasets; None for everything else."""
     if isinstance(given, str | os.PathLike):
         return matching(os.fspath(given))
     from orograph.dem.datasets import file_of
@@ -80,17 +81,17 @@ def matching(path: str) -> list[str]:
 
 
 def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain", **options: Any) -> HeightSource:
-    """Whatever heights come as, something that reads windows of them on a metric grid.
+    """A reader of windows of heights on a metric grid, from whatever form they come in.
 
     Args:
-        given: ``TAKES``, but for terrains; or a ``HeightSource``, which is returned.
+        given: ``TAKES``, except terrains; or a ``HeightSource``, which is returned.
         called: the function that wants it, for errors.
-        options: ``READING``. ``crs`` is also that of heights in memory which name none (and of these alone where it is
-            not projected).
+        options: ``READING``. ``crs`` is also that of heights in memory without one (it may be unprojected only for
+            these).
 
     Raises:
-        ReadError: a file cannot be read, or the heights are no real numbers.
-        UsageError: it is nothing that holds heights, or an option does not fit.
+        ReadError: a file cannot be read, or the heights are not real numbers.
+        UsageError: it does not hold heights, or an option does not apply.
     """
     check_names(options, called)
     said = {k: v for k, v in options.items() if v is not None}
@@ -117,7 +118,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         progress.warn(text)
     grid = {k: v for k, v in said.items() if k in OF_GRIDS}
     if "crs" in grid and (made[0][1] or not _projected(grid["crs"])):
-        del grid["crs"]  # it said where the heights lie
+        del grid["crs"]  # the source said where the heights lie
     if len(made) == 1 and not grid and isinstance(made[0][0], ArraySource) and is_metric(made[0][0].grid):
         return made[0][0]
     from orograph.dem.mosaic import Mosaic
@@ -126,13 +127,14 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
 
 
 def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) -> HeightSource | None:
-    """The raster of a file of points; None where the files are rasters.
+    """The raster of a file of points; None if the files are rasters.
 
     Args:
         said: options of reading.
 
     Raises:
-        ReadError, UsageError: as ``PointRaster.open``; points among other files; an option that does not fit points.
+        ReadError, UsageError: as ``PointRaster.open``; points among other files; an option that does not apply to
+        points.
     """
     from orograph.dem.scattered import is_points
 
@@ -141,7 +143,7 @@ def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) ->
         return None
     if len(files) > 1:
         raise UsageError(
-            "A file of points is a terrain of its own; it cannot be put together with other files.", path=found[0],
+            "A file of points is a terrain of its own; it cannot be combined with other files.", path=found[0],
             remedy="Put all points into one file.",
         )  # fmt: skip
     from orograph.dem.gridding import PointRaster
@@ -152,7 +154,7 @@ def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) ->
 
 
 def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
-    """Of options of reading those that are said: how a raster's file is read.
+    """The given options of reading that apply to a raster's file.
 
     Raises:
         UsageError: others are said.
@@ -161,7 +163,7 @@ def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def said_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
-    """Options of reading that are said, for ``Mosaic.open``.
+    """The given options of reading, for ``Mosaic.open``.
 
     Raises:
         UsageError: others are said.
@@ -170,7 +172,7 @@ def said_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
 
 
 def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
-    """Of options of reading those that are said: how a file of points is read, and ``more``.
+    """The given options of reading that apply to a file of points, and ``more``.
 
     Raises:
         UsageError: others are said.
@@ -180,7 +182,7 @@ def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
 
 
 def _asked(name: str, value: Any) -> bool:
-    """Whether an option says something else than the command line does by itself."""
+    """Whether an option differs from its default on the command line."""
     return bool(value != {"band": 1, "resampling": "bilinear"}.get(name))
 
 
@@ -201,18 +203,18 @@ def _part(source: HeightSource, area: dict[str, Any]) -> HeightSource:
 
 
 def check_names(options: Any, called: str) -> None:
-    """Raise UsageError where something is said of reading that cannot be said."""
+    """Raise UsageError for unknown options of reading."""
     for name in options:
         if name not in READING:
             import difflib
 
             close = difflib.get_close_matches(name, READING, 2, 0.6)
-            remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(READING)}."
+            remedy = f"Did you mean {' or '.join(close)}?" if close else f"The options are {', '.join(READING)}."
             raise UsageError(f"{called} has no option {name!r}.", remedy=remedy)
 
 
 def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
-    """A source of one thing, and whether ``crs`` says where it lies."""
+    """A source from one thing, and whether ``crs`` determines its place."""
     from orograph.dem.datasets import file_of
     from orograph.dem.source import Source
 
@@ -256,7 +258,7 @@ def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tupl
 
 
 def the_heights(given: Any) -> Any:
-    """The variable of an ``xarray.Dataset`` that holds heights (``heights_in``); all else as it is."""
+    """The variable of an ``xarray.Dataset`` that holds heights (``heights_in``); everything else unchanged."""
     xarray = sys.modules.get("xarray")
     if xarray is None or not isinstance(given, xarray.Dataset):
         return given
@@ -266,7 +268,7 @@ def the_heights(given: Any) -> Any:
 
 
 def refused(given: Any, called: str) -> UsageError:
-    """The error about something that holds no heights, with the way in."""
+    """The error about something that holds no heights, with a hint."""
     if isinstance(given, list | tuple):
         kinds = sorted({type(one).__name__ for one in given})
         got = f"a {type(given).__name__} of {' and '.join(kinds)}s"
@@ -299,7 +301,7 @@ def _is_heights(one: Any) -> bool:
 
 
 def is_array_like(given: Any) -> bool:
-    """NumPy's, or one that becomes NumPy's (Dask's, PyTorch's, CuPy's…)."""
+    """NumPy's array, or one convertible to NumPy's (Dask's, PyTorch's, CuPy's…)."""
     return hasattr(given, "__array__") and hasattr(given, "dtype") and hasattr(given, "shape")
 
 
@@ -310,8 +312,8 @@ def _projected(crs: Any) -> bool:
 
 
 def _fitting(said: dict[str, Any], names: Sequence[str], what: str, strict: bool = True) -> dict[str, Any]:
-    """What is said, all of which must be among ``names``."""
+    """The given options, all of which must be among ``names``."""
     wrong = [f"`{name}`" for name in said if name not in names]
     if wrong and strict:
-        raise UsageError(f"{', '.join(wrong)} cannot be said of {what}.")
+        raise UsageError(f"{', '.join(wrong)} cannot be used with {what}.")
     return {k: v for k, v in said.items() if k in names}

@@ -1,10 +1,10 @@
-"""Heights in larger tasks: whole subtrees of the pyramid, each done in one place, and handed on as little.
+"""Heights in larger tasks: whole subtrees of the pyramid, each done in one place, with little to hand on.
 
 A group is a square of 2^s × 2^s shards of level 0 with all coarser shards that follow from it alone: those of the
-levels up to s. (A group at the raster's end also has what sticks out beyond the last whole shard.) What the levels
-above need of it are its samples of level s, which lie in its shards, the sums of its means, and its tile tables; these
-are kept as one object, some 12 bytes for 4^(s+1) samples. Sums are added up in the same order as in one process, so the
-bytes do not depend on groups. A group that was interrupted goes on shard by shard.
+levels up to s. (A group at the raster's end also has what extends beyond the last whole shard.) The levels above need
+only its samples of level s, which are in its shards, the sums of its means, and its tile tables; these are stored as
+one object, some 12 bytes for 4^(s+1) samples. Sums are added in the same order as in one process, so the bytes do not
+depend on groups. An interrupted group is continued shard by shard.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from orograph.store.terrain import Heights, Shape, level_count, mean_shape
 from orograph.store.writer import ShardWriter
 
 MOST = 4
-"""Levels of a group at most: 256 shards."""
+"""Maximum levels of a group: 256 shards."""
 
 
 def group_levels(shape: Shape, shard: int, wanted: int) -> int:
-    """Levels s of groups, the most of which there are at least ``wanted``; 0 if there are not so many shards."""
+    """The largest number of levels s that gives at least ``wanted`` groups; 0 if there are not enough shards."""
     most = min(MOST, shard.bit_length() - 1, level_count(shape) - 1)
     return next((s for s in range(most, 0, -1) if len(tasks(shape, shard << s)) >= wanted), 0)
 
 
 class Handed(NamedTuple):
-    """What a group hands on.
+    """The result of a group.
 
     Attributes:
         nested: its samples of level s. total, number: sums of the means that come next (of level s + 1; of s itself
@@ -61,7 +61,7 @@ class Groups(ShardStage[Handed]):
     Args:
         finest: makes the shards of level 0.
         levels: s, at least 1.
-        pyramid: to which groups are added; None where they are only made.
+        pyramid: to which groups are added; None if they are only made.
         jobs: threads within a group.
     """
 
@@ -152,14 +152,14 @@ class Groups(ShardStage[Handed]):
         return [(i, j) for i, j in shards if i < rows and j < cols]
 
     def _area(self, spot: Spot, level: int) -> tuple[int, int, Shape]:
-        """Where its blocks of a level begin, and how many there are each way."""
+        """The start of its blocks of a level, and how many there are along each axis."""
         size = self.shard << self.levels >> level
         rows, cols = mean_shape(self.shape, level)
         row, col = spot[0] * size, spot[1] * size
         return row, col, (min(size, rows - row), min(size, cols - col))
 
     def _spans(self, spot: Spot) -> tuple[int, int, int, int]:
-        """Its samples of level s, with the last ones of the raster if it reaches its end: row0, row1, col0, col1."""
+        """Its samples of level s, including the raster's last ones if it reaches the end: row0, row1, col0, col1."""
         spans, whole = [], self.finest.spec_of(heights_spec, self.levels).shape
         for at, side, samples in zip(spot, self.shape, whole, strict=True):
             last = (at + 1) * self.shard << self.levels >= side
@@ -184,7 +184,7 @@ class Groups(ShardStage[Handed]):
 
 
 class _Noting(ShardWriter):
-    """A writer that knows which shards went through it."""
+    """A writer that records which shards it wrote."""
 
     def __init__(self, writer: ShardWriter) -> None:
         self.storage, self.digests = writer.storage, writer.digests
@@ -197,7 +197,7 @@ class _Noting(ShardWriter):
             self._noted[spec.path, spot] = digest
 
     def packed(self) -> dict[str, NDArray[np.uint8]]:
-        """What was noted, as arrays."""
+        """The records, as arrays."""
         noted = sorted(self._noted.items())
         names = json.dumps([[path, *spot] for (path, spot), _ in noted]).encode()
         digests = b"".join(digest for _, digest in noted)
@@ -205,7 +205,7 @@ class _Noting(ShardWriter):
 
 
 def _noted(kept: Facts, specs: dict[str, ArraySpec]) -> list[tuple[ArraySpec, Spot, bytes]]:
-    """The shards that were noted, with their digests."""
+    """The recorded shards, with their digests."""
     names = json.loads(kept["shards"].tobytes())
     digests = kept["digests"].tobytes()
     return [(specs[path], (i, j), digests[SIZE * at : SIZE * (at + 1)]) for at, (path, i, j) in enumerate(names)]

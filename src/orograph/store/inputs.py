@@ -1,8 +1,8 @@
-"""What a store was built from, as its record keeps it: so that it can be built or mended again by one command.
+"""What a store was built from, as recorded in it, so that one command can rebuild or repair it.
 
-Each input has its own state and that of the files beside it (headers, masks, the parts of a VRT): a change of any is a
-change of the input. Its window is what it may decide of the terrain. Paths are absolute; of URLs what may be secret
-(user, password, query) is left out. Of files on servers a state is known where a manifest has it.
+Each input has its own state and that of its companion files (headers, masks, the parts of a VRT): a change of any of
+them is a change of the input. Its window is the part of the terrain that it may affect. Paths are absolute; possible
+secrets in URLs (user, password, query) are left out. The state of files on servers is only known from a manifest.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from orograph.progress import SILENT, Progress
 from orograph.store.source import HeightSource
 
 DEFAULTS: dict[str, Any] = {"band": 1, "resampling": "bilinear"}
-"""Of the options that are not None by default."""
+"""Defaults of the options that are not None by default."""
 
 
 def inputs_of(source: HeightSource) -> dict[str, Any] | None:
-    """The files and options of a source that can be opened again by them (its ``recipe``); None of others."""
+    """The files and options that reopen a source (its ``recipe``); None for others."""
     recipe = getattr(source, "recipe", None)
     found = None if recipe is None else recipe()
     if found is None:
@@ -36,7 +36,7 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
 
 
 def _beside(path: str) -> list[dict[str, Any]]:
-    """The other files on this disk that decide an input's samples."""
+    """The other files on this disk that affect an input's samples."""
     from orograph.dem.deciding import files_of
     from orograph.dem.handles import locate
     from orograph.dem.scattered import is_points
@@ -62,7 +62,7 @@ def _file(path: str) -> dict[str, Any]:
 
 
 def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSource:
-    """The source again.
+    """Open the source again.
 
     Raises:
         ReadError: a file cannot be read.
@@ -84,7 +84,7 @@ def opened(files: list[str], options: dict[str, Any], progress: Progress = SILEN
 
 
 def changes(inputs: Mapping[str, Any]) -> list[str]:
-    """What became of the files since: a sentence for each that is gone or another."""
+    """What happened to the files since: a sentence for each that is gone or changed."""
     from orograph.dem.asking import asked
 
     told = []

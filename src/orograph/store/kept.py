@@ -1,10 +1,10 @@
-"""The cache folder keeps within a size: what was used longest ago goes first.
+"""Keep the cache folder within a size; the least recently used entries go first.
 
-Entries are the stores of large DEMs (``NAME.oro``, with what is left of a build of it), the folders of coarse levels
-of images (``images/NAME``), and fetched tiles (``tiles/PRODUCT/TILE``). The time of an entry's folder says when it was
-last used; whoever draws from an entry holds a shared lock (``flock``) on that folder (of all tiles on ``tiles``), and
-one that is held stays, as does one that is being built. Room is made when something was added: the limit may be passed
-while that is written. Sizes are bytes on disk as files say them.
+Entries are the stores of large DEMs (``NAME.oro``, with what is left of a build of it), the folders of coarse levels of
+images (``images/NAME``), and fetched tiles (``tiles/PRODUCT/TILE``). The modification time of an entry's folder says
+when it was last used. Readers of an entry hold a shared lock (``flock``) on that folder (for tiles, on ``tiles``);
+entries that are locked or being built stay. Room is made after something was added, so the limit may be exceeded while
+it is written. Sizes are bytes on disk as files report them.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from orograph.store.places import partial
 from orograph.store.storage import FolderStorage
 
 IMAGES = "images"
-"""The folder, within the cache, of coarse levels of images."""
+"""The folder, within the cache, for coarse levels of images."""
 
 TILES = "tiles"
-"""The folder, within the cache, of tiles that were fetched."""
+"""The folder, within the cache, for fetched tiles."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Something that is kept.
+    """An entry of the cache.
 
     Attributes:
-        path: of its folder. parts: the folders it consists of. size: bytes. used: when, seconds since 1970.
-        guard: the folder that is locked while it is used, if not its own.
+        path: of its folder. parts: the folders that it consists of. size: bytes. used: last use, seconds since 1970.
+        guard: the folder that is locked during use, if not its own.
     """
 
     path: Path
@@ -47,7 +47,7 @@ class Entry:
 
 
 class Use:
-    """An entry that is in use, from ``Use(path)`` until this object is gone or its process ends."""
+    """Marks an entry as in use, from ``Use(path)`` until this object or its process ends."""
 
     def __init__(self, path: Path) -> None:
         self._fd: int | None = None
@@ -70,7 +70,7 @@ class Use:
 
 
 def entries() -> list[Entry]:
-    """What is kept in the cache folder, the longest unused first."""
+    """The entries of the cache folder, the least recently used first."""
     folder = cache_folder()
     found = []
     stores = {Path(str(p).removesuffix(".partial")) for p in (*folder.glob("*.oro"), *folder.glob("*.oro.partial"))}
@@ -86,10 +86,10 @@ def entries() -> list[Entry]:
 
 
 def make_room(progress: Progress = SILENT) -> None:
-    """Remove what was used longest ago until the cache keeps within ``cache_limit``; what is in use stays.
+    """Remove the least recently used entries until the cache is within ``cache_limit``; entries in use stay.
 
     Raises:
-        UsageError: ``OROGRAPH_CACHE_SIZE`` is no size.
+        UsageError: ``OROGRAPH_CACHE_SIZE`` is not a size.
     """
     limit, kept = cache_limit(), entries()
     total, removed, freed = sum(entry.size for entry in kept), 0, 0
@@ -99,18 +99,18 @@ def make_room(progress: Progress = SILENT) -> None:
         if _remove(entry):
             removed, freed = removed + 1, freed + entry.size
     if removed:
-        progress.note(f"{removed} kept, least recently used, removed from the cache ({freed / 1e6:.0f} MB)")
+        progress.note(f"{removed} least recently used removed from the cache ({freed / 1e6:.0f} MB)")
 
 
 def _remove(entry: Entry) -> bool:
-    """Remove an entry unless it is in use; whether it is gone."""
+    """Remove an entry unless it is in use; returns whether it is gone."""
     try:
         with alone(FolderStorage(entry.path), "making room in the cache"):
             for part in entry.parts:
                 with _unused(entry.guard or part) as free:
                     if not free:
                         return False
-                    # First it has another name: nobody finds half of it.
+                    # Rename it first, so that nobody finds half of it.
                     gone = part.with_name(f".{part.name}.{os.getpid()}.gone")
                     part.rename(gone)
                 shutil.rmtree(gone, ignore_errors=True)
@@ -121,10 +121,10 @@ def _remove(entry: Entry) -> bool:
 
 @contextlib.contextmanager
 def _unused(path: Path) -> Iterator[bool]:
-    """Whether nobody uses a folder; nobody begins to while it is held."""
+    """Whether a folder is unused; while the lock is held nobody can start using it."""
     try:
         import fcntl
-    except ImportError:  # there files that are open cannot be removed
+    except ImportError:  # open files cannot be removed there
         yield True
         return
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -1,8 +1,8 @@
-"""The samples that a resampled terrain was made of, kept in its store: a source lattice, array ``source/{i}/height``.
+"""The original samples of a resampled terrain, kept in its store: a source lattice, array ``source/{i}/height``.
 
-A build that brings its sources to another grid keeps them as they are: the finest lattice is number 0, on its own grid
-and in its own CRS, as the sources' own numbers where these are whole metres (``Lattice.code``), else as float32 metres.
-Places get their ``height`` from them, as from the files themselves. Units: metres; samples.
+A build that resamples its sources keeps the originals: the finest lattice is number 0, on its own grid and in its own
+CRS, as the sources' own numbers if these are whole metres (``Lattice.code``), else as float32 metres. Places get their
+``height`` from them, as from the files themselves. Units: metres; samples.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SOURCE = "source"
 
 @dataclass(frozen=True, slots=True)
 class LatticeRecord:
-    """What a store says of a source lattice.
+    """A store's record of a source lattice.
 
     Attributes:
         grid: where its samples lie.
@@ -54,7 +54,7 @@ class LatticeRecord:
         return ArraySpec(f"{SOURCE}/{number}/height", self.grid.shape, shard, chunk, self.dtype, self.nodata)
 
     def attributes(self) -> dict[str, Any]:
-        """Of the array, after CF."""
+        """Attributes of the array, after CF."""
         missing = {} if math.isnan(self.nodata) else {"_FillValue": self.nodata}
         return {
             "units": "m", "standard_name": "surface_altitude", "long_name": "terrain height, samples of the source",
@@ -87,7 +87,7 @@ class StoredLattice:
 
     Args:
         grid: where its samples lie.
-        array: of the samples; its fill value is what means "missing".
+        array: of the samples; its fill value means "missing".
     """
 
     def __init__(self, grid: Grid, array: ShardedArray) -> None:
@@ -117,7 +117,7 @@ class StoredLattice:
 
 
 class StoredSamples:
-    """The samples that a terrain was made of, out of its store (``store.terrain.Samples``).
+    """The original samples of a terrain, from its store (``store.terrain.Samples``).
 
     Args:
         grid: of the terrain.

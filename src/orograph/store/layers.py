@@ -1,13 +1,13 @@
-"""Named layers of a store: rasters that ride on the terrain's grid at every level, quantised, such as baked light.
+"""Named layers of a store: quantised rasters on the terrain's grid at every level, such as baked light.
 
 A layer ``NAME`` lies beside the heights as ``layers/NAME/{k}/BAND``, one array per level and band. Level 0 has the
 terrain's samples; a sample of level k stands for the block of 2^k × 2^k of them that a box mean of the heights stands
-for (``Terrain.mean_shape``), averaged out of the exact values of level 0 in the way the layer says.
+for (``Terrain.mean_shape``), averaged from the exact values of level 0 as the layer prescribes.
 
 Values v between ``low`` and ``high`` are codes 1 to n = 2^bits − 1: v = low + (code − 1) · (high − low) / (n − 1),
-rounded to the nearest, those beyond to the end of the range; 0 is missing. That is CF's ``scale_factor``,
-``add_offset`` and ``_FillValue``, which the arrays carry, so other tools read physical units; half a step is the
-largest error, and is stated as ``quantisation_error``.
+rounded to the nearest, those beyond to the end of the range; 0 is missing. These are CF's ``scale_factor``,
+``add_offset`` and ``_FillValue``, which the arrays carry, so other tools read physical units; the largest error is half
+a step, stated as ``quantisation_error``.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ GROUP = "layers"
 """The group of a store that holds its layers."""
 
 PARTIAL = f"{GROUP}/.partial"
-"""Where layers are made in a folder until they are complete."""
+"""The folder in which layers are made until they are complete."""
 
 
 @dataclass(frozen=True, slots=True)
 class LayerBand:
-    """One raster of a layer, and how its values are coded.
+    """One raster of a layer, and how its values are encoded.
 
     Attributes:
         name: of its arrays; letters, digits, hyphens and points.
@@ -62,7 +62,7 @@ class LayerBand:
 
     @property
     def step(self) -> float:
-        """Between two codes."""
+        """The step between two codes."""
         return float((self.high - self.low) / (2**self.bits - 2))
 
     @property
@@ -82,7 +82,7 @@ class LayerBand:
         return np.asarray(table[codes])
 
     def attributes(self) -> dict[str, Any]:
-        """Of its arrays, after CF."""
+        """Attributes of its arrays, after CF."""
         return {
             "units": self.unit, "scale_factor": self.step, "add_offset": self.low - self.step, "_FillValue": 0,
             "quantisation_error": self.error, "valid_range": [1, 2**self.bits - 1], "grid_mapping": "spatial_ref",
@@ -94,13 +94,13 @@ class LayerBand:
 
 @dataclass(frozen=True, slots=True)
 class LayerRecord:
-    """What a store says of a layer.
+    """A store's record of a layer.
 
     Attributes:
         name: of the layer.
         doc: what it is.
         bands: its rasters.
-        averaging: how samples of coarser levels come about.
+        averaging: how samples of coarser levels are averaged.
         options: what it was made with (JSON).
         source: fingerprint of the heights it was made from (``Record.source``).
     """
@@ -154,7 +154,7 @@ class StoredLayer:
         return mean_shape(self._shape, level)
 
     def codes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Codes:
-        """Codes of a window as they are stored, for those who decode them elsewhere (a shader).
+        """Stored codes of a window, for decoding elsewhere (in a shader).
 
         Args:
             level: of the layer. row0, row1, col0, col1: a half-open window inside ``shape(level)``.
@@ -170,7 +170,7 @@ class StoredLayer:
         return codes
 
     def planes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> list[Codes]:
-        """As ``codes``, each band (rows, cols) an array of its own."""
+        """As ``codes``, but each band is a separate array (rows, cols)."""
         rows, cols = self.shape(level)
         if not (0 <= row0 <= row1 <= rows and 0 <= col0 <= col1 <= cols):
             raise UsageError(
@@ -193,7 +193,7 @@ class StoredLayer:
 
 
 class Layers(Derived[dict[str, LayerRecord]]):
-    """Layers by name. Options: ``layer``, a name, and what it must have been made with."""
+    """Layers by name. Options: ``layer``, a name, and the options that it must have been made with."""
 
     name, version, group, later, shared = "layers", 1, GROUP, True, True
 
@@ -238,7 +238,7 @@ class Layers(Derived[dict[str, LayerRecord]]):
             raise StoreError(
                 f"This terrain has no layer {name!r}{others}.",
                 path=terrain.url,
-                remedy=f"Put it into a store: `orograph.bake(store, [{name!r}])`.",
+                remedy=f"Bake it into a store: `orograph.bake(store, [{name!r}])`.",
             )
         record = there[name]
         again = f"Bake it again (`orograph.bake({terrain.url!r}, [{name!r}])`)."

@@ -1,17 +1,17 @@
 """One writer at a time: a lock on a name beside the store, which no build ever renames or replaces.
 
-Whoever writes to the store ``area.oro`` (a build, a bake, a repair) holds ``.area.oro.lock`` from before it looks at
-what is there until after its last rename. The lock is ``flock``: the system lets go of it when its process ends, in
-whatever way, so a lock file that was left behind locks nothing. The file is removed by whoever holds it alone, and a
-lock counts only if the name still means the locked file; so there is never a second lock under the same name.
+A writer to the store ``area.oro`` (a build, a bake, a repair) holds ``.area.oro.lock`` from before it examines what is
+there until after its last rename. The lock is ``flock``: the system releases it when its process ends, however it ends,
+so a leftover lock file locks nothing. A sole holder removes the file, and a lock counts only if the name still means
+the locked file; so there is never a second lock under the same name.
 
-Parts of one build share it: ``shared`` says what they have in common, and others are refused.
+Parts of one build share it: ``shared`` identifies the build, and others are refused.
 
 On a network file system this relies on ``flock`` reaching all machines: NFS from version 3 with its lock manager or 4,
-SMB, CephFS, GPFS, and Lustre mounted with ``-o flock`` do that. Where the system says that it has no such locks, a file
-``.area.oro.owner`` that only one process can create takes their place. It names its process; it is taken over when that
-one has ended on this machine. In buckets a lock is an object (``bucket_lock``); at other addresses nobody keeps two
-builds apart.
+SMB, CephFS, GPFS, and Lustre mounted with ``-o flock`` do that. If the system reports that it has no such locks, a file
+``.area.oro.owner`` that only one process can create takes their place. It names its process and is taken over if that
+process, on this machine, has ended. In buckets a lock is an object (``bucket_lock``); at other addresses nothing keeps
+two builds apart.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ from orograph.store.places import sweep
 from orograph.store.storage import FolderStorage, Storage
 
 TRIES = 100
-"""How often a lock may turn out to be on a file that was just removed, or to change hands among those who share."""
+"""How often a lock may turn out to be on a file just removed, or may change hands among those who share it."""
 
 PAUSE = 0.02
-"""Seconds between such tries."""
+"""Seconds between such attempts."""
 
 BUSY = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES})
 UNSUPPORTED = frozenset({errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL})
 NO_LINKS = frozenset({errno.EPERM, errno.EMLINK}) | UNSUPPORTED
-"""What systems say that have no hard links."""
+"""Error codes of systems without hard links."""
 
 
 @contextmanager
 def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[None]:
-    """Keep every other process, and every other thread, from writing to a store.
+    """Keep all other processes and threads from writing to a store.
 
     Args:
         storage: of the store, not of the folder in which it is made.
-        doing: what those who come later are told: "building this store".
-        shared: what those have in common who may work at the same time (a digest of their plan); None: nobody may.
+        doing: what later processes are told: "building this store".
+        shared: the digest of the plan of those who may work at the same time; None: nobody may.
 
     Raises:
-        StoreError: another process is at work, or no lock can be made there.
+        StoreError: another process is at work, or no lock can be created there.
     """
     if not isinstance(storage, FolderStorage):
         with _in_bucket(storage, doing, shared):
@@ -80,7 +80,7 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
 
 @contextmanager
 def _in_bucket(storage: Storage, doing: str, shared: str | None) -> Iterator[None]:
-    """The same of a store in a bucket; elsewhere there are no locks."""
+    """The lock of a store in a bucket; at other addresses there are no locks."""
     from orograph.store.bucket import BucketStorage
     from orograph.store.bucket_lock import Lease
 
@@ -109,18 +109,18 @@ class _Flock:
 
         try:
             with contextlib.suppress(OSError):
-                if self.shared:  # others may hold it, too; only the last one may remove the file
+                if self.shared:  # others may hold it too; only the last one may remove the file
                     fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if _named(self.path, self.fd):
                     self.path.unlink()
             with contextlib.suppress(OSError):
-                fcntl.flock(self.fd, fcntl.LOCK_UN)  # for the sake of children that were forked meanwhile
+                fcntl.flock(self.fd, fcntl.LOCK_UN)  # for the sake of children forked meanwhile
         finally:
             os.close(self.fd)
 
 
 class _Owner:
-    """The file that takes a lock's place where there are none."""
+    """The file that replaces a lock where there are none."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -153,7 +153,7 @@ def _take(path: Path, url: str, doing: str, shared: str | None) -> _Flock | _Own
 
 
 def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Flock | None:
-    """Lock an open file; None if it should be tried again.
+    """Lock an open file; None if it should be retried.
 
     Raises:
         StoreError: somebody else holds it.
@@ -168,19 +168,19 @@ def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Floc
             return _Flock(path, fd, False)
     elif shared is None:
         raise _busy(url, _read(fd))
-    # Going over from a lock of one's own to a shared one lets go for a moment: somebody else may come in between.
+    # Changing from an exclusive to a shared lock releases it for a moment: another process may come in between.
     locked = _locked(fd, fcntl.LOCK_SH)
     said = _read(fd)
     if said.get("shared", shared) != shared:
         raise _busy(url, said, "Its plan is another.")
     if locked and _named(path, fd):
         return _Flock(path, fd, True)
-    time.sleep(PAUSE)  # one of ours holds it alone while it begins or ends
+    time.sleep(PAUSE)  # one of ours holds it exclusively while it begins or ends
     return None
 
 
 def _locked(fd: int, how: int) -> bool:
-    """Lock the file at once, or not at all."""
+    """Lock the file at once, or give up."""
     import fcntl
 
     try:
@@ -212,7 +212,7 @@ def _write(fd: int, doing: str, shared: str | None) -> None:
 
 
 def _read(fd: int) -> dict[str, Any]:
-    """What the holder wrote; empty if it is not there yet."""
+    """What the holder wrote; empty if nothing yet."""
     try:
         said = json.loads(os.pread(fd, 4096, 0))
     except ValueError:
@@ -231,7 +231,7 @@ def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
     """A lock by a name that only one process can create."""
     if shared is not None:
         raise StoreError(
-            "This file system has no locks, which the parts of one build share.", path=url,
+            "This file system has no locks, which the parts of one build need to share.", path=url,
             remedy="Build on another file system (or mount Lustre with -o flock), or in one part.",
         )  # fmt: skip
     for _ in range(2):
@@ -247,10 +247,10 @@ def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
 
 
 def _create(path: Path, data: bytes) -> None:
-    """Make a file that is not there yet, and has its content from the first moment on.
+    """Create a file that must not exist, with its content from the first moment.
 
     Raises:
-        FileExistsError: it is there.
+        FileExistsError: it exists.
     """
     whole = Path(f"{beside(path, 'part')}.{threading.get_ident()}")
     try:
@@ -275,7 +275,7 @@ def _owner(path: Path) -> dict[str, Any]:
 
 
 def _given_up(path: Path) -> bool:
-    """Whether the owner has ended; its file is gone then. Only one process at a time may come to that conclusion."""
+    """Whether the owner has ended, in which case its file is removed. Only one process at a time may decide this."""
 
     def ended() -> bool:
         said = _owner(path)
@@ -289,7 +289,7 @@ def _given_up(path: Path) -> bool:
     except FileExistsError:
         return False
     try:
-        if ended():  # nobody else took it over since
+        if ended():  # nobody else has taken it over since
             path.unlink()
             return True
         return False

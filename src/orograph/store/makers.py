@@ -1,6 +1,6 @@
-"""How a build makes derived data, and a repair again: tasks over shards, from what is written by then.
+"""How a build makes derived data, and a repair remakes them: tasks over shards, from what is already written.
 
-Each maker writes the arrays of its kind and gives the record with it, or as it was if the terrain cannot have any.
+Each maker writes the arrays of its kind and returns the record with them, or unchanged if the terrain cannot have any.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from orograph.store.writer import ShardWriter
 
 
 class Work(NamedTuple):
-    """How data are made.
+    """How derived data are made.
 
     Attributes:
-        errors: the kinds of errors that are wanted.
+        errors: the requested kinds of errors.
         writer: of shards; all heights, means and tables are written.
-        jobs: threads. executor: runs what is done by shard. progress: is told of tasks.
-        tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
-        chunked: the kind of chunks whose meshes are wanted; None: none are.
-        quadtin: metres and way of splitting of the QuadTIN that is wanted; None: none is.
+        jobs: threads. executor: runs the work by shard. progress: gets reports on tasks.
+        tins: segments along a leg of the finest patches, above which TINs are made; None: no TINs.
+        chunked: the kind of chunks whose meshes are made; None: none.
+        quadtin: error in metres and splitting of the QuadTIN; None: none.
     """
 
     errors: tuple[ErrorKind, ...]
@@ -53,7 +53,7 @@ class Work(NamedTuple):
     quadtin: tuple[float, str] | None = None
 
     def terrain(self, record: Record) -> StoredTerrain:
-        """What is written by now."""
+        """The terrain as written so far."""
         return StoredTerrain(self.writer.storage, record, CACHE_BYTES, 1)
 
 
@@ -107,7 +107,7 @@ def make_tins(record: Record, work: Work) -> Record:
 
 
 def make_chunked(record: Record, work: Work) -> Record:
-    """Meshes of chunks, from ``midpoint`` errors; what is made waits in a temporary file."""
+    """Meshes of chunks, from ``midpoint`` errors; results wait in a temporary file."""
     from orograph.store.derived_stages import ChunkStage
 
     if work.chunked is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
@@ -163,4 +163,4 @@ MAKERS: dict[str, Callable[[Record, Work], Record]] = {
     DIAMONDS.name: make_diamonds, PATCHES.name: make_patches, TINS.name: make_tins,
     CHUNKED.name: make_chunked, QUADTIN.name: make_quadtin,
 }  # fmt: skip
-"""By name of the kind, each after those that it needs."""
+"""Makers by name of the kind, each after those that it needs."""

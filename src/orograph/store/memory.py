@@ -1,6 +1,6 @@
-"""A terrain held in memory: one array of heights, whose coarser levels, means and tile tables are made when asked for.
+"""A terrain held in memory: one array of heights, whose coarser levels, means and tile tables are computed on demand.
 
-For rasters that fit in memory anyway there is nothing to build: a picture of one tile of SRTM starts at once.
+Rasters that fit in memory need no build: a picture of one SRTM tile starts at once.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ def check_metric(grid: Grid, name: str) -> None:
     if not crs.is_projected:
         what = "in degrees" if crs.is_geographic else f"in {crs.type_name.lower()} coordinates"
         raise UsageError(
-            f"{name} is {what} ({crs.name}), and terrain is drawn in metres.",
-            remedy="Build a store of it, or open it as a Mosaic; both bring it to a projected CRS.",
+            f"{name} is {what} ({crs.name}), but terrain must be in metres.",
+            remedy="Build a store of it, or open it as a Mosaic; both convert it to a projected CRS.",
         )
     factors = {axis.unit_conversion_factor for axis in crs.axis_info[:2]}
     if factors - {1.0}:
         raise UsageError(
-            f"{name} is in {crs.axis_info[0].unit_name} ({crs.name}), and terrain is drawn in metres.",
-            remedy="Build a store of it, or open it as a Mosaic; both bring it to a metric CRS.",
+            f"{name} is in {crs.axis_info[0].unit_name} ({crs.name}), but terrain must be in metres.",
+            remedy="Build a store of it, or open it as a Mosaic; both convert it to a metric CRS.",
         )
 
 
@@ -53,9 +53,9 @@ class MemoryTerrain(Terrain):
     Args:
         heights: (rows, cols) float32, metres, NaN where missing. Not copied.
         grid: where they lie: projected in metres, or without CRS.
-        name: what to call it.
+        name: its name.
         vertical: name of the vertical datum.
-        attribution: as of a ``Terrain``.
+        attribution: as for a ``Terrain``.
 
     Raises:
         UsageError: the CRS is not metric, or the shapes differ.
@@ -74,7 +74,7 @@ class MemoryTerrain(Terrain):
         self._made: dict[tuple[str, int], object] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Another process has the heights, without what was made of them (and the source's own samples)."""
+        """Pickle the heights without what was derived from them (and without the source's own samples)."""
         return MemoryTerrain, (self.heights, self.grid, self.name, self.vertical, self.attribution)
 
     @property
@@ -111,7 +111,7 @@ class MemoryTerrain(Terrain):
         return self._once(f"{name} {made_with}", 0, lambda: kind.compute(self, **options))
 
     def _once(self, what: str, level: int, make: Callable[[], T]) -> T:
-        """Make a thing on first use, in one thread."""
+        """Compute a value on first use, in one thread."""
         with self._lock:
             key = what, level
             if key not in self._made:
@@ -128,8 +128,8 @@ class MemoryTerrain(Terrain):
         return self._once("nested", level, make) if level else self.heights
 
     def diamonds(self, kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
-        """Errors of a kind, and the radii that all kinds share, per level: rounded up as a store has them, so that what
-        is drawn of a raster is what is drawn of its store."""
+        """Errors of a kind, and the radii that all kinds share, per level: rounded up as in a store, so that a raster
+        is drawn exactly like its store."""
 
         def make() -> tuple[list[Heights], list[Heights]]:
             from orograph.error.diamonds import diamonds
@@ -143,7 +143,7 @@ class MemoryTerrain(Terrain):
             code = ErrorCode.of(high - low, kind, self.n)
             encoder = Encoder({kind: code}, RadiusCode.of(high - low, metric(self.grid), self.n))
             parts = diamonds(
-                # (a copy: kernels are compiled anew for what may not be written to)
+                # (a copy: kernels are compiled again for read-only arrays)
                 lambda row0, row1, col0, col1: self.heights[row0:row1, col0:col1].copy(),
                 subsample(self.heights, NESTED),
                 surface(self.grid, self.tiles(0).minimum, low),
@@ -165,7 +165,7 @@ class MemoryTerrain(Terrain):
             from orograph.store.levels import BoxMeans
 
             made = [np.empty(self.mean_shape(level), np.float32) for level in range(1, self.levels)]
-            height = max(1 << (self.levels - 1), TILE)  # blocks of no level straddle such strips
+            height = max(1 << (self.levels - 1), TILE)  # such strips cut no block of any level
 
             def strip(row: int) -> None:
                 means = BoxMeans(self.heights[row : row + height])
@@ -199,8 +199,8 @@ class MemoryTerrain(Terrain):
         if level == 0:
             return TileTable(low, high, np.zeros(low.shape, np.float32), valid)
         size = TILE << level
-        # Cells of 2^level samples never straddle a strip of as many samples, so strips of one cell are independent;
-        # several cells at a time keep the number of calls small.
+        # Cells of 2^level samples never straddle a strip of that height, so strips of one cell are independent; several
+        # cells at a time keep the number of calls small.
         rows = max(1 << level, TILE)
         strips = range(0, max(1, self.grid.rows - 1), rows)
 

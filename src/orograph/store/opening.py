@@ -1,4 +1,4 @@
-"""A terrain of whatever heights come as: what every function begins with that takes a terrain."""
+"""Make a terrain from heights in any form; every function that takes a terrain begins with it."""
 
 from __future__ import annotations
 
@@ -33,32 +33,31 @@ def terrain(
     called: str = "terrain",
     **reading: Any,
 ) -> Terrain:
-    """A terrain of whatever heights come as.
+    """Open heights in any form as a terrain.
 
     Args:
         source: a path or URL of a DEM or of a store, a pattern (``tiles/*.tif``), a folder (all rasters in it), or a
             list of DEMs; a ``Dem``; a ``Terrain``, which is returned; an ``xarray.DataArray`` or ``Dataset`` (lazy ones
             are computed); an open rasterio dataset, or (dataset, window); an array (rows, cols) of any real type,
-            masked or not; a list of several of these, which are put together (``Mosaic``). Files that are too large for
-            memory are built into a store, which is kept.
-        progress: hears of what is being done, and of warnings; None: bars in terminals and notebooks, and Python's
-            warnings; False: nothing is said.
+            masked or not; or a list of several of these, which are combined (``Mosaic``). Files too large for memory
+            are built into a store, which is kept.
+        progress: gets progress reports and warnings; None: bars in terminals and notebooks, and Python's warnings;
+            False: silent.
         max_memory: bytes that heights may take. jobs: threads; None: all processors.
-        errors: kinds of errors of diamonds that a store made and kept is to have, besides exact ones.
-        called: the function that asks, for errors.
-        reading: of arrays ``transform`` (an ``Affine`` or its six numbers) or ``spacing`` (metres), ``nodata``,
-            ``vertical_unit``, ``assume_vertical`` and ``name``; of files the options of ``Source.open``: ``band``,
-            ``nodata``, ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``, of many
-            ``skip_damaged``; of all those of ``Mosaic``: ``crs``, ``resolution``, ``resampling``, ``to_vertical`` and
-            ``geoid``. ``crs`` is the projected CRS of the terrain; heights in memory that name none are also taken to
-            be in it. Without a
-            transform the samples of an array are 1 m apart, and a warning says so. Of anything, terrains and stores
-            too, ``bbox`` (west, south, east, north in degrees) and ``clip`` (polygons: a GeoJSON file or object, or
-            shapely's, geopandas') say what part of it is wanted.
+        errors: kinds of diamond errors that a newly kept store gets, besides exact ones.
+        called: the calling function, for errors.
+        reading: for arrays ``transform`` (an ``Affine`` or its six numbers) or ``spacing`` (metres), ``nodata``,
+            ``vertical_unit``, ``assume_vertical`` and ``name``; for files the options of ``Source.open``: ``band``,
+            ``nodata``, ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``, for many
+            files ``skip_damaged``; for all of these the options of ``Mosaic``: ``crs``, ``resolution``, ``resampling``,
+            ``to_vertical`` and ``geoid``. ``crs`` is the projected CRS of the terrain; heights in memory without a CRS
+            are assumed to be in it. Without a transform the samples of an array are 1 m apart, and a warning says so.
+            For anything, including terrains and stores, ``bbox`` (west, south, east, north in degrees) and ``clip``
+            (polygons: a GeoJSON file or object, or shapely's, geopandas') select a part.
 
     Raises:
-        ReadError, StoreError: a file cannot be read, or its heights are no real numbers.
-        UsageError: it is nothing that holds heights, or an option does not fit.
+        ReadError, StoreError: a file cannot be read, or its heights are not real numbers.
+        UsageError: it does not hold heights, or an option does not apply.
     """
     max_memory = bytes_of(max_memory)
     progress = reporting(progress)
@@ -68,7 +67,7 @@ def terrain(
         area = {name: said.pop(name) for name in OF_AREAS if name in said}
         if said:
             names = ", ".join(f"`{name}`" for name in said)
-            raise UsageError(f"{names} cannot be said of a Terrain, which was read already.")
+            raise UsageError(f"{names} cannot be used with a Terrain, which has already been read.")
         if not area:
             return source
         return part_of(source, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
@@ -79,7 +78,7 @@ def terrain(
 
 
 def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:
-    """Lets a function that begins with a terrain take whatever ``terrain`` does, with its options of reading."""
+    """Let a function that begins with a terrain take whatever ``terrain`` takes, with its options of reading."""
     own = inspect.signature(function).parameters
     signature = f"({', '.join(map(str, (one.name for one in own.values())))})"
 
@@ -92,7 +91,7 @@ def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Co
             inspect.signature(function).bind(found, *args, **options)
         except TypeError as error:
             raise UsageError(
-                f"{function.__name__}: {error}.", remedy=f"It is {function.__name__}{signature}."
+                f"{function.__name__}: {error}.", remedy=f"Its signature is {function.__name__}{signature}."
             ) from error
         return function(found, *args, **options)
 

@@ -1,6 +1,6 @@
-"""What a task of a build found, kept as one object until the build is complete: named arrays and a checksum.
+"""The result of a task of a build, stored as one object until the build is complete: named arrays and a checksum.
 
-Not ``.npz``: NumPy reads its headers with ``ast.literal_eval``, which in CPython 3.11 fails now and then where several
+Not ``.npz``: NumPy reads its headers with ``ast.literal_eval``, which in CPython 3.11 occasionally fails when several
 threads do so at once ("AST constructor recursion depth mismatch").
 """
 
@@ -18,8 +18,8 @@ from orograph.store.digests import crc32c
 
 
 def pieces(arrays: Mapping[str, NDArray[Any]]) -> list[bytes]:
-    """Arrays as what is written one after the other: the length of the table of contents, it, all samples, and a
-    checksum over all of them. Samples are not copied where they lie in a row."""
+    """Arrays as buffers to write one after the other: the length of the table of contents, the table, all samples, and
+    a checksum over all of them. Contiguous samples are not copied."""
     contents = json.dumps([(name, array.dtype.str, array.shape) for name, array in arrays.items()]).encode()
     found: list[Any] = [len(contents).to_bytes(8, "little") + contents]
     check = crc32c(found[0])
@@ -36,10 +36,10 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def unpack(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays that were packed.
+    """Unpack the arrays.
 
     Raises:
-        ValueError: the data is damaged or cut off.
+        ValueError: the data are damaged or truncated.
     """
     if len(data) < 12 or crc32c(data[:-4]) != int.from_bytes(data[-4:], "little"):
         raise ValueError("the part of a build fails its checksum")

@@ -1,4 +1,4 @@
-"""Errors of patches: what decides about regular pieces of the hierarchy instead of single triangles (``lod.patches``).
+"""Errors of patches, which decide about regular pieces of the hierarchy instead of single triangles (``lod.patches``).
 
 A *patch* is a right triangle divided d = 2·log2(L) levels further down, into L² triangles (each of its legs has L
 segments). P(D), the error of a patch diamond D, is the largest of D's DAG descendants exactly d levels below it: its
@@ -8,12 +8,12 @@ found by passing every diamond's error d levels upwards, which costs about as mu
 *Saturated*, P′(D) = max(P(D), κ·P′(children)): with nested spheres a parent's bound in pixels is then κ times its
 children's or more, so that its geomorph ends before theirs begins.
 
-*Missing ground*: diamonds that ground and missing ground share (``mixed``) have infinite errors. Here they count with
-what bounds the vertical distance wherever both surfaces are: the errors of the store's levels over the tile, or the
+*Missing ground*: diamonds that ground and missing ground share (``mixed``) have infinite errors. Here they count with a
+bound of the vertical distance wherever both surfaces exist: the errors of the store's levels over the tile, or the
 range of heights. A negative sign marks them.
 
 A build stores P′ for L = 16 (float32, an entry for 1/192 of the samples); for other L, other stores and arrays in
-memory it is made when it is first asked for. Metres, float32.
+memory it is computed on first use. Metres, float32.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ KAPPA = 1.25
 """κ: a patch is morphed while the bound of its parent's error grows from 1/κ of the tolerance to all of it."""
 
 SATURATION = KAPPA * (1.0 + 2.0**-10)
-"""κ in the tables: more than κ by what roundings could take away."""
+"""κ in the tables: larger than κ by what rounding could take away."""
 
 NOTHING = np.float32(2.0**-100)
-"""The P′ of a mixed diamond that is exact wherever there is ground."""
+"""Marks the P′ of a mixed diamond, whose value holds wherever there is ground."""
 
 
 BLOCK = 64
-"""Patch diamonds along the side of what is worked on at a time, at least."""
+"""Minimum patch diamonds along the side of a work area."""
 
 REACH = 4
-"""Patch diamonds by which the DAG's arrows lead beyond those they come from (less than 3.5, with what is squeezed)."""
+"""How many patch diamonds the DAG's arrows reach beyond their origin (less than 3.5, including squeezed ones)."""
 
 
 LEGS = 16
-"""L, unless something else is asked for."""
+"""Default L."""
 
 
 def spec(shape: Shape, level: int, kind: ErrorKind, shard: int, chunk: int) -> ArraySpec:
@@ -77,12 +77,12 @@ def patch_errors(
 ) -> list[Heights]:
     """P′ of all patch diamonds, in the layout of ``diamond_table``: an array for each level.
 
-    Diamonds of octaves below log2(L) are none (their patches would be finer than the raster) and have 0. Errors are
-    read block by block, by several threads; what is kept is 1/L² of the raster.
+    Octaves below log2(L) have no patch diamonds (their patches would be finer than the raster) and have 0. Several
+    threads read errors block by block; the result is 1/L² of the raster.
 
     Args:
         terrain: the ground. kind: of error. legs: L.
-        jobs: threads (default: all processors). progress: is told of blocks.
+        jobs: threads (default: all processors). progress: gets reports on blocks.
     """
     making = PatchErrors(terrain, kind, legs)
 
@@ -97,10 +97,11 @@ def patch_errors(
 
 
 class PatchErrors:
-    """P′ of all patch diamonds of a terrain as it is made: blocks of P in any order, from any thread, then the rest.
+    """P′ of all patch diamonds of a terrain during its computation: blocks of P in any order, from any thread, then the
+    rest.
 
     Args:
-        terrain, kind, legs: as of ``patch_errors``.
+        terrain, kind, legs: as for ``patch_errors``.
     """
 
     def __init__(self, terrain: Terrain, kind: ErrorKind, legs: int) -> None:
@@ -123,12 +124,12 @@ class PatchErrors:
         return _block(self.terrain, self.table, k, self.q, (i, j), end, self.spread)
 
     def take(self, spot: tuple[int, int], found: Heights) -> None:
-        """Take over a block."""
+        """Store the result of a block."""
         k, (i, j) = spot[0], self._begin(spot)
         self.P[k][i : i + found.shape[0], j : j + found.shape[1]] = found
 
     def finished(self) -> list[Heights]:
-        """An array for each level, when all blocks are there."""
+        """An array for each level, once all blocks are there."""
         top = self.terrain.levels - 1
         result = [np.zeros((0, 0), np.float32) for _ in range(top)]
         result.append(blank_top(self.terrain.grid.shape, np.float32, 0))
@@ -147,7 +148,7 @@ class PatchErrors:
         return result
 
     def _blocks(self, k: int) -> Shape:
-        """Blocks of an octave, each way."""
+        """Blocks of an octave along each axis."""
         rows, cols = octave_shape(self.terrain, k)
         return -(-rows // self.size), -(-cols // self.size)
 
@@ -158,7 +159,7 @@ class PatchErrors:
 
 
 def octave_shape(terrain: Terrain, k: int) -> Shape:
-    """Entries of an octave: those of its level, or every so manieth of the padded square at the top."""
+    """Entries of an octave: those of its level, or for higher octaves every 2^j-th of the padded square."""
     level = min(k, terrain.levels - 1)
     rows, cols = terrain.diamond_shape(level)
     return ((rows - 1) >> (k - level)) + 1, ((cols - 1) >> (k - level)) + 1
@@ -183,7 +184,7 @@ def _block(
     for step, shape in enumerate(shapes):
         last = [min(((v + REACH) << (q - step)) + 1, side) for v, side in zip(end, shape, strict=True)]
         windows.append((max(last[0] - (first[0] << (q - step)), 0), max(last[1] - (first[1] << (q - step)), 0)))
-    if min(windows[0]) <= 0:  # the padded square goes on where finer levels end
+    if min(windows[0]) <= 0:  # the padded square continues where finer levels end
         return np.zeros((end[0] - begin[0], end[1] - begin[1]), np.float32)
     at = first[0] << q, first[1] << q
     errors = octave_window(terrain, table, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
@@ -193,7 +194,7 @@ def _block(
 
 
 def finite_errors(errors: Heights, terrain: Terrain, k: int, at: Shape, spread: float) -> Heights:
-    """The errors of a window, those of mixed diamonds replaced by what holds where both surfaces are."""
+    """The errors of a window; those of mixed diamonds are replaced by what holds where both surfaces exist."""
     mixed = np.isinf(errors)
     if not mixed.any():
         return errors
@@ -247,7 +248,7 @@ def _lifted(errors: Heights, q: int, shapes: list[Shape]) -> Heights:
 
 
 def saturate(here: Heights, below: Heights | None) -> None:
-    """Make an octave's P into P′, given that of the octave below: no less than κ times those below in the DAG."""
+    """Turn an octave's P into P′, given that of the octave below: at least κ times those below in the DAG."""
     from orograph.error.monotony import close
 
     factor = np.float32(SATURATION)
@@ -263,7 +264,7 @@ def saturate(here: Heights, below: Heights | None) -> None:
 
 
 class Patches(Derived[dict[str, Any]]):
-    """P′ of patches of ``LEGS`` segments, of every kind of errors that the store has. Options: ``error``, ``legs``."""
+    """P′ of patches of ``LEGS`` segments, for every kind of errors of the store. Options: ``error``, ``legs``."""
 
     name, version, group, needs = "patches", 1, "patches", ("diamonds",)
 
@@ -293,7 +294,7 @@ class Patches(Derived[dict[str, Any]]):
         here = said.get("legs"), said.get("kappa")
         if here != (options["legs"], KAPPA) or kind not in said["errors"]:
             raise StoreError(
-                f"This store has no {kind} errors of patches of {options['legs']} segments.", path=terrain.url,
+                f"This store has no {kind} errors of patches with {options['legs']} segments.", path=terrain.url,
                 remedy="They can be made in memory: `orograph.store.patches.patch_errors`.",
             )  # fmt: skip
         return PatchTable(terrain, kind, int(options["legs"]))
@@ -310,7 +311,7 @@ class MemoryPatches:
         self.terrain, self.errors = terrain, errors
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """See ``PatchTable.read``; levels finer than patches are empty."""
+        """As ``PatchTable.read``; levels finer than patches are empty."""
         return self.errors[level][row0:row1, col0:col1]
 
 
@@ -321,10 +322,10 @@ class PatchTable:
         self.terrain, self.kind, self.levels = terrain, kind, stored_levels(terrain.grid.shape, legs)
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """P′ of the entries ``[row0, row1) × [col0, col1)`` of a level, negative where mixed, 0 of levels finer than
-        patches are.
+        """P′ of the entries ``[row0, row1) × [col0, col1)`` of a level, negative where mixed, 0 on levels finer than
+        patches.
 
-        Raises: as ``diamond_table.DiamondTable.read``.
+        Raises: as for ``diamond_table.DiamondTable.read``.
         """
         terrain, record = self.terrain, self.terrain.record
         terrain.check_window(terrain.diamond_shape(level), row0, row1, col0, col1)

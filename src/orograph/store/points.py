@@ -2,7 +2,7 @@
 
 ``points/places``: int32, two numbers a point, column and row on the lattice (``dem.delaunay``); ``points/heights``:
 float32, one a point; ``points/triangles``: int32, three numbers a triangle. Each lies row by row in rows of a chunk's
-length, zeros after the last. The group says how many there are, and the lattice's bits.
+length, zeros after the last. The group records how many there are, and the lattice's bits.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from orograph.geo.grid import Grid
 from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
 
-if TYPE_CHECKING:  # (a store is read without what reads rasters)
+if TYPE_CHECKING:  # (a store can be read without the raster reader)
     from orograph.dem.delaunay import Gridded, Surface
     from orograph.store.layout import Record
     from orograph.store.memory import MemoryTerrain
@@ -30,11 +30,11 @@ PARTS = {
     "heights": ("float32", 1, "points", "heights of the points"),
     "triangles": ("int32", 3, "triangles", "corners of the triangles between the points"),
 }
-"""Of each array its type, numbers an entry, what its entries are, and what it is."""
+"""For each array its type, numbers per entry, what its entries are, and a description."""
 
 
 def rows_spec(name: str, count: int, shard: int, chunk: int) -> ArraySpec:
-    """The array of so many numbers."""
+    """The array for this many numbers."""
     return ArraySpec(f"points/{name}", (max(1, -(-count // chunk)), chunk), shard, chunk, PARTS[name][0], 0.0)
 
 
@@ -67,7 +67,7 @@ class PointsKind(Derived[dict[str, Any]]):
         what = self.of(terrain.record)
         if not what:
             raise StoreError(
-                "This store was not built of points.", path=terrain.url, remedy="Build one of a file of points."
+                "This store was not built from points.", path=terrain.url, remedy="Build one from a file of points."
             )
         sizes = terrain.record.shard, terrain.record.chunk
         found = {}
@@ -88,14 +88,14 @@ class PointsKind(Derived[dict[str, Any]]):
         return found
 
     def remedy(self, url: str, keys: list[str]) -> str | None:
-        return f"Its points are damaged: build {url} again of its file of points."
+        return f"Its points are damaged: build {url} again from its file of points."
 
 
 POINTS = PointsKind()
 
 
 def put_points(record: Record, surface: Surface, writer: ShardWriter) -> Record:
-    """Write the points of a terrain; the record with them."""
+    """Write the points of a terrain; returns the record with them."""
     arrays: dict[str, NDArray[Any]] = {
         "places": np.stack([surface.x, surface.y], -1), "heights": surface.z, "triangles": surface.triangles,
     }  # fmt: skip
@@ -109,7 +109,7 @@ def put_points(record: Record, surface: Surface, writer: ShardWriter) -> Record:
 
 
 class StoredPoints:
-    """The surface of a stored terrain's points, as the samples that it was made of (``store.terrain.Samples``)."""
+    """The surface of a stored terrain's points, as its original samples (``store.terrain.Samples``)."""
 
     def __init__(self, terrain: StoredTerrain) -> None:
         self._terrain = terrain

@@ -1,9 +1,9 @@
-"""From paths to a terrain that can be drawn: opened, read into memory, or built once into a store that is kept.
+"""From paths to a terrain: opened, read into memory, or built once into a store that is kept.
 
-A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
-folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times, the
-reading options and the errors that it holds: the next picture of it opens that store at once. One process builds it,
-and others that want it wait. The folder keeps within a size (``store.kept``).
+A raster that is small enough is read into memory. A larger one is built into a store in the user's cache folder
+(``$OROGRAPH_CACHE``, or the platform's own place), under a name derived from its files, their sizes and times, the
+reading options and its errors: the next picture of it opens that store at once. One process builds it, and others that
+need it wait. The folder keeps within a size (``store.kept``).
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ if TYPE_CHECKING:
     from orograph.error import ErrorKind
 
 PAUSE = 0.3
-"""Seconds between two looks whether another process has built the store that is wanted."""
+"""Seconds between checks whether another process has finished the store."""
 
 BASE = 240 << 20
 """Bytes that the interpreter and its libraries take."""
 
 PER_SAMPLE = 20
-"""Bytes of a raster in memory while it is drawn: heights, coarser levels, pyramids, light (measured: 4097² samples)."""
+"""Bytes per sample of a raster in memory while it is drawn: heights, coarser levels, pyramids, light (measured: 4097²
+samples)."""
 
 
 def _fits(samples: int, max_memory: int) -> bool:
-    """Whether a raster is read into memory: it leaves room for all else, or is small beside the limit."""
+    """Whether to read a raster into memory: it leaves room for everything else, or is small compared with the limit."""
     return samples * PER_SAMPLE <= max(max_memory - BASE, max_memory // 4)
 
 
 def cache_bytes(max_memory: int | None) -> int:
-    """What a store may cache while a picture is drawn from it: a picture reads each tile once or twice."""
+    """The cache of a store while a picture is drawn from it: a picture reads each tile once or twice."""
     return (64 << 20) if max_memory is None else min(64 << 20, max_memory // 16)
 
 
@@ -61,7 +62,7 @@ def prepare(
 
     Args:
         paths: one store, or DEM files.
-        errors: kinds of errors of diamonds that a store made and kept is to have, besides exact ones.
+        errors: kinds of diamond errors that a newly kept store gets, besides exact ones.
         options: for ``Mosaic.open``.
 
     Raises:
@@ -75,7 +76,7 @@ def prepare(
         if said:
             names = ", ".join(f"`{k}`" for k in sorted(said))
             raise UsageError(
-                f"{names} cannot be used: a store is built already, and says itself what it is.",
+                f"{names} cannot be used: a store is already built, and describes itself.",
                 path=paths[0],
                 remedy="Give such options to `orograph.build`, or render the DEM files.",
             )
@@ -108,7 +109,7 @@ def of_mosaic(
     mosaic: Mosaic, *, max_memory: int | None = None, jobs: int | None = None, progress: Progress = SILENT,
     errors: Collection[ErrorKind] = (),
 ) -> Terrain:  # fmt: skip
-    """The terrain of a mosaic: in memory where it is small enough, else a store that is kept (see ``prepare``)."""
+    """The terrain of a mosaic: in memory if it is small enough, else a store that is kept (see ``prepare``)."""
     from orograph.store.kept import Use, make_room
     from orograph.store.layout import FORMAT
 
@@ -117,8 +118,8 @@ def of_mosaic(
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or _fits(rows * cols, max_memory)):
         return _told(mosaic, in_memory(mosaic, progress), progress)
-    cache_limit()  # if it is no size, that is said before anything is built
-    # Those of another store format have another name: what they left unfinished is not in the way.
+    cache_limit()  # reports a bad size before anything is built
+    # Other store formats have other names, so their unfinished builds are not in the way.
     name = hashlib.sha256(f"{mosaic.fingerprint()} {FORMAT}".encode()).hexdigest()[:20]
     more: list[ErrorKind] = sorted(kind for kind in errors if kind != "exact")
     kept = cache_folder() / f"{'-'.join([name, *more])}.oro"
@@ -127,7 +128,7 @@ def of_mosaic(
         try:
             terrain = open(kept, cache_bytes=cache_bytes(max_memory))
         except OrographError as error:
-            # Stores take their place when they are complete: this one was damaged since, and is a copy.
+            # Only complete stores have this name: this one was damaged since, and is a copy.
             progress.warn(f"the kept store cannot be used and is built again ({error})")
             shutil.rmtree(kept, ignore_errors=True)
         else:
@@ -153,7 +154,7 @@ def _built(
     mosaic: Mosaic, kept: Path, errors: tuple[ErrorKind, ...], max_memory: int | None, jobs: int | None,
     progress: Progress,
 ) -> StoredTerrain:  # fmt: skip
-    """The store of a mosaic, built here, or by another process that is at it already."""
+    """The store of a mosaic, built here, or by another process that is already building it."""
     memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
     waits = False
     while True:
@@ -164,13 +165,13 @@ def _built(
             return made
         except StoreBusyError as error:
             if not waits:
-                progress.note(f"{error.what} It is waited for.")
+                progress.note(f"{error.what} Waiting for it.")
             waits = True
             time.sleep(PAUSE)
 
 
 def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
-    """The terrain with its files' samples, after saying what is doubtful about the heights of these."""
+    """The terrain with its files' samples, after warning about doubtful heights."""
     from orograph.dem.area import Cut
     from orograph.dem.inspect import doubtful_heights
     from orograph.dem.source import Source
@@ -178,7 +179,7 @@ def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
     terrain.samples = mosaic
     low, high = terrain.height_range
     said: set[str] = set()
-    every = -(-len(mosaic.sources) // 64)  # of many files some are read
+    every = -(-len(mosaic.sources) // 64)  # some of many files are read
     for i, source in enumerate(mosaic.sources):
         file = source.raster if isinstance(source, Cut) else source
         if mosaic.undulation is not None or not isinstance(file, Source):

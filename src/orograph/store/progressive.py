@@ -1,16 +1,16 @@
-"""The codec *progressive*: every level of a store by what it differs from a prediction out of the level above it.
+"""The codec *progressive*: every level of a store as its difference from a prediction from the level above it.
 
 After the compressed pyramid of geometry clipmaps (Losasso and Hoppe 2004, section 5): a level is predicted from every
-second of its samples by the tensor product of (-1, 9, 9, -1) / 16. These samples are those of the level above, *as they
-are decoded*, and are kept; of the others the difference is stored, in steps of twice the largest error. Predictions lie
-between these steps, in finer ones (``Packing.factor``), so each level is as close to the terrain as was asked for,
-and smooth ground costs next to nothing. No sample is stored twice.
+second of its samples by the tensor product of (-1, 9, 9, -1) / 16. These samples are those of the level above, *as
+decoded*, and are kept; for the others the difference is stored, in steps of twice the largest error. Predictions lie
+between these steps, in finer ones (``Packing.factor``), so each level is as close to the terrain as requested, and
+smooth ground costs next to nothing. No sample is stored twice.
 
-A chunk is predicted from its own samples alone, so it needs one chunk of the level above, no other; and what a shard
-of level 0 becomes hangs on nothing beyond it and the row and column that it shares. Levels whose chunks are larger than
-that are whole numbers of the large steps.
+A chunk is predicted from its own samples alone, so it needs only one chunk of the level above; and a shard of level 0
+depends on nothing beyond it and the row and column that it shares. Levels whose chunks are larger than that are whole
+numbers of the large steps.
 
-Where the raster's last row has an odd number, the level above repeats it (``level_shape``), and it is known from there.
+If the raster's last row has an odd number, the level above repeats it (``level_shape``), so it is known from there.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Scheme:
     """How a level follows from the one above it.
 
     Attributes:
-        factor: steps of heights in a step of what is stored.
-        exact: whether its heights are whole numbers of that.
+        factor: steps of heights per stored step.
+        exact: whether its heights are whole numbers of stored steps.
     """
 
     factor: int
@@ -47,7 +47,7 @@ def known(shape: tuple[int, int], first: tuple[int, int], size: tuple[int, int])
 
 
 def coarse_of(numbers: Numbers, last: tuple[int, int]) -> Numbers:
-    """The samples of a chunk that the level above has, too."""
+    """The samples of a chunk that the level above also has."""
     rows = np.arange(0, numbers.shape[0], 2)
     cols = np.arange(0, numbers.shape[1], 2)
     rows = np.append(rows, numbers.shape[0] - 1) if last[0] else rows
@@ -56,7 +56,7 @@ def coarse_of(numbers: Numbers, last: tuple[int, int]) -> Numbers:
 
 
 def residuals(numbers: Numbers, last: tuple[int, int], scheme: Scheme) -> Numbers:
-    """What is stored of a chunk: differences in large steps, 0 where the level above has the sample.
+    """The stored differences of a chunk: in large steps, 0 where the level above has the sample.
 
     Args:
         numbers: (rows, cols), ``MISSING`` where missing. last: from ``known``.
@@ -69,7 +69,7 @@ def residuals(numbers: Numbers, last: tuple[int, int], scheme: Scheme) -> Number
 
 
 def rebuilt(stored: Numbers, coarse: Numbers, last: tuple[int, int], scheme: Scheme) -> Numbers:
-    """A chunk of what is stored of it and the samples that the level above has."""
+    """A chunk from its stored differences and the samples that the level above has."""
     from orograph.store.progressive_kernels import add
 
     found = np.empty(stored.shape, np.int32)
@@ -78,12 +78,12 @@ def rebuilt(stored: Numbers, coarse: Numbers, last: tuple[int, int], scheme: Sch
 
 
 def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> Numbers:
-    """The numbers that heights become: each level as close as it can be, in large steps from its prediction.
+    """The quantised heights: each level as close as possible, in large steps from its prediction.
 
     Args:
         units: heights in small steps, NaN where missing; they begin at a multiple of ``chunk`` << (``levels`` - 1)
-            samples, and end at such a one, or with the raster.
-        levels: how many are made so; the one above them is whole numbers of the large steps.
+            samples, and end at such a multiple, or with the raster.
+        levels: how many are predicted; the one above them is whole numbers of the large steps.
     """
     from orograph.store.progressive_kernels import settle
 
@@ -105,7 +105,7 @@ def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> 
 
 
 def _level(units: NDArray[np.float64], level: int) -> NDArray[np.float64]:
-    """Every 2^level-th sample, and the last ones where they are others."""
+    """Every 2^level-th sample, and the last ones if they are others."""
     rows, cols = (np.minimum(np.arange(-((1 - n) >> level) + 1) << level, n - 1) for n in units.shape)
     return units[np.ix_(rows, cols)]
 

@@ -1,13 +1,13 @@
 """The heights of a build: one task per full-resolution shard, from which every coarser level follows.
 
 A task reads its square of 2^m samples and the row and column beyond it that its tiles share with their neighbours,
-writes the shard, and works out all it will ever contribute: its samples of every nested level, its box means, its tile
-tables, and the errors of the levels up to m. Samples and means go straight into the coarse shards that hold them; a
-coarse shard is written when its last part is in. Tasks run in quadtree post-order (Morton order), so that only a few
-coarse shards per level are open at once: memory grows with the depth of the pyramid, not with the raster.
+writes the shard, and computes its complete contribution: its samples of every nested level, its box means, its tile
+tables, and the errors of the levels up to m. Samples and means go directly into the coarse shards that hold them; a
+coarse shard is written once its last part is in. Tasks run in quadtree post-order (Morton order), so only a few coarse
+shards per level are open at once: memory grows with the depth of the pyramid, not with the raster.
 
-What a task found is kept in ``parts/`` until the build is complete. A resumed build reads finished shards back, which
-proves them by their checksums and gives the same samples, hence the same bytes, as the first time.
+A task's result is stored in ``parts/`` until the build is complete. A resumed build reads finished shards back, which
+verifies their checksums and gives the same samples, hence the same bytes, as the first time.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _spread(value: int) -> int:
 
 
 def part_key(spot: Spot) -> str:
-    """Where what was found of a shard of level 0 is kept."""
+    """The key of the result of a shard of level 0."""
     return f"{PARTS}/{spot[0]}.{spot[1]}.part"
 
 
@@ -74,7 +74,7 @@ class Finest:
         source: the heights.
         writer: of shards.
         shard, chunk: samples along their sides; powers of two.
-        coding: how heights are kept.
+        coding: how heights are encoded.
     """
 
     def __init__(
@@ -86,7 +86,8 @@ class Finest:
         self.spec = self.spec_of(heights_spec, 0)
 
     def make(self, spot: Spot) -> tuple[Heights, Facts]:
-        """Read, write the shard, look at its tiles, and keep what was found; the shard's samples, and that."""
+        """Read the heights, write the shard, compute its tiles, and store the result; returns the shard's samples and
+        the result."""
         size = self.shard
         row, col = spot[0] * size, spot[1] * size
         heights, facts = self.read(spot)
@@ -107,7 +108,7 @@ class Finest:
         return own, facts
 
     def read(self, spot: Spot) -> tuple[Heights, Facts]:
-        """A shard's samples as they are kept, with the row and column that follow, and what that loses."""
+        """A shard's encoded samples, with the row and column that follow, and the loss."""
         (rows, cols), size = self.shape, self.shard
         row, col = spot[0] * size, spot[1] * size
         heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
@@ -123,7 +124,7 @@ class Finest:
         return heights, {"lost": lost}
 
     def key(self, spot: Spot) -> str:
-        """Where what was found is kept."""
+        """The key of the result."""
         return f"{PARTS}/{spot[0]}.{spot[1]}.part"
 
     def _coarse(self, spot: Spot, own: Heights) -> NDArray[np.uint8]:
@@ -133,7 +134,7 @@ class Finest:
         return np.frombuffer(compressed(numbers), np.uint8)
 
     def _kept(self, spot: Spot, packed: bytes) -> Window:
-        """The same as an array that these samples can be read from."""
+        """As an array that reads these samples."""
         assert self.spec.packing is not None
         row0, row1, col0, col1 = self.spec.window(spot)
         last = self._last(spot)
@@ -149,7 +150,7 @@ class Finest:
         return kind(self.shape, level, self.shard, self.chunk, self.coding)
 
     def found(self, spot: Spot) -> tuple[Heights, Facts] | None:
-        """The same of a shard that was finished before; None if it was not, or is damaged."""
+        """The result of a shard that was finished before; None if it was not, or is damaged."""
         data = self.writer.storage.get(self.key(spot))
         if data is None:
             return None
@@ -165,12 +166,12 @@ class Finest:
 
 
 class Above:
-    """The heights and means of some levels, put together from what comes from below them.
+    """The heights and means of some levels, assembled from those below them.
 
     Args:
         finest: the level at the bottom.
-        levels: those that are put together; they follow one another.
-        below: the level whose shards are as large as what is added.
+        levels: the levels to assemble; they are consecutive.
+        below: the level whose shards are as large as the areas added.
     """
 
     def __init__(self, finest: Finest, levels: range, below: int = 0) -> None:
@@ -183,7 +184,7 @@ class Above:
         return Canvas(spec, finest.writer, spans(finest.shape, self.area, level, spec.shape))
 
     def add(self, row: int, col: int, end: tuple[bool, bool], nested: Heights, means: BoxMeans, level: int) -> Heights:
-        """Put what an area has into the levels above ``level``; its samples of the last of them.
+        """Put an area's data into the levels above ``level``; returns its samples of the last of them.
 
         Args:
             row, col: the area's first sample of level 0.
@@ -198,18 +199,18 @@ class Above:
 
 
 class Pyramid(ShardStage[tuple[Heights, Facts]]):
-    """All arrays of a store under construction.
+    """All height arrays of a store under construction.
 
     Args:
         source: the heights.
         writer: of its shards.
         shard, chunk: samples along their sides; powers of two.
         finest: makes the shards of level 0.
-        label: what is done.
-        groups: levels of the groups that are added (``groups``); 0: shards are.
+        label: for progress reports.
+        groups: levels of the groups that are added (``groups``); 0: shards are added.
 
     Attributes:
-        lost: what each task found of what the heights' coding loses.
+        lost: the coding losses that each task found.
     """
 
     name = "heights"
@@ -228,7 +229,7 @@ class Pyramid(ShardStage[tuple[Heights, Facts]]):
         self.worst = {k: np.zeros(tile_shape(shape, k)) for k in range(1, self.levels)}
         self.valid_samples = 0
         self._lock = threading.Lock()
-        # Beyond ``direct`` levels are small enough to be made at the end, from the last one that tasks made.
+        # Levels beyond ``direct`` are small: make them at the end, from the last one that tasks made.
         self.last = np.full(level_shape(shape, self.direct), np.nan, np.float32)
         self.last_total = np.zeros(mean_shape(shape, self.direct))
         self.last_count = np.zeros(mean_shape(shape, self.direct), np.int64)
@@ -267,7 +268,7 @@ class Pyramid(ShardStage[tuple[Heights, Facts]]):
             self.last_total[area], self.last_count[area] = means.total, means.count
 
     def combine(self, spot: Spot, facts: Facts) -> None:
-        """Add what was found of a shard to the tables of the whole raster."""
+        """Add a shard's results to the tables of the whole raster."""
         with self._lock:
             self._combine(spot[0] * self.shard, spot[1] * self.shard, facts)
 
@@ -291,7 +292,7 @@ class Pyramid(ShardStage[tuple[Heights, Facts]]):
             table[area] = np.maximum(table[area], worst)
 
     def first(self) -> TileTable:
-        """The tile table of level 0, when all is added."""
+        """The tile table of level 0, once everything is added."""
         valid = np.where(self.least == 2, 2, np.minimum(self.most, 1)).astype(np.uint8)
         return TileTable(self.low, self.high, np.zeros(self.low.shape, np.float32), valid)
 
@@ -334,7 +335,7 @@ class Pyramid(ShardStage[tuple[Heights, Facts]]):
 
 
 def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spot], list[Spot]]:
-    """For each axis the extents, in samples of a level, of what tasks over areas of ``area`` samples make of it.
+    """For each axis the extents, in samples of a level, of what tasks over areas of ``area`` samples make.
 
     Args:
         samples: of the level.

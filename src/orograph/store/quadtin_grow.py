@@ -1,7 +1,7 @@
-"""One block of a QuadTIN's hierarchy, grown by itself, with the vertices that its neighbours have on its sides.
+"""One block of a QuadTIN's hierarchy, grown separately, with the vertices that its neighbours have on its sides.
 
-The truth is the Delaunay surface of the points, where the terrain was gridded from points and has them, else the
-raster's own surface: its samples, cells cut along the diagonal of even corners. Lattice units; samples; metres.
+The truth is the Delaunay surface of the points if the terrain was gridded from points and has them, else the raster's
+own surface: its samples, cells cut along the diagonal of even corners. Lattice units; samples; metres.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from orograph.store.quadtin_layout import (
 from orograph.store.terrain import Terrain
 
 PART = 16
-"""The finest triangles are off by the spacing of samples over this, unless otherwise asked."""
+"""Default error of the finest triangles: the spacing of samples over this."""
 
 ROUNDING = 1e-9
-"""Deviations of this part of the largest height are none."""
+"""Deviations below this part of the largest height count as none."""
 
 WEST, EAST, NORTH, SOUTH = range(4)
 
 BEYOND = {WEST: (0, -1, EAST), EAST: (0, 1, WEST), NORTH: (-1, 0, SOUTH), SOUTH: (1, 0, NORTH)}
-"""Of each side the block beyond it, rows and columns away, and which of its sides that is."""
+"""For each side, the block beyond it (rows and columns away) and which of its sides that is."""
 
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 
 
 def rounded_up(values: NDArray[np.float64]) -> Singles:
-    """Numbers as float32, no smaller."""
+    """Numbers as float32, rounded up."""
     found = values.astype(np.float32)
     return np.where(found < values, np.nextafter(found, np.float32(np.inf)), found)
 
@@ -54,21 +54,20 @@ def has_points(terrain: Terrain) -> bool:
 
 
 def finest_of(terrain: Terrain, asked: float) -> float:
-    """The metres that are meant; 0 is a part of the spacing of samples, and what rounding makes of heights is none."""
+    """The error in metres; 0 means a part of the spacing of samples, and heights' rounding counts as none."""
     low, high = terrain.height_range
     least = ROUNDING * max(abs(low), abs(high)) + ROUNDING
     return max(asked or min(terrain.grid.spacing) / PART, least)
 
 
 class Grown(NamedTuple):
-    """What there is to know of a block's triangles.
+    """Facts about a block's triangles.
 
     Attributes:
-        cuts: (parts, 2) how many vertices and
-            triangles there are to the end of each part.
-        sides: of each side the places of vertices on it, rising, and their numbers.
-        ground: (2, 2) lowest and highest of the first two triangles. own: numbers of vertices that are the truth's,
-            and of those that are not, without those of the eastern and southern sides.
+        cuts: (parts, 2) number of vertices and triangles up to the end of each part.
+        sides: for each side the places of its vertices, ascending, and their numbers.
+        ground: (2, 2) lowest and highest of the first two triangles. own: how many vertices are the truth's, and how
+            many are not, without those of the eastern and southern sides.
         stuck: triangles. whole: whether all is ground.
     """
 
@@ -80,26 +79,26 @@ class Grown(NamedTuple):
     whole: bool
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """As arrays, which can be kept."""
+        """Convert to arrays for storage."""
         sides = {f"sides.{k}.{m}": array for k, side in enumerate(self.sides) for m, array in enumerate(side)}
         counts = np.array([*self.own, self.stuck, self.whole], np.int64)
         return {"cuts": self.cuts, "ground": self.ground, "counts": counts, **sides}
 
     @classmethod
     def from_arrays(cls, kept: dict[str, NDArray[Any]]) -> Grown:
-        """Out of those."""
+        """Convert from stored arrays."""
         own, steiner, stuck, whole = kept["counts"].tolist()
         sides = [(kept[f"sides.{k}.0"], kept[f"sides.{k}.1"]) for k in range(4)]
         return cls(kept["cuts"], sides, kept["ground"], (own, steiner), stuck, bool(whole))
 
 
 class Making:
-    """A hierarchy that is being made.
+    """A hierarchy under construction.
 
     Args:
-        terrain: the ground. finest: metres, as asked for. by_deviation: diamonds are split at the point furthest from
+        terrain: the ground. finest: metres, as requested. by_deviation: diamonds are split at the point furthest from
             them, not at that nearest to the middle. side: samples along a block's side, about.
-        max_memory: bytes for a block that is at work.
+        max_memory: bytes for a block in progress.
     """
 
     def __init__(
@@ -147,7 +146,8 @@ class Making:
         return (row * across + col, other) if 0 <= row < across and 0 <= col < across else None
 
     def _truth(self, block: int) -> tuple[Truth, tuple[int, int, int, int]]:
-        """What a block is to be; the samples' spacing, how many a row of its window has, its first column and row."""
+        """The domain of a block; the spacing of samples, the row length of its window, and the window's first column
+        and row."""
         west, east, north, south = self.bounds(block)
         if self.surface is not None:
             s = self.surface
@@ -174,10 +174,10 @@ class Making:
         return truth, (1 << bits, cols, c0, r0)
 
     def grow(self, block: int, forced: Sequence[NDArray[np.int32]]) -> tuple[Part, Grown]:
-        """A block, with vertices at least at these places of its sides; errors and radii are of what vertices split.
+        """Grow a block with vertices at least at these places of its sides; errors and radii cover what vertices split.
 
         Raises:
-            UsageError: it takes more memory than it may. DamagedChunkError: as ``terrain.read``.
+            UsageError: it takes more memory than allowed. DamagedChunkError: as ``terrain.read``.
         """
         truth, raster = self._truth(block)
         outline = self._outline(block, forced, truth, raster)
@@ -191,10 +191,10 @@ class Making:
             if full == build.TRIANGLES_FULL:
                 if 2 * sum(array.nbytes for array in tree) > self.max_memory:
                     raise UsageError(
-                        f"It takes more than {tree.counts[build.TRIANGLES]:,} triangles to be within {self.finest:.3g} "
-                        "m of the ground everywhere, which do not fit into memory.", path=self.terrain.name,
-                        remedy="Allow more metres (its option finest) or memory; leave long triangles out "
-                        "(`max_edge`).",
+                        f"More than {tree.counts[build.TRIANGLES]:,} triangles are needed to be within "
+                        f"{self.finest:.3g} m of the ground, too many for memory.", path=self.terrain.name,
+                        remedy="Allow a larger error (its option finest) or more memory, or leave out long triangles "
+                               "(`max_edge`).",
                     )  # fmt: skip
                 tree = _larger(tree)
                 continue
@@ -225,7 +225,7 @@ class Making:
         )  # fmt: skip
 
     def _grown(self, tree: Tree, outline: Outline) -> tuple[Part, Grown]:
-        """What is kept of a tree."""
+        """The stored form of a tree."""
         count, v = int(tree.counts[build.TRIANGLES]), int(tree.counts[build.VERTICES])
         error, radius = np.zeros((2, v), np.float32)
         at = self.metres(tree.x[:v], tree.y[:v])
@@ -269,7 +269,7 @@ class Making:
         )  # fmt: skip
 
     def closed(self, block: int, part: Part) -> tuple[Part, NDArray[np.float64]]:
-        """A block with its errors and spheres closed over it, and those (4, 2) that its corners have by it."""
+        """Close errors and spheres over a block; returns it and those (4, 2) of its corners."""
         west, _, north, _ = self.bounds(block)
         v, t = len(part.x), len(part.node)
         row, col = divmod(block, self.layout.across)
@@ -316,7 +316,7 @@ def _begun(truth: Truth, bounds: Ints, heights: NDArray[np.float64], parity: int
 
 
 def _overlapping(tree: Tree, truth: Truth, t: int) -> NDArray[np.int32]:
-    """Those of the truth's triangles that may overlap one of the first two: inwards of all its sides."""
+    """The truth's triangles that may overlap one of the first two: inside all its sides."""
     inside = np.ones(len(truth.triangles), bool)
     for k in range(3):
         p, q = (int(v) for v in tree.corners[t, [k, (k + 1) % 3]])
@@ -327,7 +327,7 @@ def _overlapping(tree: Tree, truth: Truth, t: int) -> NDArray[np.int32]:
 
 
 def _larger(tree: Tree) -> Tree:
-    """Twice the room."""
+    """An array with twice the room."""
     grown_ = {
         name: np.concatenate([array, np.full_like(array, -1 if name in ("owners", "beside", "child", "node") else 0)])
         for name, array in tree._asdict().items()

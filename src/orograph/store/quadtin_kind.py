@@ -1,4 +1,4 @@
-"""QuadTINs' hierarchies as a kind of derived data: what a store has of them, and how they are opened or made."""
+"""QuadTINs' hierarchies as a kind of derived data: what a store records about them, and how to open or make them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def checked_quadtin(asked: Any) -> tuple[float, str]:
-    """The metres and the way of splitting of a hierarchy.
+    """The error in metres and the splitting of a hierarchy.
 
     Raises:
         UsageError: they make no sense.
@@ -37,14 +37,14 @@ def checked_quadtin(asked: Any) -> tuple[float, str]:
     pair = tuple(asked) if isinstance(asked, (tuple, list)) else ()
     if len(pair) != 2 or not isinstance(pair[0], (int, float)) or not 0 <= pair[0] < math.inf or pair[1] not in SPLITS:
         raise UsageError(
-            f"'quadtin' is the metres of the finest triangles, 0 or more, and one of {', '.join(SPLITS)}, not "
-            f"{asked!r}.", remedy='(0, "nearest") is what quadtin takes by itself.',
+            "'quadtin' must be the error of the finest triangles in metres, 0 or more, and one of "
+            f"{', '.join(SPLITS)}, not {asked!r}.", remedy='The default of quadtin is (0, "nearest").',
         )  # fmt: skip
     return float(pair[0]), str(pair[1])
 
 
 class QuadTinKind(Derived[dict[str, Any]]):
-    """The hierarchy of a QuadTIN. Options: ``finest``, as asked for; ``split``.
+    """The hierarchy of a QuadTIN. Options: ``finest``, as requested; ``split``.
 
     A record has both, as ``asked``; the ``side`` of blocks; of each part the ``rows`` of its words; and ``Facts``.
     """
@@ -81,8 +81,8 @@ class QuadTinKind(Derived[dict[str, Any]]):
         if found.get("asked") != asked:
             raise StoreError(
                 f"This store has no QuadTIN of finest={asked[0]:g} and split={asked[1]}.", path=terrain.url,
-                remedy=f"Build it with one (`orograph.build(..., quadtin=({asked[0]:g}, {asked[1]!r}))`), or have it "
-                "made.",
+                remedy=f"Build it with one (`orograph.build(..., quadtin=({asked[0]:g}, {asked[1]!r}))`), or let the "
+                       "method make it.",
             )  # fmt: skip
         return StoredQuadTin(terrain, found)
 

@@ -1,14 +1,14 @@
-"""A QuadTIN's hierarchy as it is kept: in blocks, and these in parts by depth.
+"""The stored form of a QuadTIN's hierarchy: in blocks, and these in parts by depth.
 
-*Blocks* are what 2^k × 2^k squares of the quadtree are: their corners lie on samples, in straight rows and columns, so
-that each is a hierarchy of its own. Above them lies the *top*, the triangles that the squares' corners make. Of a block
-a view needs what is as deep as its tolerance asks: *part* 0 is its triangles to depth ``DEPTHS[0]``, and so on.
+*Blocks* are 2^k × 2^k squares of the quadtree: their corners lie on samples, in straight rows and columns, so that each
+is a separate hierarchy. Above them is the *top*, the triangles between the squares' corners. A view needs a block only
+as deep as its tolerance asks: *part* 0 is its triangles to depth ``DEPTHS[0]``, and so on.
 
 *Words* (uint32) of a part: numbers of vertices and of triangles; of its vertices places on the lattice from the block's
 north-western corner (x, y), heights (float64), errors and radii (float32); of its triangles the vertices that split
 them (numbers in the block, after its corners 0 to 3; −1: none), how far they are off (float32, metres, rounded up) and
-whether there is ground. Part after part the arrays go on. Of all blocks ``summaries`` says what there is to know of
-them before they are read.
+whether there is ground. The arrays continue part after part. ``summaries`` holds the facts about all blocks that are
+needed before they are read.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from orograph.store.stored import StoredTerrain
 
 SIDE = 256
-"""Samples along a block's side, about."""
+"""Approximate samples along a block's side."""
 
 DEPTHS = (8, 13, 64)
-"""Parts of a block have triangles to these depths."""
+"""Depths of triangles in the parts of a block."""
 
 SPLITS = ("nearest", "deviation")
 """Which points split triangles."""
@@ -39,7 +39,7 @@ Corners = NDArray[np.int32]
 
 
 class Layout(NamedTuple):
-    """Which blocks there are.
+    """The layout of blocks.
 
     Attributes:
         bits: of the lattice. xs, ys: (2^k + 1,) int64, columns and rows of their corners on it.
@@ -56,13 +56,13 @@ class Layout(NamedTuple):
 
     @property
     def blocks(self) -> int:
-        """All of them."""
+        """The number of blocks."""
         return self.across**2
 
 
 def layout_of(shape: Shape, side: int = SIDE) -> Layout:
     """The blocks of a raster, with about ``side`` samples a side."""
-    from orograph.dem.delaunay import lattice_bits  # (a store is read without Numba)
+    from orograph.dem.delaunay import lattice_bits  # (a store can be read without Numba)
 
     rows, cols = shape
     bits = lattice_bits(rows, cols)
@@ -91,7 +91,7 @@ FIRST = {0: ((2, 0, 1), (0, 2, 3)), 1: ((3, 1, 2), (1, 3, 0))}
 
 
 def top_of(across: int) -> Top:
-    """The top of so many blocks a side."""
+    """The top for this many blocks per side."""
     ids = np.full((across + 1, across + 1), -1, np.int32)
     order = [(0, 0), (0, across), (across, across), (across, 0)]
     for number, at in enumerate(order):
@@ -122,7 +122,7 @@ def top_of(across: int) -> Top:
 
 
 class Part(NamedTuple):
-    """A part of a block, or some that follow one another, the first one among them.
+    """A part of a block, or several consecutive ones including the first.
 
     Attributes:
         x, y: (v,) int64, on the block's lattice. z: (v,) float64, metres.
@@ -149,7 +149,7 @@ def cut(part: Part, v0: int, v1: int, t0: int, t1: int) -> Part:
 
 
 def packed(part: Part) -> Words:
-    """A part as words."""
+    """Encode a part as words."""
     v, t = len(part.x), len(part.node)
     return np.concatenate(
         [
@@ -161,7 +161,7 @@ def packed(part: Part) -> Words:
 
 
 def unpacked(words: Words) -> Part:
-    """A part from its words."""
+    """Decode a part from its words."""
     v, t = int(words[0]), int(words[1])
     x, y, z, error, radius, node, off, state = np.split(words[2:], np.cumsum([v, v, 2 * v, v, v, t, t]))
     return Part(
@@ -171,12 +171,12 @@ def unpacked(words: Words) -> Part:
 
 
 class Summary(NamedTuple):
-    """What there is to know of blocks (b,) before they are read, and of the top's vertices and triangles.
+    """Facts about blocks (b,) that are needed before they are read, and about the top's vertices and triangles.
 
     Attributes:
         centre: (b, 3) float64: column, row, metres of the vertex that splits a block. radius: (b,) metres, around it.
-        errors: (b, parts) metres: the largest of the vertices of each part; 0: it has none.
-        vertices: (b, parts) int64, how many there are in a part. triangles: likewise.
+        errors: (b, parts) metres: the largest error of the vertices of each part; 0: it has none.
+        vertices: (b, parts) int64, the number in each part. triangles: likewise.
         z, error, sphere: (V,) of the top's vertices. off: (T,) metres, state: (T,) of its triangles.
     """
 
@@ -203,11 +203,11 @@ def summary_shapes(across: int) -> dict[str, tuple[int, ...]]:
 
 
 class Facts(NamedTuple):
-    """Of a whole hierarchy.
+    """Facts about a whole hierarchy.
 
     Attributes:
-        points: how many vertices are the truth's. steiner: how many are not. finest: metres.
-        stuck: triangles that could not be split although they are further off. whole: whether all is ground.
+        points: number of vertices of the truth. steiner: number of other vertices. finest: metres.
+        stuck: triangles that could not be split although they are further off. whole: whether everything is ground.
     """
 
     points: int
@@ -267,7 +267,7 @@ class StoredQuadTin:
         self._starts = [self._lengths(part) for part in range(len(DEPTHS))]
 
     def _lengths(self, part: int) -> Ints:
-        """Where each block's words begin, and the last one's end."""
+        """The offset of each block's words, and the last one's end."""
         across = self.layout.across
         spec = lengths_spec(across, part, *self._sizes)
         found = self.terrain.opened("quadtin/lengths", part, lambda: spec).read(0, across, 0, across)

@@ -1,10 +1,10 @@
-"""A QuadTIN's hierarchy made block by block: what is split, until blocks agree at their sides; errors, likewise.
+"""Make a QuadTIN's hierarchy block by block: splits until blocks agree at their sides; then errors likewise.
 
-A vertex on a side between two blocks splits a triangle of each. So each block is grown by itself, then again with the
-vertices that its neighbours have on its sides, until nobody has any that the others lack: this ends with the least
-hierarchy that is within ``finest`` metres everywhere, whatever the order. In the same way errors and spheres are closed
-over the hierarchy: sides hand on the largest of both. Blocks
-at work and what lies on sides is all that memory holds. Lattice units; metres.
+A vertex on a side between two blocks splits a triangle of each. So each block is grown separately, then again with the
+vertices that its neighbours have on its sides, until no block has a vertex that another lacks: this ends with the
+smallest hierarchy that is within ``finest`` metres everywhere, whatever the order. Errors and spheres are closed over
+the hierarchy in the same way: sides pass on the larger of both. Memory holds only blocks in progress and the vertices
+on sides. Lattice units; metres.
 """
 
 from __future__ import annotations
@@ -44,21 +44,22 @@ Arrays = dict[str, NDArray[Any]]
 
 GROW, CLOSE, FINISH = "grow", "close", "finish"
 LABELS = {GROW: "Making the QuadTIN", CLOSE: "Closing errors", FINISH: "Writing the QuadTIN"}
-"""What is done to blocks, and how it is called in progress."""
+"""The steps done to blocks, and their names in progress reports."""
 
 
 class Rounds(Protocol):
-    """Does something to blocks, which need nothing of each other in a round."""
+    """Runs a step on blocks, which are independent within a round."""
 
     def run(self, what: str, todo: Sequence[int], given: Callable[[int], Arrays]) -> Iterator[Arrays]:
-        """What comes of each block (``done``), in the order of ``todo``; what is ``given`` to it is asked for once."""
+        """The result of each block (``done``), in the order of ``todo``; ``given`` is called once for each block's
+        input."""
 
 
 class Here:
-    """Rounds of this process; grown blocks wait in a scratch file.
+    """Rounds in this process; grown blocks wait in a scratch file.
 
     Args:
-        making: the hierarchy. file: where blocks wait. jobs: threads. progress: is told of rounds.
+        making: the hierarchy. file: where blocks wait. jobs: threads. progress: gets reports on rounds.
     """
 
     def __init__(self, making: Making, file: IO[bytes], jobs: int | None, progress: Progress) -> None:
@@ -86,7 +87,7 @@ class Here:
 
 
 def done(making: Making, what: str, block: int, given: Arrays, waiting: Arrays) -> Arrays:
-    """Do something to a block.
+    """Run a step on a block.
 
     Args:
         given: to grow, places of vertices on each side (``forced.0`` …); else errors and radii of the vertices on each
@@ -121,9 +122,9 @@ def make_quadtin(
     """The hierarchy of a terrain in memory.
 
     Args:
-        terrain: the ground; where it was gridded from points and has them, these are.
-        finest: metres within which the finest triangles are, 0: a part of the spacing of samples. split: which point
-            splits a triangle.
+        terrain: the ground; if it was gridded from points and has them, the points are used.
+        finest: error of the finest triangles in metres, 0: a part of the spacing of samples. split: which point splits
+            a triangle.
         jobs: threads (default: all processors); the result does not depend on them.
         side: samples along a block's side, about. max_memory: bytes for a block.
 
@@ -143,7 +144,7 @@ def made(
     """Make a hierarchy.
 
     Args:
-        rounds: does what is done to blocks. keep: takes parts of blocks, block after block: which part, and its words.
+        rounds: runs the steps on blocks. keep: takes parts of blocks, block after block: which part, and its words.
 
     Raises:
         UsageError: a block does not fit. DamagedChunkError: as ``terrain.read``.
@@ -153,7 +154,7 @@ def made(
 
 
 def _agreed(making: Making, rounds: Rounds) -> list[Grown]:
-    """Grow all blocks until they agree at their sides; what there is to know of them."""
+    """Grow all blocks until they agree at their sides; returns the facts about them."""
     count = making.layout.blocks
     nothing = [np.zeros(0, np.int32)] * 4
     forced = [nothing] * count
@@ -187,7 +188,7 @@ def _of(grown: Grown | None) -> Grown:
 
 
 Bounds = list[list[NDArray[np.float32]]]
-"""Of each block and side (2, n): errors and radii of the vertices on it."""
+"""For each block and side (2, n): errors and radii of its vertices."""
 
 
 def _with_sides(part: Part, grown: Grown, bounds: Sequence[NDArray[np.float32]]) -> Part:
@@ -199,7 +200,7 @@ def _with_sides(part: Part, grown: Grown, bounds: Sequence[NDArray[np.float32]])
 
 
 def _closed_sides(making: Making, rounds: Rounds, grown: list[Grown]) -> Bounds:
-    """The errors and radii that vertices on sides have when all is closed."""
+    """The errors and radii of vertices on sides once everything is closed."""
     bounds: Bounds = [[np.zeros((2, len(on)), np.float32) for _, on in one.sides] for one in grown]
     todo = list(range(len(grown))) if len(grown) > 1 else []
     while todo:
@@ -256,8 +257,8 @@ def _finished(
 def _put_top(
     making: Making, grown: list[Grown], by_corners: NDArray[np.float64], roots: NDArray[np.float64], summary: Summary
 ) -> None:  # fmt: skip
-    """Find what the summary says of the top. A triangle there is off by no more than the ground is above or below its
-    corners, which are on it."""
+    """Fill in the summary of the top. A triangle there is off by at most the height range of the ground relative to its
+    corners, which are on the ground."""
     layout = making.layout
     top = top_of(layout.across)
     row, col = top.order.T

@@ -1,7 +1,7 @@
-"""A QuadTIN's blocks made by tasks: a stage for each round, whose tasks do one block each.
+"""Make a QuadTIN's blocks by tasks: a stage for each round, whose tasks do one block each.
 
-What is given to a block, and where it waits as it was grown, lies in ``parts/``. The process that builds leaves it
-there before a stage begins, compares the sides of blocks between rounds, and puts their words in a row in the end.
+A block's input and its grown state are in ``parts/``. The building process writes inputs before a stage begins,
+compares the sides of blocks between rounds, and concatenates their words at the end.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from orograph.store.writer import ShardWriter
 
 
 class Given(NamedTuple):
-    """What the process that builds knows of a round.
+    """What the building process knows about a round.
 
     Attributes:
-        what: is done. todo: the blocks. arrays: what is given to each. grown: of each the number of the round in which
-            it was grown last.
+        what: the step. todo: the blocks. arrays: the input of each. grown: for each the number of the round in which it
+            was last grown.
     """
 
     what: str
@@ -42,7 +42,7 @@ class QuadTinStage(TerrainStage[Arrays]):
     """A round of blocks.
 
     Args:
-        making: the hierarchy. number: of the round. given: what the process that builds knows of it; None in others.
+        making: the hierarchy. number: of the round. given: the building process's inputs; None in other processes.
     """
 
     name, label = "quadtin", LABELS[GROW]
@@ -85,10 +85,10 @@ class QuadTinStage(TerrainStage[Arrays]):
             return None
 
     def add(self, spot: Spot, found: Arrays) -> None:
-        """They are read again in their order, when all are there."""
+        """Results are read again in order once all are there."""
 
     def _told(self, block: int) -> Arrays:
-        """What a task is told."""
+        """The input of a task."""
         assert self._given is not None
         what, _, arrays, grown = self._given
         return {
@@ -103,15 +103,17 @@ class QuadTinStage(TerrainStage[Arrays]):
             return unpack(self.writer.storage.get(key) or b"")
         except ValueError as error:
             raise StoreError(
-                f"What was kept of a build is damaged: {key}.", path=self.place, remedy="Build it anew with overwrite."
+                f"A stored result of the build is damaged: {key}.",
+                path=self.place,
+                remedy="Build it again with overwrite.",
             ) from error
 
 
 class Tasks:
-    """Rounds by an executor. See ``quadtin_make.Rounds``.
+    """Rounds run by an executor. See ``quadtin_make.Rounds``.
 
     Args:
-        terrain: what is written by now. writer: of the store. making: the hierarchy. executor: of the tasks.
+        terrain: what is written so far. writer: of the store. making: the hierarchy. executor: of the tasks.
         progress: is told of rounds.
     """
 
@@ -133,11 +135,11 @@ class Tasks:
             found = stage.found(spot)
             if found is None:
                 raise StoreError(
-                    f"What was kept of a build is gone: {stage.key(spot)}.", path=stage.place, remedy=stage.again
+                    f"A stored result of the build is gone: {stage.key(spot)}.", path=stage.place, remedy=stage.again
                 )
             yield found
 
 
 def _key(number: int, spot: Spot) -> str:
-    """Where what came of a block in a round is kept."""
+    """The key of a block's result in a round."""
     return f"{PARTS}/{QuadTinStage.name}/{number}.{spot[0]}.{spot[1]}.part"

@@ -1,18 +1,18 @@
-"""Ranges of objects that are fetched over a network: neighbours as one request, cut apart again afterwards."""
+"""Fetch ranges of objects over a network: adjacent ranges as one request, cut apart afterwards."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 Range = tuple[str, int, int]
-"""(key, first byte, byte behind the last)."""
+"""(key, first byte, end)."""
 
-GAP = 32 << 10  # bytes fetched in vain rather than asking twice
-REQUEST = 4 << 20  # bytes asked for at once
+GAP = 32 << 10  # bytes that may be fetched in vain to save a request
+REQUEST = 4 << 20  # maximum bytes per request
 
 
 def merged(wanted: Sequence[Range]) -> list[Range]:
-    """Neighbouring ranges of one object as one request, as long as little is fetched in vain."""
+    """Merge adjacent ranges of one object into one request, as long as little is fetched in vain."""
     together: list[Range] = []
     for key, start, stop in sorted(wanted):
         if together and together[-1][0] == key:
@@ -25,6 +25,6 @@ def merged(wanted: Sequence[Range]) -> list[Range]:
 
 
 def cut(pieces: list[tuple[int, bytes]], start: int, stop: int) -> bytes:
-    """What of a range lies in the one piece that begins last before it."""
+    """The part of a range in the merged piece that contains it."""
     first, data = max((piece for piece in pieces if piece[0] <= start), key=lambda piece: piece[0])
     return data[start - first : stop - first]

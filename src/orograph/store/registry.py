@@ -1,4 +1,4 @@
-"""The kinds of derived data that a store can have: a new one is a class, and a line here."""
+"""The kinds of derived data that a store can have: a new kind is a class and a line here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from orograph.store.tin_kind import TINS
 KINDS: dict[str, Derived[Any]] = {
     kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, CHUNKED, POINTS, QUADTIN, COLORS, LAYERS)
 }
-"""By name, each after those that it needs."""
+"""Kinds by name, each after those that it needs."""
 
 
 def kind_of(name: str) -> Derived[Any]:
@@ -28,5 +28,5 @@ def kind_of(name: str) -> Derived[Any]:
         UsageError: there is none.
     """
     if name not in KINDS:
-        raise UsageError(f"There are no derived data called {name!r}; there are {', '.join(KINDS)}.")
+        raise UsageError(f"There are no derived data called {name!r}; the kinds are {', '.join(KINDS)}.")
     return KINDS[name]

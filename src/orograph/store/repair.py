@@ -71,7 +71,7 @@ def repair(
     """
     storage = storage_at(url, storage_options)
     open(url, storage_options=storage_options).close()  # what is no store is said before anything is written beside it
-    with alone(storage, "mending this store"), open(url, jobs=jobs, storage_options=storage_options) as terrain:
+    with alone(storage, "repairing this store"), open(url, jobs=jobs, storage_options=storage_options) as terrain:
         found = check(terrain, jobs=jobs, progress=progress)
         if found:
             _Repair(terrain, found, source, max_memory, jobs, progress).run()
@@ -98,7 +98,7 @@ class _Mender(ShardWriter):
         if key in self.damaged:
             parts, digest = spec.encode(spot, block)
             if digest == listed:
-                self.storage.put(key, parts)
+                self.storage.put(self.digests.place(key, digest), parts)
                 self.damaged.discard(key)
             else:
                 self.differing.add(key)
@@ -144,7 +144,7 @@ class _Repair:
         """Mend, in the order in which things follow from each other.
 
         Raises:
-            StoreError: something could not be mended.
+            StoreError: something could not be repaired.
         """
         self._small()
         if self._any("heights/0/height/c/"):
@@ -176,11 +176,12 @@ class _Repair:
     def _small(self) -> None:
         """Coordinates and metadata, from the record."""
         others, root = metadata(self.record)
-        listed = self.record.digests.listed
+        digests = self.record.digests
         for key in sorted(self.mender.damaged & {*others, ROOT}):
             content = root[ROOT] if key == ROOT else others[key]
-            if key == ROOT or digest_of(content) == listed[key]:
-                self.terrain.storage.put(key, [content])
+            if key == ROOT or digest_of(content) == digests.listed[key]:
+                place = key if key == ROOT else digests.place(key, digest_of(content))
+                self.terrain.storage.put(place, [content])
                 self.mender.damaged.discard(key)
             else:
                 self.mender.differing.add(key)
@@ -210,7 +211,7 @@ class _Repair:
             return
         record, lattices = self.record, getattr(source, "resampled_from", ())
         if [each.grid.shape for each in lattices] != [each.grid.shape for each in record.lattices]:
-            self.why = f"{source.name} lies on other lattices than what the store was made of."
+            self.why = f"{source.name} lies on other lattices than the sources of the store."
             return
         for number, (kept, lattice) in enumerate(zip(record.lattices, lattices, strict=True)):
             spec = kept.spec(number, record.shard, record.chunk)
@@ -221,7 +222,7 @@ class _Repair:
             ) -> None:
                 self.mender.shard(spec, spot, kept.encode(lattice.read(*spec.window(spot))))
 
-            go_through("Mending samples of the source", spots, make, self.jobs, self.progress)
+            go_through("Repairing samples of the source", spots, make, self.jobs, self.progress)
 
     def _opened(self) -> HeightSource | None:
         """The source that was given, or the record names; None if it cannot be opened, and ``why`` says so."""
@@ -267,10 +268,10 @@ class _Repair:
         """What could not be mended, and what to do about it."""
         left = sorted(self.mender.damaged)
         names = ", ".join(left[:3]) + (f" and {len(left) - 3} more" if len(left) > 3 else "")
-        differing = "What is made of its sources now is not what was in it." if self.mender.differing else ""
+        differing = "Its sources now give other data than it held." if self.mender.differing else ""
         remedies = _remedies(left, self.record, self.terrain.url)
         return StoreError(
-            " ".join(filter(None, [f"{names} could not be mended.", self.why, differing])),
+            " ".join(filter(None, [f"{names} could not be repaired.", self.why, differing])),
             path=self.terrain.url,
             remedy=" ".join(remedies),
         )

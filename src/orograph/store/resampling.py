@@ -1,13 +1,14 @@
-"""The stage of a build that looks back at what was resampled: it keeps the source lattices and says what was lost.
+"""The stage of a build that compares resampled heights with their sources: it keeps the source lattices and measures
+the loss.
 
 One task per shard of a lattice: it writes the shard (unless the source is not to be kept) and compares its samples with
-the finished level 0. A sample counts if no finer lattice has a height for it and the terrain has a surface there, which
-it has not beyond its outermost samples and beside missing ones. *Deviation* is the drawn surface minus the sample. A
-*summit* is a sample that none of its eight neighbours exceeds; its *loss* is by how much it exceeds the highest of the
-four samples of the terrain around it, at least 0. Nothing around is lower than the surface, so no loss is larger than
-the largest deviation. Where a sample lies on the terrain's grid is known to ``EXACT`` samples of it. What a task found
-is kept in ``parts/`` until the build is complete. Squares are summed in blocks of the lattice, and those sums exactly,
-so that the shards make no difference. Units: metres; samples.
+the finished level 0. A sample counts if no finer lattice has a height for it and the terrain has a surface there (it
+has none beyond its outermost samples and beside missing ones). *Deviation* is the drawn surface minus the sample. A
+*summit* is a sample that none of its eight neighbours exceeds; its *loss* is how much it exceeds the highest of the
+four samples of the terrain around it, at least 0. None of these is lower than the surface, so no loss is larger than
+the largest deviation. The place of a sample on the terrain's grid is known to ``EXACT`` of a sample. A task's result is
+stored in ``parts/`` until the build is complete. Squares are summed in blocks of the lattice, and those sums exactly,
+so that the division into shards makes no difference. Units: metres; samples.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from orograph.dem.lattice import SourceLattice
 
 EXACT = 1e-3
-STRIP = 256  # rows that are compared at once
+STRIP = 256  # rows compared at once
 BLOCK = 64  # samples along the sides of blocks whose squares are summed; it divides STRIP and the sides of shards
 
 Facts = dict[str, NDArray[Any]]
@@ -49,7 +50,7 @@ def look_back(
     lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int], keep: bool,
     executor: Executor, progress: Progress, coding: Coding | None = None,
 ) -> Resampled:  # fmt: skip
-    """Keep the lattices a terrain was resampled from, and compare it with them.
+    """Keep the lattices that a terrain was resampled from, and compare it with them.
 
     Args:
         lattices: the finest first.
@@ -58,7 +59,7 @@ def look_back(
         sizes: samples along the sides of shards and chunks.
         keep: whether the samples are written.
         executor: runs the tasks.
-        coding: how level 0 is kept.
+        coding: how level 0 is encoded.
     """
     total = _Total()
     for number in range(len(lattices)):
@@ -70,7 +71,7 @@ def look_back(
 
 
 class _Total:
-    """What all tasks found, added up."""
+    """The combined results of all tasks."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -94,15 +95,15 @@ class _Total:
 
 
 def look_key(number: int, spot: Spot) -> str:
-    """Where what was found of a shard of a lattice is kept."""
+    """The key of the result of a shard of a lattice."""
     return f"{PARTS}/source/{number}.{spot[0]}.{spot[1]}.part"
 
 
 class Look(ShardStage[Facts]):
-    """The tasks of one lattice; ``facts`` has what they found.
+    """The tasks of one lattice; ``facts`` has their results.
 
     Args:
-        number: of the lattice; the others are as of ``look_back``.
+        number: of the lattice; the others are as for ``look_back``.
     """
 
     name = "source"
@@ -172,7 +173,7 @@ class Look(ShardStage[Facts]):
 def _compared(
     around: Heights, counts: NDArray[np.bool_], drawn: Heights, highest: Heights
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What is found at the samples that count: (their number, the largest deviation, the largest loss of a summit, the
+    """The result for the samples that count: (their number, the largest deviation, the largest loss of a summit, the
     highest sample, its loss), and the sums of the squares of the deviations in each block.
 
     Args:

@@ -1,7 +1,7 @@
-"""What all that write a store shard by shard have in common: they go through the shards.
+"""The common part of writing a store shard by shard: running tasks over shards.
 
-One task makes one shard, and nobody else writes it; what comes of the tasks does not depend on their number or order.
-An error or Ctrl-C cancels what has not begun (``parallel.map_ordered``), and what is done is kept by those who do it.
+One task makes one shard, and no other task writes it; results do not depend on the number or order of tasks. An error
+or Ctrl-C cancels what has not begun (``parallel.map_ordered``), and tasks store what they have done.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ def go_through(
     progress: Progress,
     last: Callable[[], object] | None = None,
 ) -> None:
-    """Do the tasks of all shards.
+    """Run the tasks of all shards.
 
     Args:
-        label: what is done, for the progress line.
+        label: for the progress line.
         spots: the shards' (row, col).
-        run: does one, in one of ``jobs`` threads.
-        last: what is left to do when all are done, under the same label.
+        run: runs one, in one of ``jobs`` threads.
+        last: runs after all are done, under the same label.
     """
     with progress.task(label, total=len(spots)) as task:
         for _ in map_ordered(run, spots, jobs):

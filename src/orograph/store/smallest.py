@@ -1,9 +1,9 @@
-"""The codec *smallest*: as *compact*, with tables that what has just been decoded chooses, too.
+"""The codec *smallest*: like *compact*, with tables that also depend on what has just been decoded.
 
-A sample is predicted as *compact* does it. How good that is, is told by twelve differences and errors above it and five
-to its left (weights by least squares). Where between two whole numbers the prediction lies, or on which side of the
-sample above, chooses the table within that, as energy and texture do in CALIC (Wu and Memon 1997). docs/codec.md has
-the format, byte by byte.
+A sample is predicted as in *compact*. Twelve differences and errors above it and five to its left tell how good the
+prediction is (weights by least squares). Where the prediction lies between two integers, or on which side of the sample
+above, selects the table within that, as energy and texture do in CALIC (Wu and Memon 1997). docs/codec.md has the
+format, byte by byte.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from orograph.store.coding import Numbers
 from orograph.store.compact import unpacked
 
 NAME = "orograph.smallest"
-"""In the metadata of arrays, and in Zarr's registry of codecs."""
+"""Its name in the metadata of arrays and in Zarr's registry of codecs."""
 
 WHOLE, NESTED = 1, 4
 
@@ -24,7 +24,7 @@ def compressed(numbers: Numbers, nested: bool = False) -> bytes:
     """The bytes of a chunk, (rows, cols) int32, -2^31 where missing.
 
     Args:
-        nested: samples of even row and column hold nothing; they are decoded as 0.
+        nested: samples of even row and column are not stored; they are decoded as 0.
     """
     from orograph.store.smallest_encode import encode
 
@@ -33,7 +33,7 @@ def compressed(numbers: Numbers, nested: bool = False) -> bytes:
 
 
 def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
-    """A chunk of its bytes.
+    """Decode a chunk from its bytes.
 
     Raises:
         ValueError: they are not those of such a chunk.

@@ -1,4 +1,4 @@
-"""What a store is built from: anything with a grid that reads windows of heights (a Mosaic, or a Dem wrapped here)."""
+"""What a store is built from: anything with a grid that reads windows of heights (a Mosaic, or a wrapped Dem)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class HeightSource(Protocol):
         """Heights of a half-open window, float32 metres, NaN where missing, the same whatever the window."""
 
     def fingerprint(self) -> str:
-        """Differs whenever any height might differ; what --resume compares."""
+        """Differs whenever any height might differ; --resume compares it."""
 
 
 class ArraySource:
@@ -40,7 +40,7 @@ class ArraySource:
     Args:
         heights: (rows, cols) float32, metres, NaN where missing.
         grid: where they lie.
-        name, vertical, attribution: as of a ``Dem``.
+        name, vertical, attribution: as for a ``Dem``.
     """
 
     def __init__(

@@ -38,6 +38,8 @@ class Storage(ABC):
 
     url: str
     remote: bool
+    number: int | None = None
+    """Of an older version of a store whose versions lie below one key (``versions``); None: it is the newest."""
 
     @abstractmethod
     def get(self, key: str) -> bytes | None:
@@ -74,6 +76,10 @@ class Storage(ABC):
     def anew(self) -> Storage:
         """The same place, without anything that was remembered of it."""
         return self
+
+    def follow(self, other: Storage) -> None:
+        """Go on reading in another place, where what was read so far lies now."""
+        raise NotImplementedError
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
         """What other processes find it by (``storage_at``)."""
@@ -215,10 +221,10 @@ class FolderStorage(Storage):
     def anew(self) -> Storage:
         return FolderStorage(self.home)
 
-    def follow(self, path: Path) -> None:
-        """Go on reading in another folder, to which what was read so far has moved."""
+    def follow(self, other: Storage) -> None:
+        assert isinstance(other, FolderStorage)
         with self._lock:
-            self.path, self.url = path, str(path)
+            self.path, self.url = other.path, other.url
             self._open.clear()
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
@@ -235,7 +241,7 @@ class FolderStorage(Storage):
         """A file that is gone is damage, a folder that is gone has been moved or removed."""
         if not self.path.exists():
             raise StoreError(
-                "The folder is not there any more.", path=self.path,
+                "The folder no longer exists.", path=self.path,
                 remedy="Put it back, or open the store where it is now.",
             )  # fmt: skip
 
@@ -244,7 +250,7 @@ class FolderStorage(Storage):
         return StoreError(
             f"{key or 'The folder'} could not be {what}: {error.strerror or error}.",
             path=self.path,
-            remedy="Make room, and run it again: a build with `resume=True`, an update as it is." if full else "",
+            remedy="Make room, and run it again: a build with `resume=True`, an update unchanged." if full else "",
         )
 
 

@@ -1,9 +1,10 @@
 """The second stage of a build: errors and spheres of all diamonds, once the heights of every level are complete.
 
 One task per shard (or a few small ones): it reads the shard's heights and some around it back from the store, surveys
-its blocks (``error.diamonds``), writes its codes of octave 0, and hands on those of octaves 1 to 4 to the coarse shards
-that hold them, as the first stage does with heights. What larger diamonds need of it is kept in ``parts/`` until the
-build is complete, with its codes, so that a resumed build does not do it again. The larger octaves come at the end.
+its blocks (``error.diamonds``), writes its codes of octave 0, and passes those of octaves 1 to 4 on to the coarse
+shards that hold them, as the first stage does with heights. What larger diamonds need from it is stored in ``parts/``
+with its codes until the build is complete, so that a resumed build does not repeat it. The larger octaves come at the
+end.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ from orograph.store.terrain import Heights, Shape, TileTable, diamond_shape, exp
 from orograph.store.writer import Canvas, ShardWriter
 
 Codes = dict[tuple[int, str], NDArray[np.uint8]]
-"""By octave and name (a kind of errors, or "radius")."""
+"""Codes by octave and name (a kind of errors, or "radius")."""
 
 
 Surveyed = tuple[Codes, list[Rest]]
 
 
 def errors_key(spot: Spot) -> str:
-    """Where what was found of an area is kept."""
+    """The key of the result of an area."""
     return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
 
 
@@ -61,7 +62,7 @@ class Errors(ShardStage[Surveyed]):
         shard, chunk: samples along their sides; powers of two.
         first: the tile table of level 0.
         kinds: which errors.
-        coding: how the heights are kept.
+        coding: how the heights are encoded.
     """
 
     name, label = "errors", "Finding errors"
@@ -125,7 +126,7 @@ class Errors(ShardStage[Surveyed]):
         return errors_key(spot)
 
     def make(self, spot: Spot) -> Surveyed:
-        """Survey an area, write its shards of octave 0, and keep the rest."""
+        """Survey an area, write its shards of octave 0, and store the rest."""
         rows, cols = self.shape
         row, col = spot[0] * self.area, spot[1] * self.area
         row0, col0 = (max((at - REACH) // ALIGNED * ALIGNED, 0) for at in (row, col))
@@ -162,7 +163,7 @@ class Errors(ShardStage[Surveyed]):
         return codes, rests
 
     def _encode(self, part: Part, row: int, col: int, codes: Codes) -> None:
-        """Put the codes of a block's part into those of its area, which begins with sample (row, col)."""
+        """Put the codes of a block's part into those of its area, which begins at sample (row, col)."""
         k = part.octave
         first, area = self.window((row // self.area, col // self.area), self.area, k)
         for name, array in self._coded(part).items():
@@ -172,9 +173,9 @@ class Errors(ShardStage[Surveyed]):
             codes[k, name][i : i + array.shape[0], j : j + array.shape[1]] = array
 
     def window(self, spot: Spot, side: int, octave: int) -> tuple[Shape, Shape]:
-        """Where the entries of an octave of the square ``spot`` of so many samples begin, and how many there are.
+        """The first entry of an octave in the square ``spot`` of ``side`` samples, and the number of entries.
 
-        Those at the raster's end have all that there are up to there.
+        Squares at the raster's end have all entries up to there.
         """
         first, sizes = [], []
         for at, samples, whole in zip(spot, self.shape, level_shape(self.shape, octave), strict=True):
@@ -201,7 +202,7 @@ class Errors(ShardStage[Surveyed]):
                 what, number, name = key.split(".", 2)
                 if what == "coded":
                     if array.tobytes() != self.coded.tobytes():
-                        return None  # the heights had another range
+                        return None  # the heights had a different range
                 elif what == "codes":
                     codes[int(number), name] = array
                 elif what == "digest":
@@ -268,7 +269,7 @@ def _range(first: TileTable) -> tuple[float, float]:
 
 
 def memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
-    """About what this stage holds at once: its tasks, open coarse shards, and the octaves that are made at the end."""
+    """Approximate memory of this stage: its tasks, open coarse shards, and the octaves made at the end."""
     area = area_of(shard)
     window = min(area, shape[0]) * min(area, shape[1])
     block = min(BLOCK + 2 * ALIGNED, shape[0]) * min(BLOCK + 2 * ALIGNED, shape[1])

@@ -1,9 +1,9 @@
-"""Errors in larger tasks, as heights are made (``groups``): squares of 2^s × 2^s areas, handed on as little.
+"""Errors in larger tasks, like heights (``groups``): squares of 2^s × 2^s areas, with little to hand on.
 
-A group writes the codes of octave 0 and, as its shards of octaves 1 to s consist of its own areas alone, those too.
-What the process that builds adds up is left with: the codes of octaves s + 1 to 4 where s is less than 4, and what
-larger diamonds need, one window for a whole group (some 3 % of a byte a sample for each number). A group that was
-interrupted goes on area by area, and the bytes do not depend on groups.
+A group writes the codes of octave 0 and, since its shards of octaves 1 to s consist of its own areas alone, those too.
+The building process only has to combine the codes of octaves s + 1 to 4 (if s is less than 4), and what larger diamonds
+need, one window for a whole group (some 3 % of a byte per sample for each number). An interrupted group is continued
+area by area, and the bytes do not depend on groups.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ErrorGroups(ShardStage[Surveyed]):
     """The diamonds' arrays of a store under construction, group by group.
 
     Args:
-        errors: makes areas, and what follows of all.
+        errors: makes areas, and what follows from all.
         levels: s, at least 1.
     """
 
@@ -117,7 +117,7 @@ class ErrorGroups(ShardStage[Surveyed]):
         self.errors.finish()
 
     def _canvases(self, octaves: Sequence[int], side: int) -> dict[tuple[int, str], Canvas]:
-        """Where the codes of octaves are put together from parts of so many samples a side."""
+        """Where the codes of octaves are assembled from parts of ``side`` samples."""
         return {
             (k, name): Canvas(
                 self.errors.spec(k, name), self.writer, spans(self.shape, side, k, diamond_shape(self.shape, k))
@@ -135,7 +135,7 @@ class ErrorGroups(ShardStage[Surveyed]):
         return [at for at in areas if at[0] < ends[0] and at[1] < ends[1]]
 
     def _shards(self, spot: Spot) -> list[tuple[ArraySpec, Spot]]:
-        """The shards that it writes, with those beyond its areas at the raster's end."""
+        """The shards that it writes, including those beyond its areas at the raster's end."""
         found = []
         for k in [0, *self.own] if self.errors.top else []:
             for name in self.errors.names:
@@ -150,7 +150,7 @@ class ErrorGroups(ShardStage[Surveyed]):
 
 
 def joined(rests: Sequence[Rest]) -> Rest:
-    """What blocks that fill a rectangle tell of it, as one."""
+    """The results of blocks that fill a rectangle, as one."""
     kinds = list(rests[0].part.errors)
     places = [(rest.part.i, rest.part.j, *rest.part.errors[kinds[0]].shape) for rest in rests]
     window = _around(places)

@@ -1,8 +1,8 @@
-"""What every renderer sees of the ground: ``Terrain``, a raster of heights at all its resolutions, read by windows.
+"""The ground as every renderer sees it: ``Terrain``, a raster of heights at all resolutions, read by windows.
 
-The raster is thought of as the corner of a square of side 2^n + 1 samples; it is never padded in memory. Level k holds
-the *nested* subsample, every 2^k-th sample, so that a coarse vertex is a fine vertex (Lindstrom & Pascucci 2002); where
-the last sample of a level falls beyond the raster it repeats the raster's last one. Box means for shading are a second
+The raster is treated as the corner of a square of side 2^n + 1 samples; it is never padded in memory. Level k holds the
+*nested* subsample, every 2^k-th sample, so that a coarse vertex is a fine vertex (Lindstrom & Pascucci 2002); where the
+last sample of a level falls beyond the raster it repeats the raster's last one. Box means for shading are a second
 pyramid. Over tiles of 256 × 256 cells each level has tables of the lowest and highest full-resolution sample, of how
 much is valid, and of a bound of the vertical distance between the full-resolution surface and the level's.
 
@@ -33,8 +33,8 @@ TILE = 256
 """Cells along the side of a tile, at every level."""
 
 EXACT_SAMPLES = 4100 * 4100
-"""Terrains of up to this many samples are read into memory, and drawn at full resolution unless a tolerance is asked
-for."""
+"""Terrains of up to this many samples are read into memory, and drawn at full resolution unless a tolerance is
+given."""
 
 Heights = NDArray[np.float32]
 Shape = tuple[int, int]
@@ -46,7 +46,7 @@ def exponent(shape: Shape) -> int:
 
 
 def level_count(shape: Shape) -> int:
-    """How many nested levels there are: the coarsest has at most 257 samples a side."""
+    """The number of nested levels: the coarsest has at most 257 samples per side."""
     return max(1, exponent(shape) - TILE.bit_length() + 2)
 
 
@@ -57,7 +57,7 @@ def level_shape(shape: Shape, level: int) -> Shape:
 
 
 def diamond_shape(shape: Shape, level: int) -> Shape:
-    """Entries of a level's diamonds: as many as its samples, at the top level those of the whole padded square."""
+    """Entries of a level's diamonds: one per sample, at the top level those of the whole padded square."""
     top = level_count(shape) - 1
     side = (1 << (exponent(shape) - top)) + 1
     return (side, side) if level == top else level_shape(shape, level)
@@ -77,7 +77,7 @@ def tile_shape(shape: Shape, level: int) -> Shape:
 
 @runtime_checkable
 class Samples(Protocol):
-    """The samples that a terrain was made of, on their own lattice."""
+    """The original samples of a terrain, on their own lattice."""
 
     def heights_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         """Heights (n,) at places (n,) in the terrain's CRS, bilinear between the samples; NaN where there is none."""
@@ -85,7 +85,7 @@ class Samples(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TileTable:
-    """What is known of each tile of a level, arrays of shape (tile rows, tile cols).
+    """Facts about each tile of a level, as arrays of shape (tile rows, tile cols).
 
     Attributes:
         minimum: float32, the lowest full-resolution sample under the tile, its borders included; NaN if there is none.
@@ -107,7 +107,7 @@ class Resampled:
     where nothing could be compared.
 
     Attributes:
-        rms, largest: of the deviations of the surface from the samples it was made of, where there is a surface.
+        rms, largest: of the deviations of the surface from its original samples, where there is a surface.
         summit_loss: the largest loss of a summit, never more than ``largest``.
         highest: the highest of those samples; highest_loss: its loss.
     """
@@ -139,9 +139,9 @@ class Terrain(ABC):
 
     Attributes:
         grid: level 0, the real raster, projected, in metres (or without CRS).
-        name: what to call it in titles.
+        name: for titles.
         vertical: name of the vertical datum, or None if unknown.
-        attribution: whom the makers of its heights want to be named; pictures carry it.
+        attribution: the credit that the makers of its heights ask for; pictures carry it.
     """
 
     grid: Grid
@@ -151,9 +151,9 @@ class Terrain(ABC):
     remote: bool = False
     """Whether it is read over a network: many reads at once take hardly longer than one."""
     samples: Samples | None = None
-    """Those it was made of, while they are at hand; None where its own are all that is known."""
+    """Its original samples, while they are available; None if only its own are known."""
     resampled: Resampled | None = None
-    """How far it is from the samples it was made of; None where it has these, or nobody has looked."""
+    """How far it is from its original samples; None if it has these, or nobody has measured it."""
 
     @property
     @abstractmethod
@@ -167,7 +167,7 @@ class Terrain(ABC):
 
     @property
     def chart(self) -> AffineChart:
-        """How its samples lie in the world: flat terrain has one chart, affine."""
+        """Where its samples lie in the world: flat terrain has one affine chart."""
         return AffineChart(self.grid)
 
     @property
@@ -197,8 +197,8 @@ class Terrain(ABC):
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """Nested heights ``[row0, row1) × [col0, col1)`` of ``level``; the window lies inside ``shape(level)``.
 
-        Sample (i, j) is the raster's sample (min(i·2^level, rows − 1), min(j·2^level, cols − 1)).
-        The array may be shared with a cache: it is read-only, copy it to change it.
+        Sample (i, j) is the raster's sample (min(i·2^level, rows − 1), min(j·2^level, cols − 1)). The array may be
+        shared with a cache: it is read-only; copy it to change it.
 
         Raises:
             UsageError: there is no such level, or the window is not inside it.
@@ -221,7 +221,7 @@ class Terrain(ABC):
         return diamond_shape(self.grid.shape, self._check(level))
 
     def derived(self, name: str, **options: Any) -> Any:
-        """A reader of data that follow from the heights: of a store read from it, of a raster in memory made now.
+        """A reader of data derived from the heights: read from a store, or computed now for a raster in memory.
 
         Args:
             name: "diamonds" (``error``), "patches" (``error``, ``legs``)…; see ``store.registry``.
@@ -234,7 +234,7 @@ class Terrain(ABC):
         raise UsageError(f"{self.name} has no {name}.")
 
     def has(self, name: str, **options: Any) -> bool:
-        """Whether a store holds such data, so that ``derived`` need not make them."""
+        """Whether a store holds such data, so that ``derived`` need not compute them."""
         return False
 
     @property
@@ -243,24 +243,24 @@ class Terrain(ABC):
         return ()
 
     def layer(self, name: str, **options: Any) -> StoredLayer:
-        """A raster that rides on the terrain at every level, such as baked light (``orograph bake``).
+        """A raster on the terrain's grid at every level, such as baked light (``orograph bake``).
 
         Args:
             name: "sky-view-factor", "aperture"…
             options: what it must have been made with (``radius=600.0``, ``azimuths=64``…).
 
         Raises:
-            StoreError: it has no such layer, or one that was made with other options or from other heights.
+            StoreError: it has no such layer, or one made with other options or from other heights.
         """
         there = f"; it has {', '.join(self.layers)}" if self.layers else ""
         raise StoreError(
             f"This terrain has no layer {name!r}{there}.",
             path=self.name,
-            remedy=f"Put it into a store: `orograph.bake(store, [{name!r}])`.",
+            remedy=f"Bake it into a store: `orograph.bake(store, [{name!r}])`.",
         )
 
     def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
-        """Let go of files and caches; the terrain cannot be read afterwards."""
+        """Close files and caches; the terrain cannot be read afterwards."""
 
     def __enter__(self) -> Self:
         return self
@@ -276,7 +276,7 @@ class Terrain(ABC):
         return [*rows, ("levels", levels), *self._kept()]
 
     def _kept(self) -> list[Row]:
-        """Where it is, and how large."""
+        """Its location and size."""
         return [("memory", amount(4 * self.grid.rows * self.grid.cols))]
 
     def __repr__(self) -> str:

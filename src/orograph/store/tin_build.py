@@ -1,10 +1,10 @@
-"""TINs of patches made bottom up: level by level of the hierarchy, diamond by diamond, each from those below it.
+"""Make TINs of patches bottom up: level by level of the hierarchy, diamond by diamond, each from those below it.
 
 Per diamond the four patches below become two above at half the triangles (Cignoni et al. 2003, sec. 3). The vertices on
 the diamond's legs were decided by the diamonds below, whose hypotenuses these are, and stay; those on its hypotenuse
-move along it only. Then the TINs' error is measured anew, against all full-resolution samples in the diamond and all
-crossings of its edges with the surface's, and made no less than the children's. Diamonds of a level touch each other
-nowhere but in vertices that are decided, so they may be made in any order, by any number of threads.
+move only along it. Then the TINs' error is measured again, against all full-resolution samples in the diamond and all
+crossings of its edges with the surface's, and made at least the children's. Diamonds of a level touch only in vertices
+that are already decided, so they may be made in any order, by any number of threads.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ from orograph.store.tin_windows import look
 from orograph.store.tins import EDGE, MOST_OCTAVE, NO_TIN, SQUARE, Marks, MemoryTins, lattice, octaves
 
 BAND = 1 << 24
-"""Samples of the bands in which the finest diamonds are looked at, about."""
+"""Approximate samples of the bands in which the finest diamonds are examined."""
 
 AT_ONCE = 1 << 17
-"""Diamonds of a band of a level that is made at once, about: what it takes besides the result follows from this."""
+"""Approximate number of diamonds in a band of a level that is made at once; it determines the memory beyond the
+result."""
 
 CHUNK = 32
-"""Diamonds of a task."""
+"""Diamonds per task."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """How the TINs of a level came out.
+    """Statistics of the TINs of a level.
 
     Attributes:
         octave, kind: of its diamonds (``hierarchy.diamonds``). diamonds: how many have TINs. triangles: of all.
@@ -57,11 +58,11 @@ class Figures:
 
 
 class Band(NamedTuple):
-    """Diamonds of a level that are made at once.
+    """Diamonds of a level that are made together.
 
     Attributes:
         octave, kind: of the level. first: whether it is its first band. rows, cols: of the diamonds. error, radius,
-            below: what those below say of them. todo: which have TINs. numbers: of these (``Made``), as they are taken.
+            below: from the diamonds below. todo: which have TINs. numbers: of these (``Made``), filled in by ``take``.
     """
 
     octave: int
@@ -81,7 +82,7 @@ class Band(NamedTuple):
 
 
 class Building:
-    """TINs that are being made, octave by octave.
+    """TINs under construction, octave by octave.
 
     Args:
         terrain: the ground. legs: of the finest patches.
@@ -115,8 +116,8 @@ class Building:
         """Make a level's TINs, by bands of rows of diamonds.
 
         Args:
-            run: has the diamonds of a band made, and taken (``take``).
-            task: is told of each band (``bands``).
+            run: makes the diamonds of a band and passes them to ``take``.
+            task: gets reports on each band (``bands``).
         """
         totals, largest = np.zeros(5, np.int64), 0.0
         per = self._rows_at_once(octave)
@@ -133,7 +134,7 @@ class Building:
         return Figures(octave, kind, made, count, below, legs, vertices, largest)
 
     def bands(self, octave: int) -> int:
-        """In how many bands a level is made."""
+        """The number of bands in which a level is made."""
         return -(-((1 << (self.n - octave)) + 1) // self._rows_at_once(octave))
 
     def _rows_at_once(self, octave: int) -> int:
@@ -141,7 +142,7 @@ class Building:
         return max(2, AT_ONCE >> (self.n - octave))
 
     def _band(self, octave: int, kind: int, first: int, end: int) -> Band:
-        """The diamonds of a band, with what those below say of them."""
+        """The diamonds of a band, with their values from the diamonds below."""
         rows, cols = self._diamonds(octave, kind, first, end)
         if octave == self.legs.bit_length() - 1 and kind == diamonds.EDGE:
             error, radius = self._first(rows, cols, octave)
@@ -159,18 +160,18 @@ class Building:
         return self.marks[octave][row0:row1, col0:col1]
 
     def take(self, band: Band, part: slice, made: Made) -> None:
-        """Take the TINs of a part of a band's diamonds. Safe from any thread, for different parts."""
+        """Store the TINs of a part of a band's diamonds. Safe from any thread, for different parts."""
         band.numbers[part] = made.numbers
         marks, bit, begin = self.marks[band.octave], SQUARE if band.kind == diamonds.SQUARE else EDGE, 0
         for i0, i1, j0, j1 in made.windows.tolist():
             count = (i1 - i0) * (j1 - j0)
             end = begin + -(-count // 8)
             chosen = np.unpackbits(made.chosen[begin:end], count=count).view(bool).reshape(i1 - i0, j1 - j0)
-            marks[i0:i1, j0:j1][chosen] |= bit  # only vertices of its own: windows overlap
+            marks[i0:i1, j0:j1][chosen] |= bit  # only its own vertices: windows overlap
             begin = end
 
     def _taken(self, band: Band) -> tuple[Integers, float]:
-        """Note what is known of a band's diamonds, when all are taken; what ``Figures`` says of them."""
+        """Record a band's diamonds, once all are taken; returns their ``Figures``."""
         octave, todo, found, error, below = band.octave, band.todo, band.numbers, band.error, band.below
         error[todo] = np.maximum(error[todo], found[:, 0])
         i, j = band.rows >> octave, band.cols >> octave
@@ -182,13 +183,14 @@ class Building:
         return np.array(counts).astype(np.int64), float(found[:, 0].max(initial=0.0))
 
     def _diamonds(self, octave: int, kind: int, first: int = 0, end: int | None = None) -> tuple[Integers, Integers]:
-        """Those of a level that have an area on the raster, in a half-open range of rows, counted in spacings."""
+        """The diamonds of a level that have an area on the raster, in a half-open range of rows, counted in
+        spacings."""
         s, side = 1 << octave, (1 << (self.n - octave)) + 1
         j = np.arange(side, dtype=np.int64)
         i = j[first:end]
         last_row, last_col = (side - 1 for side in self.terrain.grid.shape)
         odd, even = (j[j & 1 == 1], j[j & 1 == 0]) if kind == diamonds.EDGE else (np.zeros(0, np.int64), j[j & 1 == 1])
-        # (Of edges the columns of odd rows are even, and the other way round; of squares both are odd.)
+        # (For edges the columns of odd rows are even, and vice versa; for squares both are odd.)
         pairs = [(i[i & 1 == 1], even), (i[i & 1 == 0], odd)]
         rows, cols = (
             np.concatenate([part.ravel() for part in of]) * s
@@ -199,7 +201,7 @@ class Building:
         return rows[there], cols[there]
 
     def _first(self, rows: Integers, cols: Integers, octave: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What is known of the finest diamonds before they are made: errors 0 or inf, and radii."""
+        """Values of the finest diamonds before they are made: errors 0 or inf, and radii."""
         s, (high, wide) = 1 << octave, self.terrain.grid.shape
         count, squares = np.zeros((len(rows), 2), np.int64), np.zeros(len(rows))
         band = rows // (s * max(1, min(64, BAND // (s * wide))))
@@ -214,7 +216,7 @@ class Building:
         return np.where(mixed, np.inf, 0.0), np.where(count[:, 0] > 0, np.sqrt(squares), -1.0)
 
     def _filled(self, rows: Integers, cols: Integers) -> NDArray[np.float64]:
-        """The heights that vertices have where they are missing (``lod.field``)."""
+        """The heights used for missing vertices (``lod.field``)."""
         last_row, last_col = (side - 1 for side in self.terrain.grid.shape)
         i, j = np.minimum(rows, last_row) // TILE, np.minimum(cols, last_col) // TILE
         i, j = np.minimum(i, self._fill.shape[0] - 1), np.minimum(j, self._fill.shape[1] - 1)
@@ -243,7 +245,7 @@ class Building:
     def _from_children(
         self, rows: Integers, cols: Integers
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], Integers]:
-        """The errors, radii and triangles that diamonds have from those below them."""
+        """The errors, radii and triangles of diamonds from those below them."""
         here = self._places(rows, cols)
         error, radius, below = np.zeros(len(rows)), np.full(len(rows), -1.0), np.zeros(len(rows), np.int64)
         for k in range(4):
@@ -262,7 +264,7 @@ class Building:
         return error, radius * (1 + 1e-12), below
 
     def finished(self, figures: Sequence[Figures]) -> MemoryTins:
-        """What was made, in the layout of ``diamond_table``."""
+        """The result, in the layout of ``diamond_table``."""
         top = self.terrain.levels - 1
         tables: list[list[Heights]] = []
         for of, nothing in ((self.errors, 0.0), (self.radii, -1.0)):
@@ -310,13 +312,13 @@ def made_by(
 ) -> MemoryTins:  # fmt: skip
     """Make the TINs of a terrain.
 
-    A byte in five samples or so is held. The marks, some three bytes a sample, lie in scratch files where they are
-    many, of which memory holds what is at work.
+    About one byte per five samples is held. The marks, about three bytes per sample, are in scratch files if there are
+    many; memory holds only those in use.
 
     Args:
         terrain: the ground. legs: segments along a finest patch's leg.
-        run: has a band's diamonds made, and taken; what reports of it is said within another task.
-        progress: is told of levels.
+        run: makes a band's diamonds and takes them; progress within another task.
+        progress: gets reports on levels.
 
     Raises:
         DamagedChunkError: as ``terrain.read``. OutputError: the disk that temporary files are on is full.

@@ -1,7 +1,7 @@
-"""The TINs of one diamond, made of the marks below it or put together again out of its own.
+"""The TINs of one diamond, made from the marks below it or reconstructed from its own.
 
 The vertices on a diamond's legs were decided by the diamonds below, whose hypotenuses these are, and stay; those on its
-hypotenuse move along it only (Cignoni et al. 2003, sec. 3). ``tin_build`` makes level by level of this.
+hypotenuse move only along it (Cignoni et al. 2003, sec. 3). ``tin_build`` does this level by level.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from orograph.store.tin_windows import Window, clipped, legs_of
 from orograph.store.tins import EDGE, FINER, SQUARE, Marks, Tins, lattice
 
 LIMIT = 1e-6
-"""Metres: no vertex is inserted for less."""
+"""Error in metres below which no vertex is inserted."""
 
 ROUNDING = 1.0 + 1e-6
-"""What is measured counts as so much more, for crossings nearer to a sample than can be told."""
+"""Margin added to measured errors, for crossings too near a sample to be resolved."""
 
 Integers = NDArray[np.int64]
 Corners = NDArray[np.int32]
 
 MarksOf = Callable[[int, int, int, int, int], Marks]
-"""Gives the marks of an octave in a window: first row, end, first column, end."""
+"""Returns the marks of an octave in a window: first row, end, first column, end."""
 
 
 class Place:
-    """Where a diamond is: its window, and the window on the raster.
+    """The place of a diamond: its window, and the window on the raster.
 
     Args:
         terrain: the ground. row, col: the diamond. legs: of the finest patches.
@@ -73,7 +73,7 @@ class Place:
 
 
 class Workplace(threading.local):
-    """Arrays to work in, of each thread its own."""
+    """Work arrays, one set per thread."""
 
     def __init__(self) -> None:
         self.work: dict[int, Work] = {}
@@ -95,14 +95,14 @@ def tins_of(
     They turn positively in (column, row).
 
     Raises:
-        OrographError: its marks make no TIN. DamagedChunkError: as ``terrain.read``.
+        OrographError: its marks do not form a TIN. DamagedChunkError: as ``terrain.read``.
     """
     at = Place(terrain, row, col, tins.legs)
     bit = EDGE if at.window.shape else SQUARE
     marks = np.ascontiguousarray(tins.marks(at.octave, *at.heights_at[1:]) & bit)
     work = workplace.room(tins.legs, marks)
     if triangulate(at.window, work, at.read(terrain), at.ends, marks) < 0:
-        raise OrographError(f"The TINs of the diamond at row {row}, column {col} are none.", path=terrain.name)
+        raise OrographError(f"The marks of the diamond at row {row}, column {col} do not form TINs.", path=terrain.name)
     vertices, first, second = patches(work.mesh)
     vertices[:, 0] += at.x0
     vertices[:, 1] += at.y0
@@ -110,8 +110,8 @@ def tins_of(
 
 
 NUMBERS = ("error", "first", "second", "legs", "vertices", "full")
-"""What is found of a diamond: its TINs' error, the triangles of both, vertices on its legs and all, and the triangles
-that full resolution has there."""
+"""Results of a diamond: its TINs' error, the triangles of both, vertices on its legs and in total, and the triangles of
+full resolution there."""
 
 
 class Made(NamedTuple):
@@ -128,7 +128,7 @@ class Made(NamedTuple):
 
 
 def below(octave: int, kind: int, legs: int) -> int | None:
-    """The octave whose marks say which vertices lie on the legs of a level's diamonds; None: all samples there do."""
+    """The octave whose marks say which vertices lie on the legs of a level's diamonds; None: all samples do."""
     if kind == diamonds.SQUARE:
         return octave
     return octave - 1 if octave > legs.bit_length() - 1 else None
@@ -139,7 +139,7 @@ class Maker:
 
     Args:
         terrain: the ground. legs: of the finest patches.
-        marks: gives those of the levels below.
+        marks: returns those of the levels below.
     """
 
     def __init__(self, terrain: Terrain, legs: int, marks: MarksOf) -> None:

@@ -1,4 +1,4 @@
-"""TINs of the hierarchy's patches (BDAM): which samples are their vertices, how far they are off, and their spheres.
+"""TINs of the hierarchy's patches (BDAM): their vertices, errors and spheres.
 
 Every triangle of the hierarchy above the finest patches carries a TIN. It lies in a diamond with one other, across the
 hypotenuse, and both are made together (``tin_kernels``). All vertices are samples of a lattice of the terrain's nested
@@ -31,7 +31,7 @@ LEGS = 16
 """Segments along a finest patch's leg, whose square is the number of a patch's triangles, unless otherwise asked."""
 
 ALL_LEGS = (4, 8, 16, 32)
-"""What that can be."""
+"""Its allowed values."""
 
 FINER = 2
 """The lattice has 2 to this power times as many samples along a leg as a regular patch has."""
@@ -43,7 +43,7 @@ SQUARE, EDGE = np.uint8(1), np.uint8(2)
 """Bits of marks, by the kind of diamond."""
 
 NO_TIN = -NOTHING
-"""The error of a diamond that no TIN stands for."""
+"""The error of a diamond without a TIN."""
 
 Marks = NDArray[np.uint8]
 

@@ -1,4 +1,4 @@
-"""The ways of doing a build: which go together, and what runs the tasks of each."""
+"""The modes of a build: which can be combined, and what runs the tasks of each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from orograph.store.storage import Storage
 
 
 class AtOnce(NamedTuple):
-    """How much is done at once.
+    """How much runs in parallel.
 
     Attributes:
         jobs: threads of a process. memory: bytes of all processes together. base: of them, what a process takes without
@@ -29,11 +29,11 @@ class AtOnce(NamedTuple):
 
 
 def check_ways(overwrite: bool, resume: bool, part: object, finish: bool, workers: int | None, dask: object) -> None:
-    """Raise UsageError where ways of building exclude each other."""
+    """Raise UsageError if modes of a build exclude each other."""
     if overwrite and resume:
         raise UsageError("A build either resumes or overwrites, not both.")
     if workers is not None and workers < 1:
-        raise UsageError(f"A build takes at least one worker, not {workers}.")
+        raise UsageError(f"A build needs at least one worker, not {workers}.")
     said = {
         "`part`": part is not None, "`finish`": finish, "`resume`": resume, "`workers`": workers is not None,
         "`dask`": dask is not None,
@@ -64,7 +64,8 @@ def executor_of(
         yield Threads(at_once.jobs, going_on)
         return
     from orograph.store.build_state import recipe_of
-    from orograph.store.clusters import Cluster, levels_of, workforce
+    from orograph.store.clusters import Cluster, levels_of
+    from orograph.store.workforce import workforce
 
     begun = storage.get(PLAN) or b""
     recipe = recipe_of(raster, storage, storage_options, plan, coding, begun, at_once.task, at_once.base)

@@ -1,4 +1,4 @@
-"""What a worker of a cluster does: tasks of which it is told the stage and the place.
+"""The work of a cluster's worker: tasks, each given by its stage and place.
 
 All else a worker knows from a *recipe*, which each process gets once: it opens what the tasks need (``build_state`` has
 that of builds; light, films and pictures have theirs). Whatever a task finds done it leaves as it is.
@@ -27,14 +27,14 @@ from orograph.store.storage import FolderStorage, Storage
 
 
 class WorkerState(Protocol):
-    """What one process has for the tasks of a recipe."""
+    """The state of one process for the tasks of a recipe."""
 
     def stage(self, name: str, number: int) -> Stage[Any]:
         """A stage, the same one every time; one call at a time."""
 
 
 class Recipe(Protocol):
-    """All that workers are told once; it can be pickled.
+    """Everything that workers get once; it can be pickled.
 
     Attributes:
         memory: bytes a task may take, besides ``base`` of the process.
@@ -51,7 +51,7 @@ class Recipe(Protocol):
 
 
 class Done(NamedTuple):
-    """What a worker says of a task.
+    """A worker's report on a task.
 
     Attributes:
         who: its host and process. seconds: that the task took; 0 if it was done before. remarks: of the stage.
@@ -63,7 +63,7 @@ class Done(NamedTuple):
 
 
 class _Open:
-    """A recipe, as far as this process has opened it."""
+    """A recipe, as opened by this process."""
 
     def __init__(self, recipe: Recipe, limit: int) -> None:
         self.recipe = recipe
@@ -73,7 +73,7 @@ class _Open:
         self._state: WorkerState | None = None
 
     def state(self) -> WorkerState:
-        """What this process has for the tasks."""
+        """This process's state for the tasks."""
         with self._lock:
             if self._state is None:
                 self._state = self.recipe.open()
@@ -89,7 +89,7 @@ _open: dict[str, _Open] = {}
 
 
 def learn(ident: str, recipe: Recipe, limit: int = 0) -> None:
-    """Let this process know a recipe.
+    """Register a recipe in this process.
 
     Args:
         ident: what tasks call it. limit: bytes of memory that the process may take; 0: any.
@@ -98,12 +98,12 @@ def learn(ident: str, recipe: Recipe, limit: int = 0) -> None:
 
 
 def opened(ident: str) -> WorkerState:
-    """What this process has for work that it was told of."""
+    """This process's state for registered work."""
     return _open[ident].state()
 
 
 def forget(ident: str) -> None:
-    """The work is over."""
+    """Close the work."""
     _open.pop(ident, None)
 
 
@@ -135,7 +135,7 @@ def guarded(storage: Storage, at: str, plan: bytes) -> Storage:
 
     def only_then(key: str, parts: Sequence[bytes]) -> None:
         if storage.get(at) != plan:
-            raise StoreError("The work that this task belongs to has ended, or other was begun.", path=storage.url)
+            raise StoreError("The work of this task has ended, or other work was started.", path=storage.url)
         put(key, parts)
 
     storage.put = only_then  # type: ignore[method-assign]
@@ -144,7 +144,7 @@ def guarded(storage: Storage, at: str, plan: bytes) -> Storage:
 
 @contextlib.contextmanager
 def _first_alone(name: str) -> Iterator[None]:
-    """Keep other processes of this machine from the first task of a kind until one of them has done one."""
+    """Let one process of this machine run the first task of a kind while the others wait."""
     try:
         import fcntl
     except ImportError:
@@ -180,7 +180,7 @@ _compiled: set[str] = set()
 
 @functools.cache
 def _kernels() -> bytes:
-    """Differs when kernels have to be compiled anew, or lie elsewhere."""
+    """A key that changes when kernels must be recompiled or lie elsewhere."""
     package = Path(__file__).parent.parent
     newest = max(path.stat().st_mtime_ns for path in package.rglob("*.py"))
     return f"{package} {newest}".encode()

@@ -1,4 +1,4 @@
-"""Colours over the ground by example: an orthophoto, and the ground that it shows, say how other ground may look.
+"""Colours over the ground by example: an orthophoto and the ground it shows determine how other ground looks.
 
 Coordinates are chosen as those of detail by example (``steered``): places begin where slopes and curvature are those of
 the example's ground, and are corrected by what the photo looks like around them, which is its first principal component
@@ -29,15 +29,15 @@ from orograph.synthesis.terrain import example
 from orograph.synthesis.windows import Range
 
 BEGIN = 3
-"""Doublings between the finest places and those that colours begin with, at least: more makes larger pieces, which
-follow the ground less closely."""
+"""The least number of doublings between the finest places and those that colours begin with: more makes larger pieces,
+which follow the ground less closely."""
 
 LIKE = 2
-"""By how much more ground counts than for detail."""
+"""By what factor the ground counts more than for detail."""
 
 
 class Every:
-    """Every so manieth sample of a lattice."""
+    """A lattice of every n-th sample."""
 
     def __init__(self, lattice: Lattice, step: int) -> None:
         self.lattice, self.step, self.quantum = lattice, step, lattice.quantum
@@ -124,7 +124,7 @@ def _photo_over(photo: Any, source: HeightSource) -> NDArray[np.uint8]:
     """The photo's colours (rows, cols, 3) at the samples of its ground.
 
     Raises:
-        ReadError: it cannot be read. UsageError: it is no colour image, or does not cover the ground.
+        ReadError: it cannot be read. UsageError: it is not a colour image, or does not cover the ground.
     """
     import rasterio
     from rasterio.enums import Resampling
@@ -135,7 +135,8 @@ def _photo_over(photo: Any, source: HeightSource) -> NDArray[np.uint8]:
         with rasterio.open(photo) as file:
             if file.count < 3 or file.dtypes[0] != "uint8":
                 raise UsageError(
-                    f"A photo has three bands of bytes; this has {file.count} of {file.dtypes[0]}.", path=str(photo)
+                    f"A photo must have three bands of bytes; this one has {file.count} of {file.dtypes[0]}.",
+                    path=str(photo),
                 )
             crs = file.crs if grid.crs is None else grid.crs.to_wkt()
             with WarpedVRT(
@@ -148,8 +149,8 @@ def _photo_over(photo: Any, source: HeightSource) -> NDArray[np.uint8]:
         raise ReadError(f"The photo cannot be read: {error}", path=str(photo)) from error
     if not covered.all():
         raise UsageError(
-            f"The photo covers {covered.mean():.1%} of the ground of the example.", path=str(photo),
-            remedy="Give the heights of what it shows (gdal_translate -projwin cuts them).",
+            f"The photo covers {covered.mean():.1%} of the example's ground.", path=str(photo),
+            remedy="Give the heights of the area it shows (cut them with gdal_translate -projwin).",
         )  # fmt: skip
     return np.ascontiguousarray(np.moveaxis(bands, 0, -1))
 
@@ -163,7 +164,7 @@ def _component(colours: NDArray[np.uint8], name: str) -> NDArray[np.float64]:
     flat = colours.reshape(-1, 3).astype(np.float64)
     flat -= flat.mean(0)
     if not flat.any():
-        raise UsageError("A photo of one colour has nothing to take after.", path=name, remedy="Take another.")
+        raise UsageError("A photo of a single colour cannot serve as an example.", path=name, remedy="Take another.")
     # Eigenvectors have either sign; which one does not matter to distances.
     _, axes = np.linalg.eigh(flat.T @ flat)
     return np.asarray(np.rint(64 * (flat @ axes[:, -1])).reshape(colours.shape[:2]) / 64)

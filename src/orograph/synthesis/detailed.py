@@ -1,4 +1,4 @@
-"""A terrain with detail beyond its data, for pictures: finer levels below the terrain's own, made where they are read.
+"""A terrain with detail beyond its data, for pictures: finer levels below the terrain's own, made on reading.
 
 Level k of it is the terrain's level 0, of which all samples stay as they are; levels 0 to k − 1 are doublings of it
 (``refining``). Its tables, which say how coarse each tile may be drawn, are estimates: nothing is promised of ground
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from orograph.gpu.device import Device
 
 MOST = 10
-"""Doublings, at most."""
+"""The most doublings."""
 
 TILES = 1 << 21
-"""Tiles of the finest level, at most."""
+"""The most tiles of the finest level."""
 
 SEEN = 0.25
 """Metres that detail is worth at most, of the spacing of samples: of half a pixel where these are two pixels apart."""
@@ -49,9 +49,9 @@ class Detailed(Terrain):
     """See the module.
 
     Args:
-        terrain: the data. doublings: how many, at least 1. seed: another number, another detail.
+        terrain: the data. doublings: how many, at least 1. seed: a different number gives different detail.
         steering: detail by example; None: fractal. What is finer than the example is fractal, too.
-        device: that makes it; None: the CPU does. It is the same.
+        device: computes it; None: the CPU. The result is the same.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ def _largest(terrain: Terrain) -> float:
 
 
 def doublings_for(terrain: Terrain, view: View, exaggeration: float, most: int = TILES) -> int:
-    """How many doublings make samples about as fine as pixels where the ground is nearest to the eye.
+    """The number of doublings that makes samples about as fine as pixels where the ground is nearest to the eye.
 
     Args:
         most: tiles of the finest level.
@@ -195,7 +195,7 @@ def doublings_for(terrain: Terrain, view: View, exaggeration: float, most: int =
 
 
 def room_for(terrain: Terrain, most: int = TILES) -> int:
-    """How many doublings there may be, so that there are at most so many tiles of the finest level."""
+    """The number of doublings with at most ``most`` tiles of the finest level."""
     tiles = math.prod(tile_shape(terrain.grid.shape, 0))
     return min(max((most // tiles).bit_length() - 1, 0) // 2, MOST)
 
@@ -223,13 +223,13 @@ def _nearest(terrain: Terrain, view: View, exaggeration: float) -> float:
 def steering_of(
     terrain: Terrain, given: object, seed: int, progress: Progress = SILENT, device: Device | None = None
 ) -> tuple[Steering, str]:
-    """Detail by example for a terrain, and what the example is called.
+    """Detail by example for a terrain, and the example's name.
 
     Args:
         given: the example, whatever ``orograph.terrain`` takes. device: that makes it; None: the CPU does.
 
     Raises:
-        UsageError: it is no example (``Exemplar.of``), or not finer than the terrain.
+        UsageError: it is not an example (``Exemplar.of``), or not finer than the terrain.
         ReadError: it cannot be read.
     """
     source = source_of(given, progress, called="detail")
@@ -239,7 +239,7 @@ def steering_of(
         raise UsageError(
             f"An example of detail must be finer than the terrain: its samples are {own:.3g} m apart, the terrain's "
             f"{spacing:.3g} m.",
-            path=source.name, remedy="Take lidar, or leave the example out.",
+            path=source.name, remedy="Use lidar, or omit the example.",
         )  # fmt: skip
     exemplar = Exemplar.of(example(source), source.name, None, progress)
     # Of coarser terrain, what is coarser than the example's own levels is its shape at its coarsest.

@@ -1,4 +1,4 @@
-"""A terrain to take after, prepared: its heights as integers, smoothed level by level, and what looks alike in them.
+"""A prepared example terrain: its heights as integers, smoothed level by level, and its similar places.
 
 The Gaussian stack has every level at full resolution (Lefebvre & Hoppe 2005, §3.1): level L is the exemplar, level
 l − 1 is level l smoothed by the binomial filter 1 4 6 4 1 with its taps 2^(L − l) samples apart. What is compared at
@@ -23,7 +23,7 @@ MOST = 1 << 22
 """Samples of an exemplar; one takes some 100 bytes for each."""
 
 SMALLEST = 32
-"""Samples along each side of an exemplar, at least."""
+"""The fewest samples along a side of an exemplar."""
 
 OCTAVES = 3
 """Between a level and the one that its heights are compared above."""
@@ -75,7 +75,7 @@ class Exemplar:
             stack.insert(0, smoothed(stack[0], 1 << (top - level)))
         features = tuple(_features(stack, level, OCTAVES if relative else top) for level in range(top + 1))
         similar = []
-        with progress.task(f"Looking for what is alike in {name}", total=top + 1) as task:
+        with progress.task(f"Searching for similar places in {name}", total=top + 1) as task:
             work = map_ordered(lambda level: _similar(features[level], 1 << (top - level)), range(top + 1), jobs)
             for found in work:
                 similar.append(found)
@@ -98,7 +98,7 @@ class Exemplar:
 
 
 def check_size(shape: tuple[int, ...], name: str) -> None:
-    """Refuse an example that has too few samples, or too many.
+    """Refuse an example with too few or too many samples.
 
     Raises:
         UsageError: see ``Exemplar.of``.
@@ -106,17 +106,17 @@ def check_size(shape: tuple[int, ...], name: str) -> None:
     if len(shape) != 2 or min(shape) < SMALLEST:
         raise UsageError(
             f"An example needs at least {SMALLEST} × {SMALLEST} samples; this one has {' × '.join(map(str, shape))}.",
-            path=name, remedy="Take a larger piece of terrain.",
+            path=name, remedy="Use a larger piece of terrain.",
         )  # fmt: skip
     if math.prod(shape) > MOST:
         raise UsageError(
-            f"An example has at most {MOST:,} samples; this one has {math.prod(shape):,}.",
-            path=name, remedy="Cut a piece out of it, e.g. with gdal_translate -srcwin 0 0 2000 2000.",
+            f"An example may have at most {MOST:,} samples; this one has {math.prod(shape):,}.",
+            path=name, remedy="Cut out a piece, e.g. with gdal_translate -srcwin 0 0 2000 2000.",
         )  # fmt: skip
 
 
 def check(heights: NDArray[np.floating], name: str) -> None:
-    """Refuse what terrain cannot be made after.
+    """Refuse heights that cannot serve as an example.
 
     Raises:
         UsageError: see ``Exemplar.of``.
@@ -125,11 +125,11 @@ def check(heights: NDArray[np.floating], name: str) -> None:
     missing = int(heights.size - np.isfinite(heights).sum())
     if missing:
         raise UsageError(
-            f"An example has a height everywhere; {missing:,} of its {heights.size:,} samples have none.",
-            path=name, remedy="Cut a piece without voids out of it (gdal_translate -srcwin), or fill them.",
+            f"An example must have a height everywhere; {missing:,} of its {heights.size:,} samples have none.",
+            path=name, remedy="Cut out a piece without voids (gdal_translate -srcwin), or fill them.",
         )  # fmt: skip
     if heights.min() == heights.max():
-        raise UsageError("An example of level ground has nothing to take after.", path=name, remedy="Take another.")
+        raise UsageError("Level ground cannot serve as an example.", path=name, remedy="Take another.")
 
 
 def smoothed(heights: Integers, step: int) -> Integers:

@@ -25,7 +25,7 @@ ORIGIN = 500_000.0, 5_000_000.0
 
 
 class ByExample:
-    """A terrain that takes after another; has what a mosaic asks of a source (``grid``, ``name``, ``read`` and so on).
+    """A terrain modelled on another; has what a mosaic needs of a source (``grid``, ``name``, ``read`` and so on).
 
     Its samples are as far apart as the example's, and its heights as high.
 
@@ -68,18 +68,18 @@ class ByExample:
         return self.endless.metres(self.endless.heights(Range(row0, row1, col0, col1)))
 
     def fingerprint(self) -> str:
-        """The example's heights and the numbers: they make it what it is."""
+        """The example's heights and the parameters, which define it."""
         e = self.endless
         return f"after {self._digest} {self.grid.shape} {tuple(self.grid.transform)} {e.seed} {e.reach} {e.passes}"
 
     @property
     def tags(self) -> dict[str, str]:
-        """What a file of it says of itself."""
+        """The description in a file of it."""
         return {"TIFFTAG_IMAGEDESCRIPTION": f"synthetic terrain {self.name}", **copyright_tags(self.attribution)}
 
 
 def example(source: HeightSource) -> NDArray[np.float32]:
-    """All heights of a source that are to be an example.
+    """All heights of a source that serves as an example.
 
     Raises:
         UsageError: see ``exemplar.check``.

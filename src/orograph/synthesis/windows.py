@@ -74,18 +74,19 @@ class Endless:
         shaken = _of_levels(jitter, levels)
         if shaken is None or not all(0 <= r <= 1 for r in shaken):
             raise UsageError(
-                f"The jitter is a number from 0 to 1, or up to {levels} of them, one for each level, not {jitter!r}."
+                f"The jitter must be a number from 0 to 1, or up to {levels} of them, one for each level, not "
+                f"{jitter!r}."
             )
         if passes is None:
             passes = [PASSES] * max(1, levels - UNCORRECTED) + [0]
         turns = _of_levels(passes, levels)
         if turns is None or not all(n in range(PASSES + 1) for n in turns):
             raise UsageError(
-                f"The passes are a number from 0 to {PASSES}, or up to {levels} of them, one for each level, not "
+                f"The passes must be a number from 0 to {PASSES}, or up to {levels} of them, one for each level, not "
                 f"{passes!r}."
             )
         if kappa not in (0, 1):
-            raise UsageError(f"kappa is 0 or 1, not {kappa!r}.")
+            raise UsageError(f"kappa must be 0 or 1, not {kappa!r}.")
         self.exemplar, self.kappa = exemplar, kappa
         self.seed = seed & 0x7FFFFFFF
         self.reach, self.passes = [round(256 * r) for r in shaken], [int(n) for n in turns]
@@ -134,7 +135,7 @@ class Endless:
         """
         top = self.exemplar.top
         if level is not None and not 0 <= level <= top:
-            raise UsageError(f"There are levels 0 to {top}, not {level}.")
+            raise UsageError(f"The levels are 0 to {top}, not {level}.")
         return top if level is None else level
 
     def _levels(self, window: Range, level: int) -> list[NDArray[np.int32]]:

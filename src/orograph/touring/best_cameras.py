@@ -1,4 +1,4 @@
-"""The cameras of which a best view is one: they all look at the target's middle, from *places* around it.
+"""The candidate cameras of a best view: all look at the target's middle, from *places* around it.
 
 A place lies at an azimuth of the middle and at a distance over the ground. Over it stand cameras of several heights:
 those that look down at given pitches, and those at given heights above the ground; each with every field of view. What
@@ -80,7 +80,7 @@ def cameras(
     pitches: Sequence[float] = PITCHES, above: Sequence[float] = (), distances: Sequence[float] = (),
     fovs: Sequence[float] = (40.0,), clearance: float = 2.0,
 ) -> Cameras:  # fmt: skip
-    """All cameras that are allowed.
+    """All allowed cameras.
 
     Args:
         azimuths: sides of the target that cameras stand at, degrees clockwise from north; a number: so many evenly.
@@ -125,19 +125,19 @@ def _check(
 ) -> None:  # fmt: skip
     """Raise UsageError for what is out of its range."""
     if (azimuths if isinstance(azimuths, int) else len(azimuths)) < 1:
-        raise UsageError("`azimuths` are at least one.")
+        raise UsageError("`azimuths` must have at least one.")
     if not isinstance(azimuths, int) and not np.isfinite(azimuths).all():
-        raise UsageError("`azimuths` are directions in degrees, finite numbers.")
+        raise UsageError("`azimuths` must be directions in degrees, finite numbers.")
     if not len(pitches) and not len(above):
-        raise UsageError("There is no camera without `pitches` and without `heights`.")
+        raise UsageError("Give `pitches` or `heights`: without either there are no cameras.")
     if not all(-90 < p < 90 for p in pitches):
-        raise UsageError("`pitches` are angles of looking down between −90 and 90 degrees, both left out.")
+        raise UsageError("`pitches` must be downward angles between −90 and 90 degrees, both excluded.")
     if not all(0 < d < math.inf for d in distances):
-        raise UsageError("`distances` are in metres, more than 0.")
+        raise UsageError("`distances` must be in metres, more than 0.")
     if not all(0 <= h < math.inf for h in (*above, clearance)):
-        raise UsageError("`heights` and `clearance` are metres above the ground, 0 or more.")
+        raise UsageError("`heights` and `clearance` must be metres above the ground, 0 or more.")
     if not len(fovs) or not all(0 < f < 180 for f in fovs):
-        raise UsageError("`fov` is an angle in degrees between 0 and 180.")
+        raise UsageError("`fov` must be an angle in degrees between 0 and 180.")
 
 
 def _ground(terrain: Terrain, place: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The search for the best views: best first by upper bounds, so that few lines of sight are looked along.
+"""The search for the best views: best first by upper bounds, so that few lines of sight are tested.
 
 Every camera begins with an upper bound of what it adds: all that would be in its picture if nothing hid anything. A
 place has the bound of its best camera, and the place of the highest bound is always looked at next: from it, lines of
@@ -36,9 +36,9 @@ Array = NDArray[np.float64]
 BLOCKS = 12
 """Parts in which a place's pieces are looked at."""
 PLACES = 64
-"""Places that a thread judges at once."""
+"""Places that a thread judges at a time."""
 WIDER = 1 + 1e-4
-"""By what bounds in single precision are widened."""
+"""How much bounds in single precision are widened."""
 ADDS = 1e-9
 """A view that adds less adds nothing."""
 AMBIENT = 0.5
@@ -129,7 +129,7 @@ class Search:
         sun: lights the pieces; None: all alike. jobs: threads.
 
     Attributes:
-        looks: lines of sight that were looked along.
+        looks: lines of sight that were tested.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class Search:
         direction = self.cams.eyes - self.cams.middle
         direction /= np.linalg.norm(direction, axis=1)[:, None]
         bounds = self._bounds()
-        with self.progress.task("Looking for views", total=k) as task:
+        with self.progress.task("Searching for views", total=k) as task:
             while len(found) < k:
                 chosen = self._next(best, allowed, bounds)
                 if chosen is None and best.any():  # all is seen that can be: what else shows much of it?
@@ -276,7 +276,7 @@ class Search:
         return np.where(out > 0.0, out * self.light, np.nan)
 
     def _above(self) -> None:
-        """Raise what is looked at onto a level's ground where that lies above it."""
+        """Raise targets onto a level's ground where that lies above them."""
         from orograph.measuring.viewshed_kernels import ground_at
 
         for i, (x, y) in enumerate(self._at):

@@ -1,8 +1,8 @@
-"""What a best view is to show: a target of points, tracks and areas on the ground, in small *pieces*.
+"""What a best view shows: a target of points, tracks and areas on the ground, in small *pieces*.
 
 An area is a lattice of places, each for as much ground as belongs to it; a track is cut into short lines; a point is
-one piece. Every geometry counts alike, whatever its size: its pieces share a weight of 1 by surface area, by length, or
-evenly. Pieces beside the terrain or in its holes count as never seen and are left out, with a warning.
+one piece. Every geometry counts the same, whatever its size: its pieces share a weight of 1 by surface area, by length,
+or evenly. Pieces beside the terrain or in its holes count as never seen and are left out, with a warning.
 
 Units: metres in the terrain's CRS, float64.
 """
@@ -32,7 +32,7 @@ with the first, as a track's)."""
 KINDS = {"Point": POINT, "LineString": TRACK, "Polygon": AREA}
 
 MOST_EDGES = 1 << 22
-"""Products of places and edges that are looked at at once."""
+"""Products of places and edges that are tested at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def read_target(terrain: Terrain, given: Any, pieces: int, progress: Progress = 
     Args:
         given: a GeoJSON file or object, or what has ``__geo_interface__``; or places (n, 2) or a pair of arrays
             (x, y) in the terrain's CRS, each of them a point.
-        pieces: about how many there are to be in all.
+        pieces: about how many in all.
 
     Raises:
         ReadError: the file cannot be read, or holds no geometry. UsageError: none of it lies on the terrain.
@@ -104,12 +104,12 @@ def read_target(terrain: Terrain, given: Any, pieces: int, progress: Progress = 
     known = np.isfinite(heights)
     if not known.any():
         raise UsageError(
-            f"Nothing of the target lies on the ground of {terrain.name}. {_where(terrain, places)}",
+            f"No part of the target lies on the ground of {terrain.name}. {_where(terrain, places)}",
             path=called, remedy="GeoJSON is longitude and latitude, arrays are in the terrain's CRS.",
         )  # fmt: skip
     shared = np.bincount(owner, size)
     if not known.all():
-        progress.warn(f"{100 * (~known).mean():.3g} % of the target lies beside the terrain or in its holes.")
+        progress.warn(f"{100 * (~known).mean():.3g} % of the target lies outside the terrain or in its holes.")
     weight = size[known] / shared[owner[known]] / len(shapes)
     points = np.column_stack([places, heights])[known]
     order = np.argsort(kind[known], kind="stable")
@@ -132,7 +132,7 @@ def _shapes(terrain: Terrain, given: Any) -> tuple[list[tuple[int, list[Array]]]
         name = str(geometry.get("type")).removeprefix("Multi")
         if name not in KINDS:
             if geometry:
-                raise ReadError(f"A target has points, lines and polygons, not {name!r}.", path=called)
+                raise ReadError(f"A target must have points, lines and polygons, not {name!r}.", path=called)
             continue
         try:
             parts = geometry["coordinates"] if several else [geometry["coordinates"]]
@@ -145,11 +145,11 @@ def _shapes(terrain: Terrain, given: Any) -> tuple[list[tuple[int, list[Array]]]
             raise ReadError(f"The {geometry.get('type')} has no list of coordinates.", path=called) from error
     if not found:
         raise ReadError("The target is empty: it holds no points, lines or polygons.", path=called,
-                        remedy="Give GeoJSON with what is to be seen.")  # fmt: skip
+                        remedy="Give GeoJSON with the features to show.")  # fmt: skip
     move = transformer(crs_name(data) or "EPSG:4326", terrain.grid.crs)
     moved = [(kind, [np.stack(move(p[:, 0], p[:, 1]), -1) for p in parts]) for kind, parts in found]
     if not all(np.isfinite(part).all() for _, parts in moved for part in parts):
-        raise UsageError("A place of the target cannot be brought to the terrain's CRS.", path=called)
+        raise UsageError("A point of the target cannot be transformed to the terrain's CRS.", path=called)
     return moved, called
 
 
@@ -159,15 +159,17 @@ def _places(given: Any) -> Array:
         found = np.asarray(given, np.float64)
     except (TypeError, ValueError) as error:
         raise UsageError(
-            "A target is GeoJSON, places (n, 2), or a pair of arrays (x, y) in the terrain's CRS."
+            "A target must be GeoJSON, points (n, 2), or a pair of arrays (x, y) in the terrain's CRS."
         ) from error
     if isinstance(given, tuple) and found.ndim == 2 and len(found) == 2:
         found = found.T
     found = np.atleast_2d(found)
     if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
-        raise UsageError(f"A target's places are finite numbers (n, 2), or a pair (x, y), not of shape {found.shape}.")
+        raise UsageError(
+            f"A target's points must be finite numbers (n, 2), or a pair (x, y), not of shape {found.shape}."
+        )
     if not len(found):
-        raise UsageError("The target is empty: it has no places.")
+        raise UsageError("The target is empty: it has no points.")
     return found
 
 
@@ -248,5 +250,5 @@ def _where(terrain: Terrain, places: Array) -> str:
     rows, cols = terrain.grid.shape
     x, y = terrain.grid.xy(np.array([0, cols - 1, 0, cols - 1]), np.array([0, 0, rows - 1, rows - 1]))
     (w, s), (e, n) = places.min(0), places.max(0)
-    return (f"The target reaches from {w:.10g}, {s:.10g} to {e:.10g}, {n:.10g}, the terrain from {np.min(x):.10g}, "
+    return (f"The target extends from {w:.10g}, {s:.10g} to {e:.10g}, {n:.10g}, the terrain from {np.min(x):.10g}, "
             f"{np.min(y):.10g} to {np.max(x):.10g}, {np.max(y):.10g} in its CRS.")  # fmt: skip

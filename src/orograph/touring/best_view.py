@@ -1,4 +1,4 @@
-"""The views that show a target best: what ``orograph.best_view`` gives, and how it is kept.
+"""The views that show a target best: the result of ``orograph.best_view``, and how it is saved.
 
 The score and its parts are in docs/best-view.md; ``best_target``, ``best_cameras`` and ``best_search`` have the target,
 the cameras that are allowed, and the search.
@@ -26,7 +26,7 @@ from orograph.touring.tour import Tour
 from orograph.viewpoint import View
 
 PIECES, AZIMUTHS, APART = 1000, 72, 20.0
-"""What ``orograph.best_view`` takes where nothing is said: pieces of a target, sides, degrees between views."""
+"""The defaults of ``orograph.best_view``: pieces of a target, sides, degrees between views."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,8 @@ class BestView:
 
     Attributes:
         view: the camera. score: how well it shows the target, 0 to 1; gain: what it adds to the views before it.
-        visible: the part of the target's weight that is in its picture and not hidden, 0 to 1.
-        geometries: the same of each geometry of the target.
+        visible: the share of the target's weight that is in its picture and not hidden, 0 to 1.
+        geometries: the same for each geometry of the target.
     """
 
     view: View
@@ -46,7 +46,7 @@ class BestView:
     geometries: tuple[float, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Its view as VIEW.json has it, and beside that its score and what it sees."""
+        """Its view as in VIEW.json, plus its score and what it sees."""
         return {"view": self.view.to_dict(), "score": self.score, "gain": self.gain, "visible": self.visible,
                 "geometries": list(self.geometries)}  # fmt: skip
 
@@ -97,7 +97,7 @@ class BestViews:
             seconds: from one view to the next. hold: seconds for which the camera stays at each.
         """
         if not (seconds > 0 and hold >= 0):
-            raise UsageError("A tour takes some seconds from view to view, and stays some seconds, at least 0.")
+            raise UsageError("The seconds from view to view must be more than 0, and the hold 0 or more.")
         keys = [Key(one.view, i * (seconds + hold), hold=hold, path="orbit") for i, one in enumerate(self.views)]
         return Tour(tuple(keys), above_ground=2.0)
 

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 SOFT = 1.0
 STEP = 1 / 30
-"""Seconds from one sample of the ground to the next, at most."""
+"""The most seconds from one sample of the ground to the next."""
 
 GRADED = 1.0
 PREVIEW = (320, 180)
@@ -52,7 +52,7 @@ class Course:
 
     Args:
         tour, terrain: see there.
-        progress: hears of it.
+        progress: reports to it.
 
     Attributes:
         lifted: the most by which the eye is lifted, metres.
@@ -150,7 +150,7 @@ class Grading:
         times = np.unique([*np.linspace(0.0, tour.duration, count + 1), *tour.times])
         found: list[tuple[float, float, float, float]] = []
         memo = Memo()
-        with progress.task("Looking along the way", total=len(times)) as task:
+        with progress.task("Measuring along the path", total=len(times)) as task:
             for time in times:
                 small = _preview(scene(float(time)))
                 ground = Ground.load(small, None, memo)
@@ -167,13 +167,13 @@ class Grading:
                 task.advance()
         if not found:
             raise NothingInViewError(
-                "Nothing of the terrain is in view anywhere on this tour.", path=course.terrain.name,
-                remedy='Do its numbers stand for longitude and latitude? Then add "crs": "EPSG:4326".',
+                "The terrain is nowhere in view on this tour.", path=course.terrain.name,
+                remedy='If its numbers are longitude and latitude, add "crs": "EPSG:4326".',
             )  # fmt: skip
         self.channels = [Monotone([f[0] for f in found], np.log([max(f[k], 1e-3) for f in found])) for k in (1, 2, 3)]
 
     def settings(self, time: float) -> dict[str, Any]:
-        """What the scene of a moment is given: ``relief`` and ``depths``."""
+        """What a frame's scene gets: ``relief`` and ``depths``."""
         relief, near, far = (math.exp(c(time)) for c in self.channels)
         return {"relief": relief, "depths": (near, max(far, near))}
 

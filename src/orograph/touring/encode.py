@@ -37,7 +37,7 @@ GIF_FPS = 100
 """Its delays are whole hundredths of a second (GIF89a, section 23)."""
 
 QUALITY = {"libx264": 18, "libvpx-vp9": 28}
-"""Constant rate factors that leave nothing to see: see ``--crf``."""
+"""Constant rate factors without visible loss: see ``--crf``."""
 
 BT709 = 1
 """ITU-T H.273: the code of BT.709 for primaries, transfer characteristics and matrix alike."""
@@ -49,13 +49,13 @@ NUMBERED = re.compile(r"%0?(\d*)d")
 
 
 class Writer(Protocol):
-    """Where frames go; a context manager. Nothing is left behind if it is left by an error."""
+    """Where frames go; a context manager. An error leaves nothing behind."""
 
     def add(self, number: int, pixels: Pixels) -> None:
         """The next frame: (height, width, 3) uint8, sRGB."""
 
     def has(self, number: int) -> bool:
-        """Whether this frame is there already, and need not be drawn."""
+        """Whether this frame exists already and need not be drawn."""
 
     def __enter__(self) -> Self: ...
 
@@ -70,7 +70,7 @@ def is_numbered(path: str | Path) -> bool:
 
 
 def check_movie(path: str | Path, size: tuple[int, int] | None, crf: int | None) -> None:
-    """Raise UsageError where a movie cannot be written so, before any work; OutputError where there is no folder."""
+    """Raise UsageError if such a movie cannot be written, before any work; OutputError if there is no folder."""
     out = Path(path)
     if is_numbered(out):
         from orograph.rendering.picture import picture_format
@@ -80,10 +80,12 @@ def check_movie(path: str | Path, size: tuple[int, int] | None, crf: int | None)
             out.name % 0
         except (TypeError, ValueError) as error:
             raise UsageError(
-                "The name of the frames has one number in it, such as %05d.", path=out, remedy="Write %% for a %."
+                "The name of the frames must contain one number, such as %05d.",
+                path=out,
+                remedy="Write %% for a literal %.",
             ) from error
         if crf is not None:
-            raise UsageError("`crf` is about video; pictures have no rate.")
+            raise UsageError("`crf` applies to video only, not to pictures.")
         return
     suffix = out.suffix.lower()
     if suffix not in CODECS:
@@ -92,13 +94,13 @@ def check_movie(path: str | Path, size: tuple[int, int] | None, crf: int | None)
             remedy="Use .mp4, .webm, .gif, or frames/%05d.png for pictures.",
         )  # fmt: skip
     if crf is not None and suffix == ".gif":
-        raise UsageError("`crf` is about video; a .gif has no rate.")
+        raise UsageError("`crf` applies to video only, not to a .gif.")
     check_folder(out)
     codec = CODECS[suffix][0]
     if size is not None and codec != "gif" and (size[0] % 2 or size[1] % 2):
         w, h = (v + v % 2 for v in size)
         raise UsageError(
-            f"Video has even numbers of pixels, and {size[0]} × {size[1]} is not.", path=out,
+            f"Video needs even numbers of pixels, which {size[0]} × {size[1]} is not.", path=out,
             remedy=f"Use `size={(w, h)}`.",
         )  # fmt: skip
     _av()
@@ -109,7 +111,7 @@ def check_movie(path: str | Path, size: tuple[int, int] | None, crf: int | None)
     except Exception as error:
         raise UsageError(
             f"This build of FFmpeg cannot write {suffix} ({codec} is missing).",
-            remedy="Use another ending, or frames/%05d.png for pictures.",
+            remedy="Use another format, or frames/%05d.png for pictures.",
         ) from error
 
 
@@ -123,7 +125,7 @@ def _av() -> Any:
         import av
     except ImportError as error:
         raise UsageError(
-            "Video is written by PyAV, which is not installed.",
+            "Writing video needs PyAV, which is not installed.",
             remedy="Install it (pip install 'orograph[movie]'), or write pictures: -o frames/%05d.png.",
         ) from error
     return av
@@ -148,7 +150,8 @@ class Video:
         self.codec, self.format = CODECS[self.path.suffix.lower()]
         if self.codec == "gif" and fps > GIF_FPS:
             raise UsageError(
-                f"A .gif has at most {GIF_FPS} frames a second, not {fps:g}.", remedy="Give fewer, or make an .mp4."
+                f"A .gif can have at most {GIF_FPS} frames a second, not {fps:g}.",
+                remedy="Give fewer, or make an .mp4.",
             )
         self.crf, self.jobs = QUALITY.get(self.codec) if crf is None else crf, jobs
         self.beside = Beside(self.path)
@@ -289,8 +292,8 @@ class Pictures:
             others = known is None and any(self._frames())
             if not self.overwrite and (others or known not in (None, self.fingerprint)):
                 raise UsageError(
-                    "There are frames of another film (or of another size, light, …) here.", path=folder,
-                    remedy="Choose another folder, or draw over them with `overwrite=True`.",
+                    "This folder holds frames of another film (or of another size, light, …).", path=folder,
+                    remedy="Choose another folder, or replace them with `overwrite=True`.",
                 )  # fmt: skip
             with Beside(self.sign) as part:
                 part.write_text(self.fingerprint + "\n", encoding="ascii")
@@ -303,7 +306,7 @@ class Pictures:
         return self
 
     def _tidy(self) -> None:
-        """Without a frame there is nothing to take up again: leave no sign of the film, nor folders made for it."""
+        """Without a frame there is nothing to resume: remove the film's marker and the folders made for it."""
         with contextlib.suppress(OSError):
             if not self._frames():
                 remove(self.sign)

@@ -69,7 +69,7 @@ class Film:
         end = count if last is None else round(last * self.tour.fps)
         if not 0 <= begin < end <= count:
             what = f"{0 if first is None else first:g} to {self.tour.duration if last is None else last:g} s"
-            raise UsageError(f"From {what} there is no frame: the tour takes {self.tour.duration:g} s, at "
+            raise UsageError(f"From {what} there are no frames: the tour takes {self.tour.duration:g} s, at "
                              f"{self.tour.fps:g} frames per second.")  # fmt: skip
         self.numbers = range(begin, end)
         self.course = Course(self.tour, scene.terrain, progress)

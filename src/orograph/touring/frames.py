@@ -22,7 +22,7 @@ from orograph.rendering.memory import WORKER, worker_memory
 from orograph.scene.scene import Scene
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
-from orograph.store.in_parts import Part, missing_parts, share
+from orograph.store.in_parts import Part, share
 from orograph.store.worker_state import WorkerState
 from orograph.touring.encode import Pictures, Pixels, Video
 from orograph.touring.film import Film
@@ -59,7 +59,7 @@ class FilmRecipe(NamedTuple):
         if film.fingerprint() != self.fingerprint:
             raise StoreError(
                 "A worker has another terrain, or another release of Orograph, than the process that films.",
-                path=self.scene.terrain.name, remedy="See that all of them have the same.",
+                path=self.scene.terrain.name, remedy="Make sure that all of them have the same.",
             )  # fmt: skip
         return _FilmState(Frames(film, pictures_of(self.path, film, self.dpi)))
 
@@ -166,21 +166,6 @@ def draw_part(stage: Frames, part: Part, progress: Progress) -> int:
                 drawn += 1
             task.advance()
     return drawn
-
-
-def gather(stage: Frames, count: int, film: str, progress: Progress) -> None:
-    """Go through the frames that parts have drawn; ``film``: what an error calls it.
-
-    Raises:
-        StoreError: some are missing; the parts that lack them are named.
-    """
-    left = [spot for spot in stage.tasks() if not stage.kept(spot)]
-    if left:
-        raise missing_parts(stage, left, count, film)
-    with progress.task("Gathering the frames", total=len(stage.tasks())) as task:
-        for spot in stage.tasks():
-            stage.add(spot, ())
-            task.advance()
 
 
 def pixels_of(path: Path) -> Pixels:

@@ -1,6 +1,6 @@
-"""Key frames: where the camera stands at a moment of a tour, under which light, how far heights are stretched.
+"""Key frames: the camera at a moment of a tour, the light, and the exaggeration.
 
-A key says the camera in one of three ways, in the terrain's CRS or, with ``crs``, in any (see ``View.from_dict``):
+A key gives the camera in one of three ways, in the terrain's CRS or, with ``crs``, in any (see ``View.from_dict``):
 
 - ``eye`` and ``target``, as VIEW.json has them;
 - ``target``, ``azimuth``, ``pitch`` and ``distance``: the eye stands at that azimuth of the target (degrees clockwise
@@ -26,20 +26,20 @@ from orograph.scene.parts import check_exaggeration
 from orograph.viewpoint import Point, View
 
 Path = Literal["spline", "orbit", "zoom"]
-"""How the camera goes on from a key to the next."""
+"""How the camera moves from a key to the next."""
 
 SETTINGS = ("exaggeration", "tolerance", "relief", "water")
-"""What a key may say of the scene, besides its sun: numbers, as in ``picture.Scene``."""
+"""What a key may set in the scene, besides its sun: numbers, as in ``picture.Scene``."""
 
 CAMERA = ("eye", "target", "up", "fov_y", "width", "height", "near", "far", "projection", "crs")
 ANGLES = ("azimuth", "heading", "pitch", "distance")
 WAY = ("time", "hold", "stop", "path", "turns")
 FIELDS = (*WAY, *CAMERA, *ANGLES, "sun", *SETTINGS, "layers")
 INHERITED = ("up", "fov_y", "width", "height", "near", "far", "projection", "crs", "path", "sun", *SETTINGS, "layers")
-"""What may be said once for all keys, beside them."""
+"""What may be given once for all keys."""
 
 ARM = 1000.0
-"""Metres from the eye to the target of a key that says a heading and no distance."""
+"""Metres from the eye to the target of a key with a heading and no distance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +73,13 @@ class Key:
 
     def __post_init__(self) -> None:
         if self.time is not None and not 0 <= self.time < math.inf:
-            raise UsageError(f'The "time" is in seconds from the beginning, 0 or more, not {self.time:g}.')
+            raise UsageError(f'The "time" must be in seconds from the beginning, 0 or more, not {self.time:g}.')
         if not 0 <= self.hold < math.inf:
-            raise UsageError(f'The "hold" is how many seconds the camera stays, 0 or more, not {self.hold:g}.')
+            raise UsageError(f'The "hold" must be how many seconds the camera stays, 0 or more, not {self.hold:g}.')
         if self.path not in get_args(Path):
-            raise UsageError(f'The "path" is one of {", ".join(get_args(Path))}, not {self.path!r}.')
+            raise UsageError(f'The "path" must be one of {", ".join(get_args(Path))}, not {self.path!r}.')
         if self.turns and self.path != "orbit":
-            raise UsageError(f'"turns" are those of an "orbit", and the "path" is {self.path!r}.')
+            raise UsageError(f'"turns" apply to an "orbit" only, but the "path" is {self.path!r}.')
         if self.exaggeration is not None:
             check_exaggeration(self.exaggeration)
         for name in ("tolerance", "relief"):
@@ -100,7 +100,7 @@ class Key:
         """
         unknown = set(values) - set(FIELDS)
         if unknown:
-            raise UsageError(f"There is no {sorted(unknown)[0]!r} in a key; there are {', '.join(FIELDS)}.")
+            raise UsageError(f"There is no {sorted(unknown)[0]!r} in a key; its entries are {', '.join(FIELDS)}.")
         given = {k: v for k, v in values.items() if v is not None}
         view = View.from_dict(_camera(given, crs), crs=crs)
         more: dict[str, Any] = {}
@@ -109,12 +109,12 @@ class Key:
                 more[name] = number(given[name], f'The "{name}"')
         if "stop" in given:
             if not isinstance(given["stop"], bool):
-                raise UsageError(f'"stop" is true or false, not {given["stop"]!r}.')
+                raise UsageError(f'"stop" must be true or false, not {given["stop"]!r}.')
             more["stop"] = given["stop"]
         if "turns" in given:
             turns = number(given["turns"], '"turns"')
             if turns != int(turns):
-                raise UsageError(f'"turns" are whole ones, not {turns:g}.')
+                raise UsageError(f'"turns" must be an integer, not {turns:g}.')
             more["turns"] = int(turns)
         if "path" in given:
             more["path"] = given["path"]
@@ -143,11 +143,11 @@ class Key:
 def _layers(value: Any) -> tuple[Layer, ...]:
     """A list of layers, each an object with a path or a text as for ``--drape``."""
     if not isinstance(value, list | tuple):
-        raise UsageError(f'The "layers" are a list of images, bottom to top, not {value!r}.')
+        raise UsageError(f'The "layers" must be a list of images, bottom to top, not {value!r}.')
     made = []
     for one in value:
         if not isinstance(one, str | Mapping):
-            raise UsageError(f'A layer is a path or an object with a "path", not {one!r}.')
+            raise UsageError(f'A layer must be a path or an object with a "path", not {one!r}.')
         made.append(Layer.parse(one) if isinstance(one, str) else Layer.from_dict(one))
     return layers_of(made)
 
@@ -159,7 +159,7 @@ def looking(heading: float, pitch: float) -> Point:
 
 
 def _camera(given: Mapping[str, Any], crs: Any) -> dict[str, Any]:
-    """VIEW.json's keys, whichever way the camera is said."""
+    """VIEW.json's keys, whichever way the camera is given."""
     plain = {k: given[k] for k in CAMERA if k in given}
     angles = [name for name in ANGLES if name in given]
     if not angles:
@@ -167,7 +167,7 @@ def _camera(given: Mapping[str, Any], crs: Any) -> dict[str, Any]:
             if name not in given:
                 raise UsageError(
                     f"The camera lacks {name!r}: three numbers.",
-                    remedy='Or say "target", "azimuth", "pitch" and "distance", or "eye", "heading" and "pitch".'
+                    remedy='Or give "target", "azimuth", "pitch" and "distance", or "eye", "heading" and "pitch".'
                     if other in given
                     else "",
                 )
@@ -181,13 +181,13 @@ def _camera(given: Mapping[str, Any], crs: Any) -> dict[str, Any]:
             raise UsageError(f'The camera lacks "{name}": with {" and ".join(angles)} there are {", ".join(wanted)}.')
     wrong = "heading" if about else "azimuth"
     if wrong in given:
-        raise UsageError(f'"{wrong}" is said beside {"an eye" if about else "a target"}, not beside the other.')
+        raise UsageError(f'"{wrong}" goes with {"an eye" if about else "a target"} only.')
     pitch = number(given["pitch"], 'The "pitch"')
     if not -90 <= pitch <= 90:
-        raise UsageError(f'The "pitch" is the angle of looking down, −90 to 90 degrees, not {pitch:g}.')
+        raise UsageError(f'The "pitch" must be the downward angle, −90 to 90 degrees, not {pitch:g}.')
     distance = number(given.get("distance", ARM), 'The "distance"')
     if not distance > 0:
-        raise UsageError(f'The "distance" is in metres, more than 0, not {distance:g}.')
+        raise UsageError(f'The "distance" must be in metres, more than 0, not {distance:g}.')
     name = "target" if about else "eye"
     place = _place(given, name, crs)
     if about:

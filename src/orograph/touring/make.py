@@ -79,9 +79,9 @@ def orbit(
             valid.
     """
     if not 0 < seconds < math.inf:
-        raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
+        raise UsageError(f"The seconds of a tour must be more than 0, not {seconds:g}.")
     if turns == 0:
-        raise UsageError("An orbit goes round at least once: its turns are 1, −1, 2, …")
+        raise UsageError("An orbit needs at least one turn: turns must be 1, −1, 2, …")
     if around is None:
         view, above = _around(terrain, size, azimuth, pitch, distance, fov_y, exaggeration), None
     else:
@@ -155,24 +155,24 @@ def flyover(
     line = line[np.concatenate([[True], steps > 0])]
     far = np.concatenate([[0.0], np.cumsum(steps[steps > 0])])
     if len(line) < 2:
-        raise UsageError("A line to fly along has at least two places.")
+        raise UsageError("A line to fly along needs at least two points.")
     if not np.isfinite(highest(terrain, line)).any():
         raise UsageError(
-            "The line lies beside the terrain.", path=terrain.name,
-            remedy="Its places are longitude and latitude (or in the terrain's CRS, with `line_crs`).",
+            "The line lies outside the terrain.", path=terrain.name,
+            remedy="Its points must be longitude and latitude (or in the terrain's CRS, with `line_crs`).",
         )  # fmt: skip
     for x, y in line:
         if far_outside(terrain.grid, x, y):
             raise UsageError(
-                f"The line goes far beyond the terrain, to {x:.10g}, {y:.10g} in its CRS.", path=terrain.name,
-                remedy="Longitude comes first, then latitude; `line_crs` says if they are in another CRS.",
+                f"The line extends far beyond the terrain, to {x:.10g}, {y:.10g} in its CRS.", path=terrain.name,
+                remedy="Longitude comes first, then latitude; use `line_crs` for another CRS.",
             )  # fmt: skip
     if height is None:
         height = min(max(far[-1] / 15, 50.0), 3000.0)
     if not 0 < height < math.inf:
-        raise UsageError(f"`height` is in metres above the ground, more than 0, not {height:g}.")
+        raise UsageError(f"`height` must be in metres above the ground, more than 0, not {height:g}.")
     if seconds is not None and not 0 < seconds < math.inf:
-        raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
+        raise UsageError(f"The seconds of a tour must be more than 0, not {seconds:g}.")
     ahead = AHEAD * height
     speed = ahead / CRUISE * 3 if speed is None else speed
     count = max(2, math.ceil(far[-1] / (ahead / KEYS_PER_LOOK)) + 1)
@@ -261,19 +261,19 @@ def _about(
     """The view of a place from a side, at a distance or with a radius of ground around it in view from every side."""
     camera.check_around(azimuth, pitch, distance, exaggeration)
     if len(around) not in (2, 3):
-        raise UsageError(f"A place to go round is (longitude, latitude[, radius]), not {around!r}.")
+        raise UsageError(f"A place to orbit must be (longitude, latitude[, radius]), not {around!r}.")
     x, y = place(terrain.grid, *around[:2])
     far = beyond(terrain.grid, x, y)
     if far is not None:
         raise UsageError(
-            f"The place to go round lies {far}.", path=terrain.name,
-            remedy="Longitude comes first, then latitude; orograph info tells where the terrain lies.",
+            f"The place to orbit lies {far}.", path=terrain.name,
+            remedy="Longitude comes first, then latitude; orograph info shows where the terrain is.",
         )  # fmt: skip
     if distance is None:
         sides = (n * s for n, s in zip(terrain.grid.shape[::-1], terrain.grid.spacing))
         radius = around[2] if len(around) == 3 else min(sides) / 4
         if not 0 < radius < math.inf:
-            raise UsageError(f"The radius around a place is in metres, more than 0, not {radius:g}.")
+            raise UsageError(f"The radius around a place must be in metres, more than 0, not {radius:g}.")
         # A ball of this radius is in view whatever the side and the pitch.
         half = math.atan(math.tan(math.radians(fov_y) / 2) * min(1.0, size[0] / size[1]))
         distance = radius / math.sin(half)
@@ -323,7 +323,7 @@ def to_crs(places: Sequence[Sequence[float]], crs: Any, line_crs: Any = None) ->
     found = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], 1)
     if not np.isfinite(found).all():
         wrong = given[~np.isfinite(found).all(1)][0]
-        raise UsageError(f"The place {wrong[0]:g}, {wrong[1]:g} cannot be brought to the terrain's projection.")
+        raise UsageError(f"The place {wrong[0]:g}, {wrong[1]:g} cannot be transformed to the terrain's CRS.")
     return found
 
 

@@ -1,4 +1,4 @@
-"""When a tour is where: its keys sorted into ways, where it rests, and, if it has a speed, the times that follow.
+"""The schedule of a tour: its keys sorted into ways, where it rests, and, if it has a speed, the resulting times.
 
 Keys i … j that are joined in the same manner are one way; a zoom joins two keys. A key with ``hold`` stands twice in
 its way, at both times. At rest are the ends of ways, unless the tour begins or ends there without easing, or loops in
@@ -80,9 +80,9 @@ class Schedule:
         else:
             for i, key in enumerate(keys):
                 if key.time is not None:
-                    raise UsageError(f'Key {i} has a "time", and the tour a "speed", from which times follow.')
+                    raise UsageError(f'Key {i} has a "time", but the tour a "speed", which determines the times.')
             if seconds is not None:
-                raise UsageError('"seconds" follow from the "speed": give one of the two.')
+                raise UsageError('"seconds" and "speed" determine each other: give one of the two.')
             times, total = [], 0.0
         ways: list[tuple[float, float, Way]] = []
         for part in _parts(keys, loop, ease):
@@ -106,7 +106,7 @@ class Schedule:
 
 
 def closed(keys: Sequence[Key], loop: bool) -> bool:
-    """Whether the last key leads to the first again: in a loop, but for a single key that does not go round."""
+    """Whether the last key leads back to the first: in a loop, except for a single key that does not orbit."""
     return loop and (len(keys) > 1 or keys[0].turns != 0)
 
 
@@ -118,23 +118,26 @@ def _given(keys: Sequence[Key], seconds: float | None, loop: bool) -> list[float
             if i == 0:
                 times.append(0.0)
                 continue
-            raise UsageError(f'The "time" of key {i} is missing.', remedy='Give it in seconds, or the tour a "speed".')
+            raise UsageError(
+                f'The "time" of key {i} is missing.', remedy='Give it in seconds, or give the tour a "speed".'
+            )
         if i and not key.time > times[-1] + keys[i - 1].hold:
             held = f" and its hold of {keys[i - 1].hold:g} s" if keys[i - 1].hold else ""
             raise UsageError(
-                f"Keys are in the order of their times, but key {i} ({key.time:g} s) does not follow key {i - 1} "
-                f"({times[-1]:g} s{held})."
+                f"Keys must be in the order of their times, but key {i} ({key.time:g} s) does not come after key "
+                f"{i - 1} ({times[-1]:g} s{held})."
             )
         times.append(float(key.time))
     ends = times[-1] + keys[-1].hold
     if seconds is None:
         if closed(keys, loop):
-            raise UsageError('A loop needs "seconds": when the camera is back at the first key.')
+            raise UsageError('A loop needs "seconds": the time when the camera is back at the first key.')
     elif not math.isfinite(seconds) or seconds < ends:
-        raise UsageError(f'The tour ends at {seconds:g} s ("seconds"), before its last key is done at {ends:g} s.')
+        raise UsageError(f'The tour ends at {seconds:g} s ("seconds"), before its last key ends at {ends:g} s.')
     if closed(keys, loop) and seconds is not None and not seconds + times[0] > ends:
         raise UsageError(
-            f'The loop is closed at {seconds:g} s ("seconds"), as its last key ends: there is no way back.'
+            f'The loop is closed at {seconds:g} s ("seconds"), when its last key ends: no time is left for the way '
+            "back."
         )
     return times
 
@@ -215,9 +218,8 @@ def _paced(
     for k, (a, b) in enumerate(pairwise(lengths)):
         if not b > a:
             raise UsageError(
-                f"The eye does not move from key {part.first + k} to the next, so a speed does not tell how long that "
-                "takes.",
-                remedy='Use a "hold" on one key in their place, or give the keys times.',
+                f"The eye does not move from key {part.first + k} to the next, so a speed gives no duration.",
+                remedy='Replace them by one key with a "hold", or give the keys times.',
             )
     stops = {k for k, key in enumerate(keys) if key.hold or key.stop}
     if part.loop and 0 in stops:

@@ -1,4 +1,4 @@
-"""A terrain as a picture stretches it: what is judged by how it looks is judged on this."""
+"""A terrain with a picture's exaggeration, for judging how it looks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orograph.viewpoint import View
 
 
 class Stretched(Terrain):
-    """A terrain whose heights are so many times as high; its errors and layers are not to be had."""
+    """A terrain with exaggerated heights; its errors and layers are not available."""
 
     def __init__(self, terrain: Terrain, times: float) -> None:
         self.grid, self.name, self.vertical = terrain.grid, terrain.name, terrain.vertical

@@ -39,14 +39,14 @@ from orograph.viewpoint import View
 DEFAULT_FPS = 30.0
 MOST_FRAMES = 1_000_000
 FORMAT = 1
-"""The version of the file's format; ``"tour": 1`` in the file says so, and may be left out."""
+"""The version of the file's format; ``"tour": 1`` in the file gives it, and may be omitted."""
 
 OWN = ("tour", "fps", "seconds", "loop", "ease", "aim", "speed", "above_ground", "keys")
 
 
 @dataclass(frozen=True, slots=True)
 class Tour:
-    """A camera's way through key frames (see the module's text).
+    """A camera's path through key frames (see the module).
 
     Attributes:
         keys: the key frames.
@@ -99,23 +99,23 @@ class Tour:
 
     def _check(self) -> None:
         if not self.keys:
-            raise UsageError("A tour has at least one key.")
+            raise UsageError("A tour needs at least one key.")
         if not 0 < self.fps < math.inf:
-            raise UsageError(f'"fps" is the number of frames in a second, more than 0, not {self.fps:g}.')
+            raise UsageError(f'"fps" must be the number of frames per second, more than 0, not {self.fps:g}.')
         if self.aim not in ("target", "direction"):
-            raise UsageError(f'"aim" is "target" or "direction", not {self.aim!r}.')
+            raise UsageError(f'"aim" must be "target" or "direction", not {self.aim!r}.')
         if self.speed is not None and not 0 < self.speed < math.inf:
-            raise UsageError(f'"speed" is in metres per second, more than 0, not {self.speed:g}.')
+            raise UsageError(f'"speed" must be in metres per second, more than 0, not {self.speed:g}.')
         if self.above_ground is not None and not 0 <= self.above_ground < math.inf:
-            raise UsageError(f'"above_ground" is in metres, 0 or more, not {self.above_ground:g}.')
+            raise UsageError(f'"above_ground" must be in metres, 0 or more, not {self.above_ground:g}.')
         first = self.keys[0].view
         for i, key in enumerate(self.keys):
             if key.view.part is not None:
-                raise UsageError(f"Key {i} is a tile of a view; a tour is made of whole ones.")
+                raise UsageError(f"Key {i} is a tile of a view; a tour needs whole views.")
             for name in SAME:
                 if getattr(key.view, name) != getattr(first, name):
-                    raise UsageError(f"All keys have the same {name}, but key {i} has {getattr(key.view, name)} and "
-                                     f"key 0 {getattr(first, name)}.")  # fmt: skip
+                    raise UsageError(f"All keys must have the same {name}, but key {i} has {getattr(key.view, name)} "
+                                     f"and key 0 {getattr(first, name)}.")  # fmt: skip
             if key.path == "zoom" and (i + 1 < len(self.keys) or self.loop) and self.speed is not None:
                 raise UsageError(
                     f'Key {i}: a "zoom" has no speed in metres per second.',
@@ -123,7 +123,8 @@ class Tour:
                 )
 
     def _channel(self, values: Sequence[float | None], around: float = 0.0) -> Monotone:
-        """A number through the keys that say it; in a loop it comes back to itself, but for multiples of ``around``."""
+        """A number interpolated between the keys that give it; in a loop it returns to itself, up to multiples of
+        ``around``."""
         times: list[float] = []
         known: list[float] = []
         for time, key, value in zip(self._schedule.times, self.keys, values):
@@ -146,7 +147,7 @@ class Tour:
         if not kinds:
             return None, ()
         if len(kinds) > 1:
-            raise UsageError("The suns of all keys are either directions or moments, not some of each.")
+            raise UsageError("The suns of all keys must be all directions or all times, not a mixture.")
         kind = kinds.pop()
         if kind is Moment:
             return kind, (self._channel([s.when.timestamp() if isinstance(s, Moment) else None for s in suns]),)
@@ -209,12 +210,12 @@ class Tour:
                 f"{', '.join(INHERITED)}."
             )
         if values.get("tour") not in (None, FORMAT):
-            raise UsageError(f"This tour is of format {values['tour']!r}; here format {FORMAT} is known.")
+            raise UsageError(f"This tour is of format {values['tour']!r}; this release reads format {FORMAT}.")
         keys = values.get("keys")
         if keys is None:
             raise UsageError('A tour lacks "keys": a list of cameras, each with a "time" in seconds.')
         if not isinstance(keys, Sequence) or isinstance(keys, str):
-            raise UsageError('"keys" of a tour is a list of cameras, each with a "time" in seconds.')
+            raise UsageError('"keys" of a tour must be a list of cameras, each with a "time" in seconds.')
         if not keys:
             raise UsageError(
                 'The list "keys" of the tour is empty.', remedy='Give it cameras, each with a "time" in seconds.'
@@ -223,7 +224,7 @@ class Tour:
         made = []
         for i, key in enumerate(keys):
             if not isinstance(key, Mapping):
-                raise UsageError(f'Key {i} is no JSON object with a "time", an "eye" and a "target".')
+                raise UsageError(f'Key {i} is not a JSON object with a "time", an "eye" and a "target".')
             try:
                 made.append(Key.from_dict({**common, **key}, crs=crs))
             except UsageError as error:
@@ -235,7 +236,7 @@ class Tour:
         for name in ("loop", "ease"):
             if name in values:
                 if not isinstance(values[name], bool):
-                    raise UsageError(f'"{name}" is true or false, not {values[name]!r}.')
+                    raise UsageError(f'"{name}" must be true or false, not {values[name]!r}.')
                 more[name] = values[name]
         if "aim" in values:
             more["aim"] = values["aim"]
@@ -246,7 +247,7 @@ class Tour:
         """Read a tour's file.
 
         Raises:
-            ReadError: the file cannot be read, or is no JSON object. UsageError: as ``from_dict``, naming the file.
+            ReadError: the file cannot be read, or is not a JSON object. UsageError: as ``from_dict``, naming the file.
         """
         values = load_object(path, "tour", "keys")
         with naming(path):
@@ -298,7 +299,7 @@ class Tour:
         return max(1, round(self.duration * self.fps))
 
     def moment(self, time: float) -> float:
-        """The time within the tour: a loop goes round, any other rests at its ends."""
+        """The time within the tour: a loop wraps around, any other tour rests at its ends."""
         if self.loop and self.duration > 0:
             return self.times[0] + (time - self.times[0]) % self.duration
         return min(max(time, 0.0), self.duration)
@@ -315,7 +316,7 @@ class Tour:
         return way.view(time)
 
     def settings(self, time: float) -> dict[str, float]:
-        """The scene's numbers that the tour says, at a time: of ``keys.SETTINGS`` those that some key has."""
+        """The scene's numbers that the tour sets, at a time: those of ``keys.SETTINGS`` that some key has."""
         time = self.moment(time)
         return {name: channel(time) for name, channel in self._settings.items()}
 
@@ -340,16 +341,16 @@ class Tour:
         return Placed(channels[0](time) % 360.0, channels[1](time))
 
     def frames(self) -> Iterator[View]:
-        """The cameras of all frames; frame k is that at k/fps seconds. So a tour can stand where a flight does."""
+        """The cameras of all frames; frame k is at k/fps seconds. So a tour can replace a flight."""
         return (self.at(k / self.fps) for k in range(len(self)))
 
     def resized(self, width: int, height: int) -> Self:
-        """The same tour in pictures of another size."""
+        """The same tour with pictures of another size."""
         return replace(self, keys=tuple(replace(k, view=k.view.resized(width, height)) for k in self.keys))
 
 
 def moves(path: str | Path, *, crs: Any = None) -> Flight | Tour:
-    """A moving camera from a file: a flight, gone along as flights always are, or a tour if it says what only tours do.
+    """A moving camera from a file: a tour if the file has something that only tours have, otherwise a flight.
 
     Raises:
         ReadError, UsageError: as ``Flight.load`` and ``Tour.load``.

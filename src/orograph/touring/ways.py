@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 Pace = Callable[[float], float]
 
 RHO = 1.42
-"""van Wijk & Nuij 2003, section 6: how much users like zooming against panning."""
+"""van Wijk & Nuij 2003, section 6: how much users prefer zooming to panning."""
 
 FINE, COARSE = 512, 128
 """Chords by which a span of a spline, and of an orbit, is measured: lengths to 1e-5 where it turns by less than 90°,
@@ -86,7 +86,7 @@ class Curve:
 
 
 class _Lens:
-    """What all ways do with the field of view and the picture's up."""
+    """What all ways share: the field of view and the picture's up direction."""
 
     def __init__(self, times: Sequence[float], views: Sequence[View], rests: Collection[int], loop: bool) -> None:
         self.first = views[0]
@@ -101,7 +101,7 @@ class _Lens:
     def seen(self, eye: Array, target: Array, time: float) -> View:
         if not np.linalg.norm(target - eye) > 1e-6 * (1.0 + float(np.abs(eye).max())):
             raise UsageError(
-                f"At {time:g} s the camera flies through what it looks at, and has no direction there.",
+                f"At {time:g} s the camera flies through its target, and has no direction there.",
                 remedy='Move a key, or use "aim": "direction".',
             )
         return replace(self.first, eye=tuple(eye), target=tuple(target), up=tuple(self.up(time)),

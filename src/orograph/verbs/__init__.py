@@ -1,1 +1,1 @@
-"""What the command line can do as functions of the same names, for those whose room is none of the others."""
+"""The command line's verbs as functions of the same names, where no other package holds them."""

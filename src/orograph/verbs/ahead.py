@@ -1,7 +1,7 @@
-"""The program that compiles the kernels of the other verbs once a first one has compiled its own.
+"""The program that compiles the other verbs' kernels once a first verb has compiled its own.
 
 ``python -m orograph.verbs.ahead`` does on a small hill, in a temporary folder, what people do next: build, tessellate,
-measure, map light, draw a map, triangulate. Its results are thrown away; Numba keeps the kernels (see ``compiling``).
+measure, map light, draw a map, triangulate. It discards the results; Numba keeps the kernels (see ``compiling``).
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from affine import Affine
 from orograph.folders import temporary
 
 SIDE = 300
-"""Samples of the hill along a side: more than one tile."""
+"""Samples along a side of the hill: more than one tile."""
 
 
 def write_hills(folder: Path) -> tuple[Path, Path]:
-    """Write a hill with a hole and level ground: whole metres in degrees, and fractions of metres in metres."""
+    """Write a hill with a hole and level ground, once as whole metres in degrees and once as fractions of metres in
+    metres."""
     import rasterio
 
     x = np.linspace(-2, 2, SIDE)
@@ -41,8 +42,8 @@ def write_hills(folder: Path) -> tuple[Path, Path]:
 
 
 def steps(folder: Path) -> list[Callable[[], Any]]:
-    """What people do after a first picture or build, the most usual first; of rasters and of stores, whose heights
-    are other arrays to Numba."""
+    """What people do after a first picture or build, the most usual first; from rasters and from stores, whose heights
+    have another array type for Numba."""
     import orograph
     from orograph.rendering.gpu.draw import draw
     from orograph.scene.scene import Scene
@@ -79,12 +80,12 @@ def steps(folder: Path) -> list[Callable[[], Any]]:
 
 
 def compile_verbs() -> None:
-    """Compile the kernels of the usual verbs; what an extra lacks is left out."""
+    """Compile the kernels of the usual verbs; skip those whose extras are missing."""
     if hasattr(os, "nice"):
         os.nice(19)
     with temporary() as folder:
         for step in steps(Path(folder)):
-            with contextlib.suppress(Exception):  # nobody looks at this: the verb itself will say what is wrong
+            with contextlib.suppress(Exception):  # nobody reads this: the verb itself will report what is wrong
                 step()
 
 

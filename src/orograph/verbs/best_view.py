@@ -1,4 +1,4 @@
-"""``orograph.best_view``: of all cameras that are allowed, those that show a target best (``touring.best_view``)."""
+"""``orograph.best_view``: of all allowed cameras, those that show a target best (``touring.best_view``)."""
 
 from __future__ import annotations
 
@@ -44,31 +44,32 @@ def best_view(
 ) -> BestViews:
     """The views that show most of a target: unoccluded, large, little foreshortened, and different from each other.
 
-    The first view has the highest score of all cameras that are allowed, each next one adds most to those before it.
-    The score is the part of the target that a view shows, each piece by its size in the picture (docs/best-view.md).
-    All cameras look at the target's middle.
+    The first view has the highest score of all allowed cameras; each further view adds most to those before it. The
+    score is the part of the target that a view shows, each piece by its size in the picture (docs/best-view.md). All
+    cameras look at the target's middle.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
-        target: a GeoJSON file or object of points, lines and polygons, or what has ``__geo_interface__``; or places
-            (n, 2), or a pair of arrays (x, y), in the terrain's CRS. Every geometry counts alike.
+        target: a GeoJSON file or object of points, lines and polygons, or an object with ``__geo_interface__``; or
+            places (n, 2), or a pair of arrays (x, y), in the terrain's CRS. Every geometry counts alike.
         k: how many views.
         size: (width, height) of the pictures.
-        azimuths: the sides of the target that cameras may stand at, degrees clockwise from north; a number: so many,
-            evenly. pitches: degrees by which they look down; None: 5 to 50, unless heights are given.
+        azimuths: the sides of the target that cameras may stand at, degrees clockwise from north; a number n: n
+            directions, evenly spaced. pitches: degrees by which they look down; None: 5 to 50, unless heights are
+            given.
         heights: metres above the ground that cameras stand on. distances: metres over the ground, from the target's
             middle; none: 0.75 to 3 times that from which all of the target is in the picture.
         fov: vertical field of view, degrees; or several.
         clearance: metres above the ground that every eye is at least.
         target_height: metres above the ground of what is to be seen.
-        sun: prefer what it lights: as ``orograph.render`` takes it; None: all light is alike.
+        sun: prefer what this sun lights, given as for ``orograph.render``; None: light does not matter.
         apart: degrees between the directions of any two views, seen from the target.
-        pieces: about how many pieces the target is judged by.
-        max_memory: bytes that heights may take. jobs: threads; results do not depend on them. progress: hears of it;
-            False: nothing is said.
+        pieces: about how many pieces the target is divided into for scoring.
+        max_memory: bytes that heights may take. jobs: threads; results do not depend on them. progress: gets progress
+            reports; False: silent.
 
     Raises:
-        ReadError: the target cannot be read, or is empty. UsageError: it lies beside the terrain, no camera is above
+        ReadError: the target cannot be read, or is empty. UsageError: it lies outside the terrain, no camera is above
         the ground, or a number is out of its range.
     """
     max_memory = bytes_of(max_memory)

@@ -1,4 +1,4 @@
-"""``orograph.check``: whether a store is sound, to the last byte."""
+"""``orograph.check``: verify every byte of a store."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from orograph.store.stored import open as open_store
 def check(
     store: StoredTerrain | str | os.PathLike[str], *, jobs: int | None = None, progress: Progress | bool | None = None
 ) -> list[Damage]:
-    """Read every byte of a store, and tell what is damaged, missing or not in its place; an empty list: it is sound.
+    """Read every byte of a store, and list what is damaged, missing or out of place; an empty list means that it is
+    sound.
 
     Args:
         store: opened, or its path or URL. jobs: threads; None: all processors.
-        progress: hears of it; False: nothing is said.
+        progress: gets progress reports; False: silent.
 
     Raises:
         StoreError: it cannot be read, or was replaced meanwhile.

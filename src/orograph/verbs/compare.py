@@ -1,4 +1,4 @@
-"""``orograph.compare``: methods on the same views or the same flight, measured by the same referee."""
+"""``orograph.compare``: compare methods on the same views or the same flight, measured by the same referee."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ COLUMNS: dict[str, Callable[[Measurement], str]] = {
     "rms px": lambda m: _pixels(m.rms), "largest px": lambda m: _pixels(m.largest),
     "conservative": lambda m: "yes" if m.conservative else "no",
 }  # fmt: skip
-"""The columns of a table of measurements, and how each is written."""
+"""The columns of a table of measurements, and their formats."""
 
 SIZE = (1280, 720)
-"""Pixels of the usual views."""
+"""Size of the default views, pixels."""
 
 JUDGED = 12
-"""Frames of a flight that the referee sees unless more are asked for."""
+"""Default number of frames of a flight that the referee judges."""
 
 
 class Comparison(dict[str, Measurement]):
     """Measurements by method, which read as a table.
 
     Attributes:
-        terrain: which. goal: what was asked for. exaggeration: of heights on the screen.
+        terrain: its name. goal: the goal that was given. exaggeration: of heights on the screen.
         views: the cameras by name; of a flight its frames by number. flight: whether they are a flight's.
     """
 
@@ -62,11 +62,11 @@ class Comparison(dict[str, Measurement]):
 
     @property
     def broken(self) -> list[str]:
-        """Methods whose promise does not hold: a fault of Orograph."""
+        """Methods that broke their promise: a fault of Orograph."""
         return [name for name, m in self.items() if m.kept is False]
 
     def rows(self) -> list[list[str]]:
-        """The table's cells, its heads first."""
+        """The table's cells, headings first."""
         return [
             ["method", *COLUMNS],
             *([name, *(text_of(m) for text_of in COLUMNS.values())] for name, m in self.items()),
@@ -88,7 +88,7 @@ class Comparison(dict[str, Measurement]):
 
 @dataclass(frozen=True, slots=True)
 class _Means:
-    """What methods are made with."""
+    """What methods are created with."""
 
     terrain: Terrain
     goal: Goal
@@ -127,17 +127,17 @@ def compare(
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         views: the cameras, or the path of a JSON list of them; None: an overview, a low oblique view, straight down.
-        flight: frame by frame instead: a flight, a tour, or the path of one. judged: frames of it that the referee
-            sees, evenly spread; None: 12.
+        flight: compare frame by frame along a flight, a tour, or the path of one. judged: how many of its frames the
+            referee judges, evenly spread; None: 12.
         methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
         tolerance: pixels; None: 1, unless ``triangles`` (at most so many) are the goal.
-        conservative: refuse methods with which the tolerance is no promise.
+        conservative: refuse methods that do not guarantee the tolerance.
         drape: the image whose colours a method's color-tolerance looks at.
         exaggeration: how heights are stretched on the screen.
-        size: of the views, pixels; None: their own, of the usual ones 1280 × 720.
+        size: of the views, pixels; None: their own; of the default views, 1280 × 720.
         picture: also draw the first view's meshes side by side, into this file.
-        dpi: dots per inch that the picture's file says; None: nothing.
-        max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
+        dpi: dots per inch to write into the picture's file; None: none.
+        max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Returns:
         a ``verify.measure.Measurement`` by method; they print as a table.
@@ -151,7 +151,7 @@ def compare(
     if views is not None and flight is not None:
         raise UsageError("Give `views` or `flight`, not both.")
     if judged is not None and flight is None:
-        raise UsageError("`judged` is about the frames of a `flight`; separate views are all judged.")
+        raise UsageError("`judged` applies to the frames of a `flight`; separate views are all judged.")
     choices = _contenders([methods] if isinstance(methods, str) else methods, conservative, goal, heard)
     check_colors(drape, choices)
     check_exaggeration(exaggeration)
@@ -177,7 +177,7 @@ def compare(
 
 
 def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: Progress) -> list[Choice]:
-    """The methods to measure, each once; of all, those that can reach the goal.
+    """The methods to measure, each once; for "all", those that can reach the goal.
 
     Raises:
         UsageError: one that is given cannot, or is refused.
@@ -188,7 +188,7 @@ def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: 
         if goal.name in choice.info.goals:
             found[str(choice)] = choice
         else:
-            progress.note(f"{name} cannot aim at {goal.name} and is left out.")
+            progress.note(f"{name} does not support the goal {goal.name} and is left out.")
     for text in given:
         if text != "all":
             choice = choice_of(text, conservative)
@@ -229,7 +229,7 @@ def load_views(path: str | os.PathLike[str], crs: Any = None) -> dict[str, View]
     except ValueError as error:
         raise ReadError(f"This is not JSON: {error}.", path=path) from error
     if not isinstance(values, list) or not values or not all(isinstance(v, dict) for v in values):
-        raise ReadError("Views are a JSON list of objects, each as a VIEW.json; there is at least one.", path=path)
+        raise ReadError("Views must be a JSON list of at least one object, each like a VIEW.json.", path=path)
     views: dict[str, View] = {}
     for i, value in enumerate(values, 1):
         name = str(value.get("name", i))
@@ -243,7 +243,7 @@ def load_views(path: str | os.PathLike[str], crs: Any = None) -> dict[str, View]
 
 
 def _measured(choice: Choice, means: _Means, views: list[View], judged: int | None) -> Measurement:
-    """A method on views; with ``judged`` on a flight, of which the referee sees so many frames."""
+    """Measure a method on views; with ``judged``, on a flight of which the referee judges that many frames."""
     with means.progress.task(str(choice), total=len(views)) as task:
         method = means.method(choice)
         about: dict[str, Any] = {"exaggeration": means.exaggeration, "jobs": means.jobs, "task": task}
@@ -256,7 +256,7 @@ def _measured(choice: Choice, means: _Means, views: list[View], judged: int | No
 
 
 def _draw(means: _Means, view: View, choices: Sequence[Choice]) -> Picture:
-    """The meshes of a view on one sheet, each selected and judged for its panel."""
+    """The meshes of a view side by side, each selected and judged for its panel."""
     import numpy as np
 
     terrain, goal, view = means.terrain, means.goal, panel_view(view, len(choices))

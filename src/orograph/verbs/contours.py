@@ -29,16 +29,16 @@ from orograph.verbs.vector_files import Batch, check_lines_file, lines_file
 Array = NDArray[np.float64]
 
 SOME = 20
-"""About how many levels an interval that is not given makes."""
+"""About how many levels there are if no interval is given."""
 MOST = 100_000
-"""Levels that are traced at most."""
+"""Maximum number of levels."""
 COLUMNS = {"height": np.float64, "is_index": np.bool_}
 """The attributes of lines in files."""
 
 
 @dataclass(frozen=True)
 class ContourLines:
-    """Contour lines of a terrain. Shapely, geopandas and others read them by their ``__geo_interface__``.
+    """Contour lines of a terrain. Shapely, geopandas and others read them through ``__geo_interface__``.
 
     Attributes:
         coordinates: (n, 2) float64, easting and northing of all points, line by line.
@@ -69,7 +69,7 @@ class ContourLines:
 
     @property
     def closed(self) -> NDArray[np.bool_]:
-        """(m,): rings; all others end at the border or at missing ground."""
+        """(m,): whether each line is a ring; all others end at the border or at missing ground."""
         first, last = self.coordinates[self.offsets[:-1]], self.coordinates[self.offsets[1:] - 1]
         return np.asarray((first == last).all(1))
 
@@ -134,7 +134,8 @@ class ContourLines:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was written to a file: the interval (None: levels were given), lines, points, lowest and highest level."""
+    """What was written to a file: the interval (None: levels were given), number of lines and points, lowest and
+    highest level."""
 
     path: Path
     interval: float | None
@@ -161,22 +162,21 @@ def contours(
     """Contour lines of a terrain as vectors, in its CRS.
 
     They are isolines of the surface that pictures draw and measurements are made on, at full resolution. Rings are
-    closed; a line that is none ends at the border of the terrain or at missing ground. On the map higher ground is on a
-    line's left.
+    closed; other lines end at the border of the terrain or at missing ground. On the map higher ground is on a line's
+    left.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
-        interval: metres from level to level; None: a round number that makes about twenty levels.
+        interval: distance between levels, metres; None: a round number that gives about twenty levels.
         levels: instead: heights in metres.
         base: the height that levels are counted from.
-        index: every how many levels an index contour lies; 0: none. Of ``levels`` none is.
-        simplify: metres by which a line may be off in place; 0: not at all. Where lines run nearer to each other than
-            twice that, they may meet.
+        index: every index-th level is an index contour; 0: none. With ``levels`` there are none.
+        simplify: how far a line may be displaced, metres; 0: not at all. Lines closer to each other than twice that may
+            meet.
         output: write them to this file instead, out of core: .gpkg, .geojson (in longitude and latitude), .shp,
             .parquet or .fgb, with the attributes ``height`` (metres) and ``is_index``.
-        max_memory: bytes that heights, and lines on their way to a file, may take. jobs: threads. The lines depend on
-            neither.
-        progress: hears of it; False: nothing is said.
+        max_memory: bytes that heights, and lines not yet written, may take. jobs: threads. Neither changes the lines.
+        progress: gets progress reports; False: silent.
 
     Returns:
         a ``geopandas.GeoDataFrame`` with the columns ``height`` and ``is_index`` where geopandas is installed, else
@@ -203,14 +203,14 @@ def traced(
     simplify: float = 0.0, output: str | os.PathLike[str] | None = None, max_memory: Amount | None = None,
     jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
 ) -> ContourLines | Written:  # fmt: skip
-    """``contours``, whatever is installed: the lines, or what was written."""
+    """As ``contours``, whatever is installed: the lines, or a summary of the file written."""
     max_memory = bytes_of(max_memory)
     interval = None if interval is None else _number(interval, "interval")
     base, simplify = _number(base, "base"), _number(simplify, "simplify")
     if interval is not None and levels is not None:
         raise UsageError("`interval` and `levels` say the same twice: give one of them.")
     if not (math.isfinite(simplify) and simplify >= 0):
-        raise UsageError(f"`simplify` is a number of metres, 0 or more, not {simplify:g}.")
+        raise UsageError(f"`simplify` must be 0 or more metres, not {simplify:g}.")
     Contours(interval, index)  # checks both
     heard = reporting(progress)
     if output is not None:
@@ -228,7 +228,7 @@ def traced(
     every = list(made) or [
         Batch(np.empty((0, 2)), np.zeros(1, np.int64), {k: np.empty(0, v) for k, v in COLUMNS.items()})
     ]
-    (whole,) = every  # without a limit they come together
+    (whole,) = every  # without a limit, all at once
     return ContourLines(
         whole.points, whole.offsets, whole.columns["height"], whole.columns["is_index"], interval, ground.grid.crs,
         ground.vertical, ground.name, ground,
@@ -239,11 +239,11 @@ def _number(value: Any, called: str) -> float:
     """A number, or the text of one.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not a number.
     """
     found = numbers(value, called)
     if len(found) != 1:
-        raise UsageError(f"`{called}` is a number of metres, not {value!r}.")
+        raise UsageError(f"`{called}` must be a number of metres, not {value!r}.")
     return found[0]
 
 
@@ -262,19 +262,19 @@ def _written(ground: Terrain, batches: Iterator[Batch], interval: float | None, 
 def levels_of(
     terrain: Terrain, interval: float | None, levels: Numbers | None, base: float, index: int
 ) -> tuple[Array, NDArray[np.bool_], float | None]:
-    """The heights that have lines, ascending; which of them are index contours; and the interval.
+    """The heights of the lines, ascending; which of them are index contours; and the interval.
 
     Raises:
-        UsageError: they are no heights, or too many.
+        UsageError: they are not heights, or too many.
     """
     low, high = terrain.height_range
     if levels is not None:
         chosen = np.unique(np.array(numbers(levels, "levels"), np.float64))
         if not len(chosen) or not np.isfinite(chosen).all():
-            raise UsageError(f"`levels` are heights in metres, not {levels!r}.")
+            raise UsageError(f"`levels` must be heights in metres, not {levels!r}.")
         return chosen, np.zeros(len(chosen), np.bool_), None
     if not math.isfinite(base):
-        raise UsageError(f"`base` is a height in metres, not {base:g}.")
+        raise UsageError(f"`base` must be a height in metres, not {base:g}.")
     if interval is None:
         interval = round_number((high - low) / SOME) if high > low else 1.0
     if not high >= low:
@@ -291,7 +291,7 @@ def levels_of(
 
 
 def degrees_of(terrain: Terrain) -> Any:
-    """What brings points (n, 2) of a terrain to longitudes and latitudes; None where it has no CRS."""
+    """A function that transforms points (n, 2) of a terrain to longitudes and latitudes; None if it has no CRS."""
 
     def degrees(points: Array) -> Array | None:
         from orograph.measuring.places import Places

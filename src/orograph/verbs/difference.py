@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 
 QUANTILES = (0.05, 0.25, 0.75, 0.95)
 SIDE, LEGEND = 1000, 280
-"""Pixels along the longer side of the ground in a picture, and of what stands beside it."""
+"""Pixels along the longer side of the ground in a picture, and of the furniture beside it."""
 UNITS = {3.28084: "feet", 100.0: "centimetres", 1000.0: "millimetres"}
-"""What heights are in whose numbers are so many times those in metres."""
+"""By which factor heights in other units exceed those in metres."""
 CLOSE = 0.02
-"""By how much such a factor may be off."""
+"""Tolerance of such a factor."""
 COLORS = "RdBu"
 TIFF = (".tif", ".tiff")
 
@@ -59,9 +59,9 @@ class Difference:
 
     Attributes:
         values: (rows, cols) float32, metres, NaN where one of them has no height.
-        grid: where they lie: a part of one's grid.
-        statistics: what they amount to. first, second: their names.
-        attribution: whom the makers of both want to be named.
+        grid: their grid, a part of one of the two grids.
+        statistics: their statistics. first, second: their names.
+        attribution: the credit that the makers of both ask for.
     """
 
     values: NDArray[np.float32]
@@ -79,7 +79,7 @@ class Difference:
 
     @property
     def limit(self) -> float:
-        """A round number of metres that at least 98 % of the differences lie within, on both sides of 0."""
+        """A round number of metres that covers at least 98 % of the absolute differences."""
         largest = max(map(abs, self.statistics.ends))
         if not 0 < largest < math.inf:
             return 1.0
@@ -94,17 +94,18 @@ class Difference:
         return self._map().to_xarray()
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
-        """Draw it on matplotlib's axes, in colours that are white at 0: as ``Map.plot``."""
+        """Draw the difference on matplotlib's axes, in colours that are white at 0: as ``Map.plot``."""
         return self._map().plot(ax, **{"cmap": COLORS, "vmin": -self.limit, "vmax": self.limit, **options})
 
     def render(
         self, view: Any = "plan", *, limit: float | None = None, progress: Progress | bool | None = None, **options: Any
     ) -> Picture:
-        """Draw it on the relief of the first terrain, with a legend: red where that is lower, blue where it is higher.
+        """Draw the difference on the relief of the first terrain, with a legend: red where that is lower, blue where it
+        is higher.
 
         Args:
-            view: as for ``orograph.render``; "plan": a map. limit: metres at both ends of the scale, whose middle is 0;
-                None: ``self.limit``. progress: as everywhere. options: others of ``orograph.render``.
+            view: as for ``orograph.render``; "plan": a map. limit: metres at both ends of the scale, which is centred
+                on 0; None: ``self.limit``. progress: as everywhere. options: others of ``orograph.render``.
 
         Raises: as ``orograph.render``.
         """
@@ -112,7 +113,7 @@ class Difference:
         from orograph.rendering.api import render
 
         if limit is not None and not 0 < limit < math.inf:
-            raise UsageError(f"`limit` is a number of metres above 0, not {limit:g}.")
+            raise UsageError(f"`limit` must be a number of metres above 0, not {limit:g}.")
         end = self.limit if limit is None else float(limit)
         heard = reporting(progress)
         with temporary() as folder:
@@ -166,7 +167,7 @@ class Difference:
         return max(640, round(wide * scale) + LEGEND), max(480, round(tall * scale))
 
     def _relief(self, progress: Progress, options: dict[str, Any]) -> Terrain:
-        """The terrain that it is drawn on."""
+        """The terrain to draw it on."""
         from orograph.dem.mosaic import Mosaic
         from orograph.store.prepare import of_mosaic
 
@@ -184,29 +185,29 @@ def difference(
 ) -> Difference:  # fmt: skip
     """The difference of two DEMs of one place, a − b: after and before, a surface and the ground, two products.
 
-    It is taken where both have heights, at the samples of one of them; the other is interpolated there, of files
-    straight from their own samples, averaged first where the grid is coarser. Any size works: it is read in blocks.
+    The difference is taken where both have heights, at the samples of one of them. The other is interpolated there, for
+    files directly from their own samples, averaged first if the grid is coarser. Any size works: it is read in blocks.
 
     Args:
-        a, b: each whatever ``orograph.terrain`` takes. Where a is higher the difference is above 0, a gain.
-        output: the file to write, or several: .tif, the difference in metres; .png, .jpg, .webp, a picture of it.
-        onto: whose samples are kept: of the "first", the "second", or the "finer" of the two.
+        a, b: each whatever ``orograph.terrain`` takes. Where a is higher, the difference is positive: a gain.
+        output: the file or files to write: .tif, the difference in metres; .png, .jpg, .webp, a picture of it.
+        onto: whose samples are kept: the "first", the "second", or the "finer" of the two.
         resampling: of the other: "nearest", "bilinear" or "cubic".
         quantiles: which of the difference are computed, 0 to 1.
         limit: of a picture, metres at both ends of the colours; None: a round number that 98 % lie within.
-        any_vertical: take heights above different vertical datums as they are; else such are refused.
-        to_vertical: "ellipsoidal" or "orthometric": convert those that are not yet so. geoid: by this grid (a file).
-        max_memory: bytes that heights may take. jobs: threads. The difference depends on neither.
-        progress: hears of it, and of warnings; False: nothing is said.
+        any_vertical: accept heights above different vertical datums as they are; otherwise they are refused.
+        to_vertical: "ellipsoidal" or "orthometric": convert heights that are not so yet. geoid: by this grid (a file).
+        max_memory: bytes that heights may take. jobs: threads. Neither changes the difference.
+        progress: gets progress reports and warnings; False: silent.
         reading: options of ``orograph.terrain``, of both: ``bbox``, ``clip``, ``crs``, ``nodata``… Stores and terrains
-            take only an area. What is to be read in two ways is read before: ``orograph.read``.
+            take only an area. If the two need different options, read them first with ``orograph.read``.
 
     Returns:
         a ``Difference``: ``values``, ``grid``, ``statistics`` (mean, median, rms, NMAD, quantiles, volumes);
         ``plot(ax)``, ``render()``, ``save(path)``, ``to_xarray()``.
 
     Raises:
-        UsageError: they share no ground, are above two vertical datums, or an option makes no sense.
+        UsageError: they do not overlap, have different vertical datums, or an option makes no sense.
         ReadError, StoreError: one cannot be read. OutputError: a file cannot be written.
     """
     heard, memory = reporting(progress), bytes_of(max_memory) or MEMORY
@@ -217,9 +218,9 @@ def difference(
         check_folder(out)
     wanted = numbers(quantiles, "quantiles")
     if not all(0 <= q <= 1 for q in wanted):
-        raise UsageError(f"`quantiles` are numbers from 0 to 1, not {quantiles!r}.")
+        raise UsageError(f"`quantiles` must be numbers from 0 to 1, not {quantiles!r}.")
     if onto not in get_args(Onto):
-        raise UsageError(f"`onto` is one of {', '.join(get_args(Onto))}, not {onto!r}.")
+        raise UsageError(f"`onto` must be one of {', '.join(get_args(Onto))}, not {onto!r}.")
     if resampling not in METHODS:
         raise UsageError(f"The resampling must be one of {', '.join(METHODS)}, not {resampling!r}.")
     check_names(reading, "difference")
@@ -248,18 +249,18 @@ def difference(
 
 
 def check_output(path: Path) -> None:
-    """Raise UsageError unless a difference is written to such a file."""
+    """Raise UsageError unless a difference can be written to such a file."""
     from orograph.rendering.picture import FORMATS
 
     if path.suffix.lower() not in FORMATS:
         raise UsageError(
-            f"A difference is not written as {path.suffix or 'a file without ending'}.", path=path,
+            f"A difference cannot be written as {path.suffix or 'a file without ending'}.", path=path,
             remedy="Use .tif for metres, .png, .jpg or .webp for a picture.",
         )  # fmt: skip
 
 
 def _is_built(given: Any) -> bool:
-    """Whether it is a terrain or a store, which say themselves how they were read."""
+    """Whether it is a terrain or a store, which know how they were read."""
     from orograph.store.detect import is_store
 
     files = files_of(given)
@@ -267,19 +268,19 @@ def _is_built(given: Any) -> bool:
 
 
 def _read(given: Any, said: dict[str, Any], progress: Progress, other_is_built: bool) -> HeightSource:
-    """What one of the two is read by, window by window; no store is made of it."""
+    """The reader of one of the two, window by window; no store is built for it."""
     from orograph.store.stored import open as open_store
 
     if _is_built(given):
         if not isinstance(given, Terrain):
             given = open_store(str((files_of(given) or [])[0]))
         assert isinstance(given, MemoryTerrain | StoredTerrain)
-        # (What is said of files is meant for the other where that is one.)
+        # (Options about files apply to the other one if that is a file.)
         own = said if other_is_built else {name: said[name] for name in OF_AREAS if name in said}
         if said.get("to_vertical") is not None and not _is_so(given.vertical, said["to_vertical"]):
             raise UsageError(
-                f"The heights of {given.name} cannot be converted: it is a terrain already.",
-                remedy="Name the files that it was made of.",
+                f"The heights of {given.name} cannot be converted, since it is already a terrain.",
+                remedy="Give the files that it was made from.",
             )
         own = {name: value for name, value in own.items() if name not in ("to_vertical", "geoid")}
         return source_of(given, progress, called="difference", **own) if any(own.values()) else source_of_terrain(given)
@@ -293,14 +294,14 @@ def _read(given: Any, said: dict[str, Any], progress: Progress, other_is_built: 
 
 
 def _is_so(vertical: str | None, to: Direction) -> bool:
-    """Whether heights are ellipsoidal, or orthometric, already."""
+    """Whether heights are already ellipsoidal, or orthometric."""
     if vertical is None:
         return False
     return (known_datum(vertical) == ELLIPSOIDAL) == (to == "ellipsoidal")
 
 
 def _check_datums(first: HeightSource, second: HeightSource, any_vertical: bool, progress: Progress) -> None:
-    """Raise UsageError where heights are above two datums; tell where that is not known."""
+    """Raise UsageError if the heights have different datums; warn if a datum is unknown."""
     datums = [None if one.vertical is None else known_datum(one.vertical) for one in (first, second)]
     if None in datums:
         if datums[0] is not datums[1]:
@@ -314,7 +315,7 @@ def _check_datums(first: HeightSource, second: HeightSource, any_vertical: bool,
         return
     raise UsageError(
         f"The heights of {first.name} are above {first.vertical}, those of {second.name} above {second.vertical}, so "
-        "their difference is not one of the ground.",
+        "their difference is not a difference of the ground.",
         remedy=f"Convert them with `to_vertical={DIRECTIONS[0]!r}` and a `geoid`, or take them as they are with "
         "`any_vertical`.",
     )
@@ -331,7 +332,7 @@ def _warn_of_units(ratio: float, first: str, second: str, progress: Progress) ->
 
 
 def _terrain_of(given: Any) -> Terrain | None:
-    """The terrain that was given, if it is one or a store."""
+    """The terrain that was given, if it is a terrain or a store."""
     from orograph.store.stored import open as open_store
 
     if isinstance(given, Terrain):

@@ -36,14 +36,14 @@ USES = {
 
 
 class Facts(dict[str, Any]):
-    """Facts by name, which read as a person wants them."""
+    """Facts by name; prints as text for people."""
 
     def __repr__(self) -> str:
         return describe(self)
 
 
 def describe(facts: Mapping[str, Any]) -> str:
-    """The facts as a person reads them."""
+    """The facts as text for people."""
     told: list[str] = []
     told.append(f"Orograph {facts['orograph']} on Python {facts['python']}, {facts['system']}")
     told.append(f"  {facts['processors']} processors, {facts['memory_gib']} GiB of memory")
@@ -71,7 +71,7 @@ def describe(facts: Mapping[str, Any]) -> str:
 
 
 def doctor() -> Facts:
-    """What this machine offers for drawing and computing, and what to install; as JSON can hold it."""
+    """What this machine offers for drawing and computing, and what to install; fit for JSON."""
     from orograph.folders import cache_folder, cache_limit
     from orograph.parallel import cpu_count
     from orograph.store.kept import entries
@@ -112,7 +112,7 @@ def _extra(name: str, libraries: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _numcodecs() -> str | None:
-    """What is wrong with the library that packs stores; None: nothing."""
+    """What is wrong with the library that compresses stores; None: nothing."""
     try:
         from orograph import _blosc
     except ImportError as error:
@@ -120,13 +120,13 @@ def _numcodecs() -> str | None:
     if _blosc.broken is None:
         return None
     return (
-        f"numcodecs cannot be imported with all its codecs ({_blosc.broken}). Stores need none of those that are "
-        "broken; other programs may: update or remove zfpy."
+        f"numcodecs cannot be imported with all its codecs ({_blosc.broken}). Stores do not need the broken ones; "
+        "other programs may: update or remove zfpy."
     )
 
 
 def _gpu() -> tuple[list[dict[str, Any]], str]:
-    """The adapters, and what came of computing on the one that would be used."""
+    """The adapters, and the result of a computation on the one that would be used."""
     from orograph.gpu.device import NoAdapterError, adapters, choose, open_device
 
     try:
@@ -145,7 +145,7 @@ def _gpu() -> tuple[list[dict[str, Any]], str]:
         took = (time.perf_counter() - begun) * 1e3
     except NoAdapterError as error:
         return listed, str(error)
-    slow = " It is a software renderer: right, but slow." if chosen.software else ""
+    slow = " It is a software renderer: correct, but slow." if chosen.software else ""
     return listed, f"{chosen.name} answers in {took:.0f} ms.{slow}"
 
 

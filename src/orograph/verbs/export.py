@@ -27,7 +27,7 @@ from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 
 STEP = 1024
-"""Samples along the side of what is read at a time."""
+"""Samples along the side of the blocks that are read."""
 
 
 def export(
@@ -44,24 +44,24 @@ def export(
 ) -> Path:
     """Write the heights of a terrain as a Cloud Optimized GeoTIFF: float32, metres, full resolution, NaN where missing.
 
-    The file's CRS has the vertical datum, too, where one is known. It is written block by block, so any size works.
-    With ``data`` these are written instead: rasters at the terrain's samples, values and uncertainty, as a GeoTIFF
+    The file's CRS includes the vertical datum if it is known. It is written block by block, so any size works. With
+    ``data``, the data are written instead: rasters at the terrain's samples, values and uncertainty, as a GeoTIFF
     (.tif) or NetCDF (.nc, CF-1.8, from memory); points with the height of the ground as .csv, .geojson or .gpkg.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         output: the file: .tif, of data also .nc, .csv, .geojson, .gpkg.
-        data: a ``Dataset``, or several rasters; what is shown (``value``, ``exceeds``) is what is written.
+        data: a ``Dataset``, or several rasters; the derived value (``value``, ``exceeds``) is what is written.
         bbox: west, south, east, north of the area in degrees; None: all of it.
         overwrite: replace a file that is there.
-        max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
+        max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Returns:
         the path of the file.
 
     Raises:
         UsageError: the area is not in the terrain. ReadError, StoreError: the terrain cannot be read.
-        OutputError: the file cannot be written, or is there.
+        OutputError: the file cannot be written, or exists.
     """
     max_memory = bytes_of(max_memory)
     datasets = datasets_of(data)
@@ -97,7 +97,7 @@ def check_output(output: str | os.PathLike[str], overwrite: bool, data: Sequence
     """The path of the file to write.
 
     Raises:
-        UsageError: it is no GeoTIFF, or nothing that such data are written as. OutputError: something is there.
+        UsageError: it is not a GeoTIFF, or such data cannot be written as this file. OutputError: the file exists.
     """
     path = Path(output)
     if data:
@@ -105,7 +105,7 @@ def check_output(output: str | os.PathLike[str], overwrite: bool, data: Sequence
 
         check_data_output(path, data)
     elif path.suffix.lower() not in (".tif", ".tiff"):
-        raise UsageError("Heights are written as a GeoTIFF: .tif.", path=path)
+        raise UsageError("Heights can only be written as a GeoTIFF: .tif.", path=path)
     check_vacant(path, overwrite)
     return path
 
@@ -114,11 +114,11 @@ def area_of(terrain: Terrain, bbox: Sequence[float] | str) -> tuple[int, int, in
     """First row, row after the last, first column, column after it of the samples in an area, degrees.
 
     Raises:
-        UsageError: there is none, the area is no area, or the terrain has no CRS.
+        UsageError: there is none, the area is not an area, or the terrain has no CRS.
     """
     box = checked(bbox)
     if terrain.grid.crs is None:
-        raise UsageError("The terrain has no CRS, so an area in degrees lies nowhere in it.", path=terrain.name)
+        raise UsageError("The terrain has no CRS, so an area in degrees cannot be located in it.", path=terrain.name)
     window = both(whole(terrain.grid), box_window(terrain.grid, box))
     if window[1] > window[0] and window[3] > window[2]:
         return window
@@ -129,7 +129,7 @@ def area_of(terrain: Terrain, bbox: Sequence[float] | str) -> tuple[int, int, in
 
 
 def _with_vertical(terrain: Terrain) -> CRS | None:
-    """The terrain's CRS with its vertical datum, if PROJ knows that by its name."""
+    """The terrain's CRS with its vertical datum, if PROJ knows the datum by name."""
     crs, datum = terrain.grid.crs, terrain.vertical
     if crs is None or datum is None:
         return crs

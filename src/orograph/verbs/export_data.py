@@ -1,7 +1,7 @@
-"""Data for other tools, as they lie on a terrain: rasters at its samples, points with its heights.
+"""Write data for other tools, as they lie on a terrain: rasters at its samples, points with its heights.
 
-A raster is a GeoTIFF with bands, or NetCDF with CF-1.8's attributes, of values and their uncertainty at the terrain's
-samples, interpolated as pictures show them. Points are a table (CSV), GeoJSON, or a GeoPackage.
+A raster becomes a GeoTIFF with bands, or NetCDF with CF-1.8 attributes, holding values and their uncertainty at the
+terrain's samples, interpolated as in pictures. Points become a table (CSV), GeoJSON, or a GeoPackage.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ RASTERS = (".tif", ".tiff", ".nc")
 TABLES = (".csv", ".geojson", ".gpkg")
 
 UDUNITS = {"°C": "degC", "°": "degree", "%": "percent", "": "1", "m/s": "m s-1"}
-"""Units as CF has them."""
+"""Units in CF notation."""
 
 DEVIATION = "standard deviation"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """What becomes a band, or a variable: values (rows, cols) of a field, and what they are."""
+    """A band or a variable: values (rows, cols) of a field, and its description."""
 
     name: str
     title: str
@@ -55,7 +55,7 @@ class Layer:
     field: Field
     values: Values
     of: str | None = None
-    """The layer whose uncertainty it is."""
+    """The layer whose uncertainty this is."""
 
     def over(self, grid: Grid) -> Values:
         """Its values at the samples of a grid."""
@@ -64,11 +64,13 @@ class Layer:
 
 
 def check_data_output(path: Path, data: Sequence[Dataset]) -> None:
-    """Raise UsageError where data of these kinds are not written to a file with this ending."""
+    """Raise UsageError if data of these kinds cannot be written to a file with this ending."""
     ending = path.suffix.lower()
     tables = [one for one in data if has_features(one.source) or is_table(one.source)]
     if tables and len(data) > 1:
-        raise UsageError("Points are written one by one.", path=path, remedy="Give `data` once, or rasters.")
+        raise UsageError(
+            "Points are written one data set at a time.", path=path, remedy="Give `data` once, or rasters."
+        )
     if ending not in (TABLES if tables else RASTERS):
         known = f"Points are written as {', '.join(TABLES)}" if tables else "Rasters are written as .tif or .nc"
         raise UsageError(f"{known}, not {ending or 'without an ending'}.", path=path)
@@ -84,7 +86,8 @@ def export_data(
         grid: the terrain's, or a window of it.
 
     Raises:
-        ReadError, UsageError: data cannot be read, or not be written so. OutputError: the file cannot be written.
+        ReadError, UsageError: data cannot be read, or cannot be written to such a file. OutputError: the file cannot be
+        written.
     """
     check_folder(path)
     first = data[0]
@@ -100,7 +103,7 @@ def export_data(
 
 def _layers(given: Dataset, grid: Grid, number: int) -> list[Layer]:
     field = read_data(given, grid)
-    as_shown(given)  # (an uncertainty that contradicts is refused)
+    as_shown(given)  # (refuses a contradictory uncertainty)
     title = field.name if given.derived else given.name or field.name
     unit = field.unit if given.unit is None or given.exceeds is not None else given.unit
     name = re.sub(r"\W+", "_", title, flags=re.ASCII).strip("_").lower() or "data"
@@ -146,7 +149,7 @@ def _netcdf(
 
     if grid.transform.b or grid.transform.d:
         raise UsageError(
-            "NetCDF has coordinates along rows and columns, and the terrain's grid is turned.", path=path,
+            "NetCDF needs coordinates along rows and columns, but the terrain's grid is rotated.", path=path,
             remedy="Write a GeoTIFF.",
         )  # fmt: skip
     size = 4 * len(layers) * grid.rows * grid.cols
@@ -180,7 +183,7 @@ def _axes(file: Any, grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64])
 
 
 def _say(thing: Any, **attributes: Any) -> None:
-    """Give a variable, or the file, attributes; texts in UTF-8, which SciPy takes as bytes."""
+    """Give a variable, or the file, attributes; strings as UTF-8, since SciPy takes bytes."""
     for key, value in attributes.items():
         setattr(thing, key, value.encode() if isinstance(value, str) else np.asarray(value, np.float64))
 
@@ -200,7 +203,9 @@ def _variable(file: Any, layer: Layer, layers: Sequence[Layer], values: NDArray[
 def _table(terrain: Terrain, grid: Grid, given: Dataset, path: Path) -> None:
     features = read_features(given, terrain.grid) if has_features(given.source) else None
     if features is not None and features.kind != "points":
-        raise UsageError(f"{features.kind.capitalize()} are not written, only points and rasters.", path=features.name)
+        raise UsageError(
+            f"{features.kind.capitalize()} cannot be written, only points and rasters.", path=features.name
+        )
     points = read_points(given, terrain.grid, features)
     col, row = grid.index(points.x, points.y)
     here = (col >= -0.5) & (row >= -0.5) & (col <= grid.cols - 0.5) & (row <= grid.rows - 0.5)
@@ -235,7 +240,7 @@ def _csv(columns: dict[str, NDArray[np.float64]], grid: Grid, part: Path, path: 
 
 def _geojson(columns: dict[str, NDArray[np.float64]], grid: Grid, part: Path, path: Path) -> None:
     if "longitude" not in columns:
-        raise UsageError("GeoJSON has longitudes and latitudes, and the terrain has no CRS.", path=path,
+        raise UsageError("GeoJSON needs longitudes and latitudes, but the terrain has no CRS.", path=path,
                          remedy="Write a .csv.")  # fmt: skip
     features = []
     for row in zip(*columns.values()):

@@ -1,4 +1,4 @@
-"""Films whose frames several processes draw: workers of a cluster, or parts that know nothing of each other."""
+"""Films whose frames several processes draw: workers of a cluster, or independent parts."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from orograph.errors import StoreError, UsageError
+from orograph.errors import StoreError
 from orograph.progress import Progress
 from orograph.store.clusters import check_workers, on_workers
-from orograph.store.in_parts import Part, part_of
+from orograph.store.in_parts import Part, gather, part_of
 from orograph.store.lock import alone
 from orograph.store.storage import FolderStorage
 from orograph.touring.encode import Pictures, Video, is_numbered
@@ -21,7 +21,6 @@ from orograph.touring.frames import (
     draw_part,
     encoder,
     frames_of,
-    gather,
     pictures_of,
     recipe_of,
 )
@@ -30,10 +29,10 @@ MEMORY = 1 << 30
 
 
 class By(NamedTuple):
-    """By whom a film is drawn.
+    """Who draws a film.
 
     Attributes:
-        workers, dask: by workers of a cluster (``workforce``). part: this part alone. finish: by parts, before.
+        workers, dask: workers of a cluster (``workforce``). part: only this part. finish: parts that are already drawn.
     """
 
     workers: int | None = None
@@ -43,27 +42,23 @@ class By(NamedTuple):
 
     @classmethod
     def of(cls, workers: int | None, dask: Any, part: str | tuple[int, int] | None, finish: bool) -> By | None:
-        """As it is said; None: by this process.
+        """The plan that the arguments describe; None: this process draws.
 
         Raises:
-            UsageError: ways exclude each other, or a part is none.
+            UsageError: arguments exclude each other, or a part is invalid.
         """
-        check_workers(workers, dask, "A film")
-        said = [
-            name for name, value in
-            (("workers", workers), ("dask", dask), ("part", part), ("finish", finish or None)) if value is not None
-        ]  # fmt: skip
-        if len(said) > 1:
-            raise UsageError(f"`{said[0]}` and `{said[1]}` exclude each other.")
-        return cls(workers, dask, None if part is None else part_of(part), finish) if said else None
+        check_workers(workers, dask, "A film", part, finish)
+        if workers is None and dask is None and part is None and not finish:
+            return None
+        return cls(workers, dask, None if part is None else part_of(part), finish)
 
 
 class Shot(NamedTuple):
-    """What was done of a film.
+    """What was drawn of a film.
 
     Attributes:
-        drawn: frames that were not there already. imbalance: how much longer the busiest worker was at work than they
-            were on average; None where there were none.
+        drawn: frames that were not there already. imbalance: the busiest worker's time over the mean; None without
+            workers.
     """
 
     drawn: int
@@ -77,8 +72,8 @@ def shoot_by(
     """Draw the frames of a film, or a part of them, into its file or its pictures.
 
     Raises:
-        StoreError: parts are missing, another process draws the same film, or frames were given up.
-        UsageError, OutputError: as of a film.
+        StoreError: parts are missing, another process draws the same film, or workers gave up frames.
+        UsageError, OutputError: as for a film.
     """
     video = not is_numbered(path)
     pictures = pictures_of(frames_of(path) if video else path, film, dpi, overwrite)
@@ -98,7 +93,7 @@ def shoot_by(
         with writer or nullcontext():
             frames = Frames(film, pictures, encoder(writer, pictures) if writer else _nothing)
             if by.finish:
-                gather(frames, count, path, progress)
+                gather([frames], count, path, progress)
                 imbalance = None
             else:
                 imbalance = _by_workers(by, frames, jobs, max_memory or MEMORY * (by.workers or 1), backend, progress)
@@ -109,16 +104,16 @@ def shoot_by(
 
 
 def _nothing(number: int) -> None:
-    """Pictures are done when they are there."""
+    """A picture is done when its file exists."""
 
 
 def _by_workers(
     by: By, frames: Frames, jobs: int | None, max_memory: int, backend: str, progress: Progress
 ) -> float:  # fmt: skip
-    """Have workers draw all frames; the imbalance."""
+    """Have workers draw all frames; returns the imbalance."""
     pictures = frames.pictures
     recipe = recipe_of(frames.film, str(pictures.path), backend, pictures.dpi, max_memory // (by.workers or 1))
-    if by.workers is not None:  # processes of this machine share its processors, and its memory
+    if by.workers is not None:  # processes of this machine share its processors and memory
         allowed = recipe.scene.budget.max_memory
         each = None if allowed is None else allowed // by.workers
         recipe = recipe._replace(scene=recipe.scene.but(jobs=jobs or 1, max_memory=each))
@@ -128,20 +123,20 @@ def _by_workers(
 
 
 def _drawn(pictures: Pictures, film: Film) -> int:
-    """How many frames are there already."""
+    """How many frames exist already."""
     return sum(pictures.of(number).is_file() for number in film.numbers)
 
 
 @contextmanager
 def _lock(pictures: Pictures, by: By) -> Iterator[None]:
-    """Keep others from drawing the same frames, but for other parts of as many."""
+    """Keep other processes from drawing the same frames, except other parts of the same plan."""
     shared = None if by.part is None else f"{pictures.fingerprint} {by.part[1]}"
     with alone(FolderStorage(pictures.sign), "drawing this film", shared=shared):
         yield
 
 
 def _parts(pictures: Pictures) -> Path:
-    """Where it is noted in how many parts a film is drawn."""
+    """The file that records in how many parts a film is drawn."""
     return pictures.sign.with_suffix(".parts")
 
 

@@ -1,4 +1,4 @@
-"""What meshes are asked for: by which method, how fine. Loads quickly, for the command line."""
+"""The goals of meshes: by which method, how fine. Loads quickly, for the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def goal_of(**given: Any) -> Goal:
-    """The one goal that is given; else a tolerance of 1 pixel.
+    """The one goal that is given; by default a tolerance of 1 pixel.
 
     Raises:
         UsageError: more than one is.
@@ -31,7 +31,7 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
     """The method that a text describes, NAME[,key=value…].
 
     Raises:
-        UsageError: it is none; or, with ``conservative``, a tolerance is no promise with its options.
+        UsageError: there is no such method; or, with ``conservative``, its options do not guarantee the tolerance.
     """
     from orograph.lod.registry import chosen
 
@@ -42,14 +42,14 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
 
 
 def check_colors(drape: Any, choices: Sequence[Choice]) -> None:
-    """Raise UsageError where an image is given that nothing uses."""
+    """Raise UsageError if an image is given that nothing uses."""
     if drape is not None and all(getattr(choice.options, "color_tolerance", None) is None for choice in choices):
         raise UsageError(
-            "`drape` is looked at for a method's color-tolerance.",
-            remedy="Say how much colours may change (ΔE): soar,color-tolerance=2.3.",
+            "`drape` is only used with a method's color-tolerance.",
+            remedy="Give the colour tolerance (ΔE): soar,color-tolerance=2.3.",
         )
 
 
 def not_enough(budget: int, method: str, made: int) -> str:
-    """The warning about a mesh with more triangles than asked for."""
+    """Warn about a mesh with more triangles than the budget."""
     return f"{budget:,} triangles are not enough for a sound mesh of this view by {method}: it has {made:,}."

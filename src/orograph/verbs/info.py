@@ -1,15 +1,15 @@
-"""``orograph.info``: what a DEM or a store is, and what is suspicious about it, for people or (``--json``) programs.
+"""``orograph.info``: describe a DEM or a store and what looks suspicious in it, for people or (``--json``) programs.
 
 The keys are fixed: kind ("dem", "store", "terrain" or "points"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], points (how many a file of points holds), bounds [west, south, east, north] (of such a
 file, in its CRS), spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype,
-nodata, vertical_datum, attribution (whom its makers want to be named), version (of a store that is updated), versions
-(older ones that are kept beside it), levels, side, errors (the kinds that a store has), colors (what its color errors
-are of: drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres:
-rms, largest, summit_loss, highest, highest_loss), codec (how a store that is not lossless keeps its heights: name,
-step, max_error, and largest and rms, how far they are off, metres), keeps_source (whether the source's samples are in
-it), layers (those baked into it), parts (what of a store takes how many bytes), size_bytes, warnings. What is unknown
-or absent, and every number that is not finite, is null.
+nodata, vertical_datum, attribution (the credit that its makers ask for), version (of a store that is updated), versions
+(older ones kept beside it), levels, side, errors (the kinds that a store has), colors (what its color errors are of:
+drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
+largest, summit_loss, highest, highest_loss), codec (how a lossy store encodes its heights: name, step, max_error, and
+the largest and rms error, metres), keeps_source (whether the source's samples are in it), layers (those baked into it),
+parts (how many bytes each part of a store takes), size_bytes, warnings. What is unknown or absent, and every number
+that is not finite, is null.
 """
 
 from __future__ import annotations
@@ -44,19 +44,21 @@ def info(
     """What heights are, and what is suspicious about them.
 
     Args:
-        source: whatever ``orograph.terrain`` takes. Of a file as little is read as need be; several are one terrain.
-        exact: whether every sample of a raster is read however large it is; None: only of small ones.
+        source: whatever ``orograph.terrain`` takes. As little of a file is read as possible; several files are one
+        terrain.
+        exact: whether to read every sample of a raster whatever its size; None: only of small ones.
         bbox: west, south, east, north in degrees: of this area only. clip: of what lies in polygons only (GeoJSON, a
-            file or an object; shapely's, geopandas'). Of a store the area is told as terrain, not the store's insides.
-        jobs: threads. progress: hears of what is being done; False: nothing is said.
+            file or an object; shapely's, geopandas'). For a store this describes the area as a terrain, not the store's
+            contents.
+        jobs: threads. progress: gets progress reports; False: silent.
         reading: how a file is read: ``band``, ``nodata``, ``spacing``… (``orograph.terrain``).
 
     Returns:
-        a dict, which prints as the command line has it; its keys are told above (those with "_" are for people).
+        a dict, which prints as on the command line; its keys are listed above (those with "_" are for people).
 
     Raises:
         ReadError, StoreError: it cannot be read.
-        UsageError: it is nothing that holds heights, none lie in the area, or an option does not fit.
+        UsageError: it does not hold heights, none lie in the area, or an option does not apply.
     """
     from orograph.dem.area import Area
     from orograph.dem.folders import is_folder
@@ -75,7 +77,7 @@ def info(
         from orograph.store.opening import terrain
 
         part = {} if area is None else {"bbox": bbox, "clip": clip}
-        how = {} if store else reading  # (a store says itself how it was read)
+        how = {} if store else reading  # (a store knows how it was read)
         return _terrain_facts(terrain(source, heard, jobs=jobs, called="info", **part, **how))
     if points:
         from orograph.verbs.info_points import facts_of_points
@@ -87,7 +89,7 @@ def info(
 
 
 class Facts(dict[str, Any]):
-    """Facts by name, which read as a person wants them."""
+    """Facts by name; prints as text for people."""
 
     def __repr__(self) -> str:
         return describe(self)
@@ -160,7 +162,7 @@ def _store_facts(path: str) -> Facts:
     from orograph import store
     from orograph.store.colors import COLORS
     from orograph.store.layers import LAYERS
-    from orograph.store.places import kept
+    from orograph.store.versions import older
 
     with store.open(path) as terrain:
         found = _terrain_facts(terrain)
@@ -169,7 +171,7 @@ def _store_facts(path: str) -> Facts:
             "kind": "store",
             "path": path,
             "version": terrain.version,
-            "versions": [] if terrain.remote else [number for number, _ in kept(terrain.url)],
+            "versions": [number for number, _ in older(terrain.storage)],
             "errors": list(terrain.errors),
             "colors": COLORS.of(terrain.record) or None,
             "codec": None if terrain.record.coding is None else terrain.record.coding.to_json(),
@@ -229,7 +231,7 @@ def _finite(value: float | int | None) -> float | int | None:
 
 
 def _size(path: str) -> int | None:
-    """Bytes on disk of a file, or of all files in a folder; None for what is not on this disk."""
+    """Bytes on disk of a file, or of all files in a folder; None if it is not on this disk."""
     file = Path(path)
     if file.is_file():
         return file.stat().st_size
@@ -239,7 +241,7 @@ def _size(path: str) -> int | None:
 
 
 def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str, int] | None:
-    """Bytes on disk of what a store consists of; None for what is not on this disk."""
+    """Bytes on disk of each part of a store; None if it is not on this disk."""
     folder = Path(path)
     if not folder.is_dir():
         return None

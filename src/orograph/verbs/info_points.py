@@ -1,4 +1,4 @@
-"""What ``orograph.info`` reports of a file of points: how many, where, how dense, how high. It is not triangulated."""
+"""What ``orograph.info`` reports about a file of points: number, place, density, heights. It does not triangulate."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from orograph.progress import Progress
 
 
 def facts_of_points(path: str, progress: Progress, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What is in a file of points.
+    """Describe a file of points.
 
     Args:
         options: how it is read (``orograph.terrain``).
 
     Raises:
-        ReadError, UsageError: as ``read_scattered``; an option does not fit points.
+        ReadError, UsageError: as ``read_scattered``; an option does not apply to points.
     """
     from orograph.dem.delaunay import spacing_of
     from orograph.dem.gridding import in_plane
@@ -32,7 +32,7 @@ def facts_of_points(path: str, progress: Progress, options: Mapping[str, Any]) -
         try:
             x, y, flat = in_plane(points, None)
             spacing, size = spacing_of(x, y), (float(np.ptp(x)), float(np.ptp(y)))
-        except (ReadError, UsageError) as error:  # of the whole Earth
+        except (ReadError, UsageError) as error:  # for the whole Earth
             warnings.append(error.what)
     return {
         "kind": "points",
@@ -55,7 +55,7 @@ def facts_of_points(path: str, progress: Progress, options: Mapping[str, Any]) -
 def lines_of_points(
     facts: Mapping[str, Any], crs: str, length: Callable[[float], str]
 ) -> list[tuple[str, str]]:  # fmt: skip
-    """Labels and texts, as a person reads them.
+    """Labels and texts for people.
 
     Args:
         crs: the CRS as text. length: metres as text.

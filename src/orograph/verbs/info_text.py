@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: Callable[[str], str] = str) -> str:
-    """The facts as a person reads them; ``bold`` and ``mark`` style titles and the signs of warnings."""
+    """The facts as text for people; ``bold`` and ``mark`` style titles and warning signs."""
     size = "" if facts["size_bytes"] is None else f", {_bytes(facts['size_bytes'])}"
     lines = [bold(str(facts["path"])) + f"  ({facts['_format']}{size})"]
 
@@ -67,7 +67,7 @@ def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: C
 
 
 def _colors(colors: Mapping[str, Any] | None) -> str:
-    """What color errors are of."""
+    """What the color errors were computed from."""
     if not colors:
         return ""
     of = f"the image {colors['drape']['name']}" if colors["drape"] else f"the tint {colors['colormap'] or 'alpine'}"
@@ -110,7 +110,7 @@ def _crs_line(facts: Mapping[str, Any]) -> str:
 
 
 def _name(crs: Any, code: str) -> str:
-    """A CRS's name; the code's own where a file leaves it away."""
+    """A CRS's name; the name behind its code if a file omits it."""
     if crs.name.lower() not in ("unnamed", "unknown", ""):
         return str(crs.name)
     return str(type(crs).from_user_input(code).name)

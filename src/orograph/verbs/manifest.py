@@ -1,4 +1,4 @@
-"""``orograph.manifest``: what many elevation files are, found once and written down (``dem.manifest``)."""
+"""``orograph.manifest``: describe many elevation files once and write it down (``dem.manifest``)."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from orograph.progress import Progress
 from orograph.reporting import reporting
 
 PICTURES = {".png", ".jpeg", ".gif", ".webp", ".bmp", ".svg"}
-"""Endings of what lies in folders beside rasters; elevations as pictures have to be named."""
+"""Endings of companion files in folders of rasters; pictures that hold elevations must be named."""
 
 SAVED = 256
-"""Files after which what was found is kept, should the rest be broken off."""
+"""After this many files the findings are saved, in case the work is interrupted."""
 
 
 class Listed(NamedTuple):
     """What a manifest lists.
 
     Attributes:
-        path: of the manifest. files: how many. damaged: what cannot be opened, each with its cause.
+        path: of the manifest. files: how many. damaged: files that cannot be opened, each with the cause.
     """
 
     path: str
@@ -35,24 +35,24 @@ def manifest(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], path: str | os.PathLike[str], *,
     skip_damaged: bool = False, jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
 ) -> Listed:  # fmt: skip
-    """Find out what elevation files are, and write a manifest, which is taken wherever files are named.
+    """Describe elevation files in a manifest, which can be given wherever files are given.
 
-    What a manifest of that name says already, and is still true, is kept: made again, only what is new or changed is
-    opened. So is what was found before the work was broken off.
+    Entries of an existing manifest that still hold are kept, so only new or changed files are opened. The same goes for
+    what was found before an interruption.
 
     Args:
         files: paths, URLs, folders (all in them but side files, pictures and manifests), patterns with ``*``, other
             manifests.
         path: of the manifest; it ends in ``.manifest.geojsonl``.
-        skip_damaged: files that cannot be opened are no error; they are listed with the cause in any case.
-        jobs: files that are opened at once; None: as many as there are processors, of files on servers 16.
-        progress: hears of it; False: nothing is said.
-        reading: how files are to be understood (``band``, ``nodata``, ``spacing``, ``assume_crs``…): with the same
-            options the manifest is of use later.
+        skip_damaged: files that cannot be opened are not an error; they are listed with the cause either way.
+        jobs: files opened at once; None: as many as there are processors, or 16 for files on servers.
+        progress: gets progress reports; False: silent.
+        reading: how to interpret files (``band``, ``nodata``, ``spacing``, ``assume_crs``…); later reads use the
+            manifest if their options are the same.
 
     Raises:
         ReadError: files cannot be opened (the manifest is written, and names them), or none are found.
-        UsageError: the name does not end as it should. OutputError: the manifest cannot be written.
+        UsageError: the name has the wrong ending. OutputError: the manifest cannot be written.
     """
     from orograph.dem.handles import MANIFEST, is_manifest
     from orograph.dem.manifest import read, rows
@@ -61,10 +61,10 @@ def manifest(
 
     target = Path(path)
     if not is_manifest(target):
-        raise UsageError(f"The name of a manifest ends in {MANIFEST}.", path=target, remedy="Name it so.")
+        raise UsageError(f"The name of a manifest must end in {MANIFEST}.", path=target, remedy="Rename it.")
     check_names(reading, "manifest")
     if wrong := [name for name in reading if name not in OF_FILES and reading[name] is not None]:
-        raise UsageError(f"{', '.join(f'`{name}`' for name in wrong)} cannot be said of single files.")
+        raise UsageError(f"{', '.join(f'`{name}`' for name in wrong)} cannot be given for single files.")
     options = {name: value for name, value in reading.items() if value is not None}
     check_folder(target)
     heard = reporting(progress)
@@ -77,7 +77,7 @@ def manifest(
     damaged: list[ReadError] = []
     try:
         with begun.open("a", encoding="utf-8") as kept, heard.task("Opening files", total=len(lines)) as task:
-            kept.write("\n")  # behind what a process that was killed may have cut short
+            kept.write("\n")  # drops a line that a killed process may have cut short
             for row, error in rows(lines, options, target.parent, jobs):
                 found.append(row)
                 if error is not None:
@@ -89,7 +89,7 @@ def manifest(
         with Beside(target) as part:
             part.write_text("\n".join(found) + "\n", encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"It cannot be written: {error.strerror or error}.", path=target) from error
+        raise OutputError(f"The manifest cannot be written: {error.strerror or error}.", path=target) from error
     remove(begun)
     if damaged and not skip_damaged:
         raise unread(damaged, len(lines))
@@ -97,7 +97,7 @@ def manifest(
 
 
 def named(files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[Any]:
-    """The lines of a manifest of these files, with their paths alone, or with what manifests among them say.
+    """The lines of a manifest of these files: their paths alone, or the entries of manifests among them.
 
     Each file is listed once.
     """
@@ -115,7 +115,7 @@ def named(files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> l
 
 
 def _expanded(name: str) -> Iterable[str]:
-    """The files that a name means, in the order of their names."""
+    """The files that a name stands for, sorted by name."""
     from orograph.dem.handles import SIDE_FILES, is_manifest
     from orograph.store.given import matching
 
@@ -136,7 +136,7 @@ def _expanded(name: str) -> Iterable[str]:
 
 
 def _lines(begun: Path) -> list[Any]:
-    """What a manifest that was broken off had found; a last line that was cut short is none."""
+    """What an interrupted manifest had found; an incomplete last line is ignored."""
     from orograph.dem.manifest import line_of
 
     if not begun.exists():

@@ -53,26 +53,26 @@ def movie(
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options.
         output: the film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.
-        tour: the key frames (``orograph.tour``), or their file; None: the way that ``options`` describe as for
+        tour: the key frames (``orograph.tour``), or their file; None: the tour that ``options`` describe as for
             ``orograph.tour`` (orbit, turntable, still, plan, around, line, points…), or an orbit.
-        size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames a second; None: the tour's.
-        begin, end: seconds in the tour to begin and to end at; None: all of it.
+        size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames per second; None: the tour's.
+        begin, end: the part of the tour to film, seconds; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
-        overwrite: draw pictures anew that are there already; else an interrupted film goes on.
-        backend: "cpu" or "gpu". conservative: refuse a ``method`` with which the tolerance is no promise.
-        progress: hears of it; False: nothing is said.
-        workers: draw in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        overwrite: redraw existing pictures; otherwise an interrupted film is continued.
+        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not guarantee the tolerance.
+        progress: gets progress reports; False: silent.
+        workers: draw in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
-        sort_last: workers have a part of the terrain each, and draw every frame together (``rendering.sort_last``).
+        sort_last: each worker has a part of the terrain, and all draw every frame together (``rendering.sort_last``).
         part: draw only this part of the frames, "3/64" or (3, 64), for job arrays. finish: make the film of its parts.
-        options: of the scene, as for ``orograph.render``: they hold for the whole film, whatever the tour says.
+        options: of the scene, as for ``orograph.render``; they apply to the whole film, whatever the tour says.
 
     Returns:
         the path of the film.
 
     Raises:
         UsageError: an option is unknown or makes no sense. ReadError, StoreError: the terrain or the tour cannot be
-        read; or parts are missing, or frames were given up by workers. OutputError: the film cannot be written.
+        read; parts are missing, or workers gave up frames. OutputError: the film cannot be written.
         NothingInViewError: a frame would be empty.
     """
     heard = reporting(progress)
@@ -83,15 +83,15 @@ def movie(
     if conservative:
         check_promise(options.get("method", "auto"), backend)
     if tour is not None and any(way.values()):
-        raise UsageError("Give a tour or say its way (orbit, turntable, still, plan, around, line, points), not both.")
+        raise UsageError("Give a tour or describe one (orbit, turntable, still, plan, around, line, points), not both.")
     if tour is None and not chosen(way):
         way["orbit"] = True
     check_tour(way)
     by = By.of(workers, dask, part, finish)
     if sort_last and backend != "cpu":
-        raise UsageError("`sort_last` is drawn by the CPU.", remedy="Leave out `backend`.")
+        raise UsageError("`sort_last` draws on the CPU.", remedy="Leave out `backend`.")
     if sort_last and workers is None and dask is None:
-        raise UsageError("`sort_last` is for workers.", remedy="Give `workers` or `dask`.")
+        raise UsageError("`sort_last` needs workers.", remedy="Give `workers` or `dask`.")
     path = os.fspath(output)
     size = None if size is None else size_of(size)
     check_movie(path, size, crf)
@@ -123,7 +123,7 @@ def movie(
 
 
 def without(tour: Tour, options: Iterable[str]) -> Tour:
-    """A tour whose key frames leave to the film's scene what ``options`` say of it."""
+    """A tour whose key frames do not set what ``options`` set for the whole film."""
     over: dict[str, Any] = dict.fromkeys(set(options) & set(spoken(tour)))
     return replace(tour, keys=tuple(replace(key, **over) for key in tour.keys))
 
@@ -132,13 +132,14 @@ def shoot(
     film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
     progress: Progress, dpi: float | None = None,
 ) -> int:  # fmt: skip
-    """Draw the frames of a film into its file or its pictures; how many were drawn, and were not there already.
+    """Draw the frames of a film into its file or its pictures; returns how many were drawn (existing ones do not
+    count).
 
     Args:
-        dpi: dots per inch that pictures say; None: nothing.
+        dpi: dots per inch to write into pictures; None: none.
 
     Raises:
-        KeyboardInterrupt: it was stopped; a note says what there is.
+        KeyboardInterrupt: it was interrupted; a note says what was finished.
     """
     writer: Pictures | Video
     if is_numbered(path):
@@ -159,11 +160,11 @@ def shoot(
     except KeyboardInterrupt:
         done = f"\nstopped after {number - film.numbers[0]} of {len(film)} frames"
         if is_numbered(path):
-            progress.note(f"{done}, which are kept: the same again goes on there")
+            progress.note(f"{done}, which are kept: run the same again to go on from there")
         else:
             progress.note(
-                f"{done}; {path} is as it was before. Pictures (frames/%05d.png) are kept, and the same again goes on "
-                "where it stopped."
+                f"{done}; {path} is as it was before. A film as pictures (frames/%05d.png) can be continued where it "
+                "stopped."
             )
         raise
     return drawn
@@ -173,7 +174,7 @@ def shoot_by_parts(
     by: By, film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
     max_memory: int | None, progress: Progress, dpi: float | None = None,
 ) -> Shot:  # fmt: skip
-    """Draw the frames of a film, one after the other, each by all workers, sort-last. Arguments and errors as of
+    """Draw the frames of a film one after the other, each by all workers, sort-last. Arguments and errors as for
     ``shoot_by``."""
     from orograph.rendering.sort_last import by_parts
 

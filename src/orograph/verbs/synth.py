@@ -1,4 +1,5 @@
-"""``orograph.synth``: a fractal terrain, or one by example, of any size, in memory, in a file or as a store."""
+"""``orograph.synth``: a fractal terrain, or one synthesised from an example, of any size, in memory, in a file or as a
+store."""
 
 from __future__ import annotations
 
@@ -20,10 +21,10 @@ if TYPE_CHECKING:
     from orograph.synthesis.terrain import ByExample
 
 SPACING, CRS, ROUGHNESS = 30.0, "EPSG:32633", 1.0
-"""Of a fractal terrain; an example says them itself."""
+"""Defaults for a fractal terrain; an exemplar brings its own."""
 
 STORE = ".oro"
-"""What the name of a store ends in."""
+"""The ending of a store's name."""
 
 
 def synth(
@@ -46,37 +47,38 @@ def synth(
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | Path:
-    """Make a fractal terrain: plains, and ranges carved by rivers; or one that takes after an example; or colours.
+    """Make a fractal terrain: plains, and ranges carved by rivers; or a terrain that resembles an example; or colours.
 
     The same seed and size give the same heights.
 
     Args:
         output: the GeoTIFF to write, or the store to build if it ends in ``.oro``, in blocks, so that any size works;
             None: the terrain is returned.
-        size: samples of a side, or (rows, columns). seed: another number, another world.
+        size: samples per side, or (rows, columns). seed: each number gives another terrain.
         spacing: metres between samples; None: 30. crs: a projected CRS; None: EPSG:32633, or the example's.
         relief: metres from the lowest to the highest place; None: 6 % of the side, at most 2500.
         roughness: depth of the finer furrows: 0 smooth, 1 natural, which is the default.
-        exemplar: a terrain to take after (Lefebvre & Hoppe 2005): whatever ``orograph.terrain`` takes, of at most 4
-            million samples, none missing. It says the spacing, the relief and the roughness itself.
+        exemplar: a terrain to imitate (Lefebvre & Hoppe 2005): whatever ``orograph.terrain`` takes, of at most 4
+            million samples, none missing. It determines the spacing, the relief and the roughness.
         jitter: with an exemplar, how much its pieces vary, 0 to 1; one number, or one for each level from the coarsest
             on. None: 0.5, and 0 on the three finest.
-        passes: with an exemplar, how often places are corrected, 0 to 2; likewise. None: 2, and 0 on the two finest.
-        over: a terrain to make colours for, which is what ``orograph.terrain`` takes: ``exemplar`` is a photo then, and
-            the file an image, a layer for pictures (``layers=``).
+        passes: with an exemplar, how often places are corrected, 0 to 2; also one number or one per level. None: 2, and
+        0 on the two finest.
+        over: a terrain to make colours for, whatever ``orograph.terrain`` takes: then ``exemplar`` is a photo, and the
+            file an image, a layer for pictures (``layers=``).
         ground: with ``over``, the heights of what the photo shows.
-        compress: of the file: "zstd", "deflate" or "none". overwrite: replace one that is there.
-        resume: finish a store that was begun with the same arguments and interrupted, to the same bytes; begins one if
+        compress: of the file: "zstd", "deflate" or "none". overwrite: replace an existing file or store.
+        resume: finish an interrupted store that was begun with the same arguments, to the same bytes; starts one if
             there is none.
-        jobs: threads; None: all processors. progress: hears of it; False: nothing is said.
+        jobs: threads; None: all processors. progress: gets progress reports; False: silent.
 
     Returns:
         a ``Dem``, or the path of the file.
 
     Raises:
-        UsageError: an option makes no sense, or the exemplar is no good.
-        ReadError: the exemplar cannot be read. OutputError: the file cannot be written, or is there.
-        StoreError: the store cannot be written, or what is to be finished was begun with other arguments.
+        UsageError: an option makes no sense, or the exemplar is unsuitable.
+        ReadError: the exemplar cannot be read. OutputError: the file cannot be written, or exists.
+        StoreError: the store cannot be written, or the interrupted store was begun with other arguments.
     """
     path = None if output is None else Path(output)
     if resume:
@@ -99,10 +101,10 @@ def synth(
 
 
 def check_resumable(path: Path | None) -> None:
-    """Raise UsageError unless what is to be finished is a store."""
+    """Raise UsageError unless the output to resume is a store."""
     if path is None or path.suffix.lower() != STORE:
         raise UsageError(
-            "Only a store can be finished: a file is either whole or not there.", path=path,
+            "Only a store can be resumed: a file is either complete or absent.", path=path,
             remedy=f"Leave out `resume`, or write a store ({STORE}).",
         )  # fmt: skip
 
@@ -112,18 +114,18 @@ def maker(
     roughness: float | None, exemplar: Any, jitter: float | Sequence[float] | None, jobs: int | None,
     progress: Progress, *, passes: float | Sequence[float] | None = None,
 ) -> Synth | ByExample:  # fmt: skip
-    """What makes the terrain that these arguments of ``synth`` ask for.
+    """The generator of the terrain that these arguments of ``synth`` describe.
 
     Raises: as ``synth``.
     """
     shape = tuple(size) if isinstance(size, tuple | list) else parse_size(str(size))
     if len(shape) != 2 or min(shape) < 2:
-        raise UsageError(f"The size is a number of samples, or (rows, columns), not {size!r}.")
+        raise UsageError(f"The size must be a number of samples, or (rows, columns), not {size!r}.")
     rows, cols = int(shape[0]), int(shape[1])
     if exemplar is None:
         for name, value in (("jitter", jitter), ("passes", passes)):
             if value is not None:
-                raise UsageError(f"The {name} are for an example's pieces.", remedy="Give an exemplar, too.")
+                raise UsageError(f"{name} only apply to an exemplar.", remedy="Give an `exemplar` too.")
         return Synth(
             (rows, cols), seed, spacing=SPACING if spacing is None else spacing, crs=parse_crs(crs or CRS),
             relief=relief, roughness=ROUGHNESS if roughness is None else roughness,
@@ -131,7 +133,7 @@ def maker(
     given = {"spacing": spacing, "relief": relief, "roughness": roughness}
     if said := [name for name, value in given.items() if value is not None]:
         raise UsageError(
-            f"The exemplar says the {' and the '.join(said)} itself.", remedy=f"Leave out the {' and the '.join(said)}."
+            f"The exemplar determines the {' and the '.join(said)}.", remedy=f"Leave out the {' and the '.join(said)}."
         )
     from orograph.synthesis.terrain import ByExample
 
@@ -145,10 +147,10 @@ def colours(
     over: Any, photo: Any, ground: Any, path: Path | None, seed: int, said: Mapping[str, Any], *, compress: str,
     jobs: int | None, progress: Progress,
 ) -> Path:  # fmt: skip
-    """Write colours for a terrain by example.
+    """Synthesise colours for a terrain from an example.
 
     Args:
-        said: the arguments of ``synth`` that make no sense for colours.
+        said: the arguments of ``synth`` that do not apply to colours.
 
     Raises: as ``synth``.
     """
@@ -156,11 +158,11 @@ def colours(
     from orograph.synthesis.colours import ColoursByExample
 
     if wrong := [name for name, value in said.items() if value is not None]:
-        raise UsageError(f"The {' and the '.join(wrong)} of colours cannot be said.", remedy="Leave it out.")
+        raise UsageError(f"Colours have no {' and no '.join(wrong)}.", remedy="Leave it out.")
     if over is None or photo is None or ground is None or path is None or path.suffix.lower() not in (".tif", ".tiff"):
         raise UsageError(
-            "Colours by example take a photo (`exemplar`), the heights of what it shows (`ground`), the terrain that "
-            "they are for (`over`), and a GeoTIFF to be written."
+            "Colours by example need a photo (`exemplar`), the heights of what it shows (`ground`), the terrain to "
+            "colour (`over`), and a GeoTIFF to write."
         )
     made = ColoursByExample(photo, ground, over, seed, jobs=jobs, progress=progress)
     tags = copyright_tags(made.attribution)

@@ -35,8 +35,8 @@ class Triangulated:
 
     Attributes:
         choice: the method. terrain, view: what was triangulated, and for which camera.
-        stats: what the method says of the selection. bound: the promise in pixels; None: there is none.
-        report: the referee's, if it was asked.
+        stats: what the method says of the selection. bound: the guaranteed error in pixels; None: there is none.
+        report: the referee's report, if requested.
     """
 
     mesh: Tessellation
@@ -72,18 +72,18 @@ def tessellate(
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         view: the camera, "plan", or the path of a VIEW.json; None: all of the terrain, from the south.
-        method: what makes the triangles: NAME[,key=value…] (``orograph.methods()``).
-        tolerance: pixels by which the mesh may be off on the screen; None: 1, unless another goal is given.
-        triangles: instead: at most so many. seconds: instead: what can be done in so much time.
-        conservative: refuse a method with which the tolerance is no promise.
+        method: the method that makes the triangles: NAME[,key=value…] (``orograph.methods()``).
+        tolerance: how far the mesh may be off on the screen, pixels; None: 1, unless another goal is given.
+        triangles: instead: the maximum number of triangles. seconds: instead: the best mesh that this time allows.
+        conservative: refuse a method that does not guarantee the tolerance.
         drape: the image whose colours a method's color-tolerance looks at; None: the tint of heights.
-        exaggeration: how heights are stretched on the screen. size: (width, height) where there is no view.
+        exaggeration: how heights are stretched on the screen. size: (width, height) if no view is given.
         check: let the referee measure the mesh against every sample in view; its report is ``stats["report"]``.
         output: also write it: .npz, .ply, .obj or .glb.
-        max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
+        max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Returns:
-        the mesh; ``stats`` has what the method says of it, and ``bound``: the promise in pixels, or None.
+        the mesh; ``stats`` has the method's statistics, and ``bound``: the guaranteed error in pixels, or None.
 
     Raises:
         UsageError: an option makes no sense, or the method makes no triangles. ReadError, StoreError: the terrain
@@ -106,10 +106,10 @@ def triangulate(
     drape: Any, exaggeration: float, check: bool, output: str | os.PathLike[str] | None, max_memory: int | None,
     jobs: int | None, progress: Progress, **reading: Any,
 ) -> Triangulated:  # fmt: skip
-    """``tessellate``, with everything that there is to report.
+    """As ``tessellate``, but returns everything that there is to report.
 
     Args:
-        view: gives the camera over the terrain. goals: of which one may be given (``goal_of``).
+        view: makes the camera for the terrain. goals: of which one may be given (``goal_of``).
     """
     choice, goal = choice_of(method, conservative), goal_of(**goals)
     choice.check_triangles()

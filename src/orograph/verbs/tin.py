@@ -1,4 +1,4 @@
-"""``orograph.tin``: the irregular triangles that stand for a terrain within a bound in metres."""
+"""``orograph.tin``: an irregular triangulation that represents a terrain within a bound in metres."""
 
 from __future__ import annotations
 
@@ -40,30 +40,30 @@ def tin(
     progress: Progress | bool | None = None,
     **reading: Any,
 ) -> Tessellation:
-    """Triangulate a terrain with as few triangles as a bound allows: a TIN, for no view in particular.
+    """Triangulate a terrain with as few triangles as a bound allows: a view-independent TIN.
 
     Its vertices are samples of the terrain, with their heights; holes stay holes, to the sample. The result is the same
     for any number of threads. Garland & Heckbert 1995 (*Fast polygonal approximation of terrains and height fields*),
-    within a bound on the surface, and with the vertices taken out that the bound does not need.
+    within a bound on the surface, and without the vertices that the bound does not need.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
-        max_error: metres by which the TIN may be off on the vertical. triangles: instead: at most so many, with the
-            lowest bound that is found.
+        max_error: how far the TIN may be off vertically, metres. triangles: instead: the maximum number of triangles,
+            with the lowest bound that is found.
         bound: where it holds: everywhere on the surface, or only at samples, which takes fewer triangles.
         breaklines: lines that become edges, and points that become vertices, at the nearest samples: a GeoJSON file, or
-            arrays (n, 2) of easting and northing, each a line, or a point where n is 1.
-        output: also write it: .npz, .ply, .obj or .glb; or, as a closed model to print, .stl or .3mf, in millimetres.
+            arrays (n, 2) of easting and northing, each a line (or a point if n is 1).
+        output: also write it: .npz, .ply, .obj or .glb; or, as a closed model for 3D printing, .stl or .3mf, in
+        millimetres.
         base: of a model: millimetres from the plate to the lowest ground; None: 3.
         model_size: of a model: millimetres of its longer side; None: 150. scale: instead: the N of 1:N.
         exaggeration: of a model's heights; None: 1.
-        max_memory: bytes that heights and tiles at work may take; the mesh is held besides. jobs: threads.
-        progress: hears of it; False: nothing is said.
+        max_memory: bytes that heights and tiles in progress may take; the mesh takes more. jobs: threads.
+        progress: gets progress reports; False: silent.
 
     Returns:
-        the mesh; ``stats`` has max_error, bound, and by how many metres it is off: ``largest`` on the surface,
-        ``largest_at_samples``; of a model ``model``: its
-        ``size_mm``, ``scale``, ``triangles`` and ``volume_cm3``.
+        the mesh; ``stats`` has max_error, bound, and the actual errors in metres: ``largest`` on the surface,
+        ``largest_at_samples``; of a model ``model``: its ``size_mm``, ``scale``, ``triangles`` and ``volume_cm3``.
 
     Raises:
         UsageError: an option makes no sense. ReadError, StoreError: the terrain cannot be read. NothingInViewError: it
@@ -86,7 +86,7 @@ def tin(
             heard.warn(f"The coarsest TIN has {len(mesh.triangles):,} triangles, more than {triangles:,}.")
     else:
         assert max_error is not None
-        mesh = meshing.tin(ground, float(max_error), **more)  # (of a whole number kernels would be compiled again)
+        mesh = meshing.tin(ground, float(max_error), **more)  # (a whole number would compile the kernels again)
     if output is not None:
         with heard.task("Writing"):
             if how is None:
@@ -103,7 +103,7 @@ def print_of(
     output: str | os.PathLike[str] | None, base: float | None, model_size: float | None, scale: float | None,
     exaggeration: float | None,
 ) -> Print | None:  # fmt: skip
-    """How a model is printed; None where the output is none.
+    """How a model is printed; None if the output is not a model.
 
     Raises:
         UsageError: options of a model are given without one, or make no sense.
@@ -113,7 +113,9 @@ def print_of(
     if output is None or Path(output).suffix.lower() not in MODELS:
         if given:
             raise UsageError(
-                f"`{next(iter(given))}` is about models to print.", path=output, remedy="Write an .stl or a .3mf."
+                f"`{next(iter(given))}` applies to printable models only.",
+                path=output,
+                remedy="Write an .stl or a .3mf.",
             )
         return None
     if "exaggeration" in given:
@@ -134,12 +136,12 @@ def lines_of(terrain: Terrain, given: str | os.PathLike[str] | Sequence[ArrayLik
         try:
             lines = [np.asarray(line, np.float64).reshape(-1, 2) for line in given]
         except (TypeError, ValueError) as error:
-            raise UsageError(f"Break lines are arrays (n, 2) of easting and northing: {error}.") from error
+            raise UsageError(f"Break lines must be arrays (n, 2) of easting and northing: {error}.") from error
     return [np.stack(terrain.grid.index(line[:, 0], line[:, 1]), -1) for line in lines]
 
 
 def check_goal(max_error: float | None, triangles: int | None) -> None:
-    """Raise UsageError unless one of the two is given."""
+    """Raise UsageError unless exactly one of the two is given."""
     if (max_error is None) == (triangles is None):
         which = "either `max_error` or `triangles`" if max_error is None else "only one of `max_error` and `triangles`"
-        raise UsageError(f"Give {which}: how fine the TIN is to be.")
+        raise UsageError(f"Give {which}: how fine the TIN should be.")

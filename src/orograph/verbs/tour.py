@@ -1,4 +1,4 @@
-"""``orograph.tour``: a tour above a terrain, out of what people say of it (``touring.make``)."""
+"""``orograph.tour``: make a tour of a terrain from a short description (``touring.make``)."""
 
 from __future__ import annotations
 
@@ -41,25 +41,26 @@ def tour(
     progress: Progress | bool | None = None,
     **reading: Any,
 ) -> Tour:
-    """A tour of a terrain: key frames, for ``orograph.movie`` as they are, or to be changed.
+    """Make a tour of a terrain: key frames for ``orograph.movie``, to use as they are or to edit.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         size: (width, height) of the pictures.
-        orbit: once round the terrain, all of it in view (so it is where nothing else is said). turntable: the same with
-            the light turning too. still: the camera stays, all of the terrain in view, for data that change. plan: the
-            same straight down, as a map.
+        orbit: once around the terrain, all of it in view (the default). turntable: the same with the light turning too.
+            still: the camera stays, all of the terrain in view, for data that change. plan: the same straight down, as
+            a map.
         line: a GPX or GeoJSON file: fly along its longest line. points: (longitude, latitude): fly over them.
         line_crs: the CRS of the line or the points; None: EPSG:4326.
-        around: (longitude, latitude[, radius]): orbit this place, with so many metres of ground around it in view,
-            rather than the terrain; without a radius a quarter of its shorter side.
-        azimuth: the side an orbit begins from, degrees clockwise from north; None: 180. pitch: how far it looks down;
-            None: 35. distance: metres from the terrain's middle, or from the
-            place in ``around``; None: such that all of it is in view.
+        around: (longitude, latitude[, radius]): orbit this place rather than the terrain, with a radius in metres of
+            ground around it in view; by default a quarter of the terrain's shorter side.
+        azimuth: the side from which an orbit begins, degrees clockwise from north; None: 180. pitch: how far it looks
+            down; None: 35. distance: metres from the terrain's middle, or from the place in ``around``; None: such that
+            all of it is in view.
         fov: the vertical field of view, degrees; None: 30, along a line 45.
-        seconds: how long it takes. height: metres above the ground, along a line. speed: metres a second there.
+        seconds: how long it takes. height: metres above the ground, along a line. speed: metres per second, along a
+        line.
         exaggeration: how heights will be stretched.
-        max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
+        max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Raises:
         UsageError: options contradict each other. ReadError: the line cannot be read.

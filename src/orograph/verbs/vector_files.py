@@ -1,4 +1,4 @@
-"""Lines with attributes as files for other tools, written some at a time.
+"""Write lines with attributes to files for other tools, batch by batch.
 
 GeoPackage, Shapefile and FlatGeobuf by GDAL (pyogrio), GeoParquet 1.1 by pyarrow, GeoJSON (RFC 7946: longitude and
 latitude, to the nanodegree) as text. A file appears when it is complete.
@@ -25,16 +25,16 @@ from orograph.output import Beside, remove
 Array = NDArray[np.float64]
 
 DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
-"""Of GDAL, by the ending of the file."""
+"""GDAL drivers by file ending."""
 ENDINGS = (".gpkg", ".geojson", ".shp", ".parquet", ".fgb")
-"""Of files of lines."""
+"""Endings of files of lines."""
 ONCE = (".fgb",)
-"""Formats that cannot be added to: all lines are written together."""
+"""Formats that cannot be appended to: all lines are written together."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Some lines.
+    """A batch of lines.
 
     Attributes:
         points: (n, 2) in the CRS. offsets: (m + 1,): line i is points[offsets[i]:offsets[i + 1]].
@@ -50,16 +50,16 @@ Writer = Callable[[Batch], None]
 
 
 def check_lines_file(path: Path, crs: CRS | None) -> None:
-    """Raise UsageError unless lines can be written to such a file here."""
+    """Raise UsageError unless lines can be written to such a file on this machine."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise UsageError(
-            f"Lines are not written as {ending or 'a file without ending'}.", path=path,
+            f"Lines cannot be written as {ending or 'a file without ending'}.", path=path,
             remedy=f"Use {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}.",
         )  # fmt: skip
     if ending == ".geojson" and crs is None:
         raise UsageError(
-            "GeoJSON has longitudes and latitudes, and the terrain has no CRS.", path=path, remedy="Write a .gpkg.",
+            "GeoJSON needs longitudes and latitudes, but the terrain has no CRS.", path=path, remedy="Write a .gpkg.",
         )  # fmt: skip
     module, extra = ("pyarrow", "parquet") if ending == ".parquet" else ("pyogrio", "vector")
     if ending != ".geojson":
@@ -78,7 +78,7 @@ def check_lines_file(path: Path, crs: CRS | None) -> None:
 def lines_file(
     path: Path, crs: CRS | None, degrees: Callable[[Array], Array | None], columns: dict[str, Any]
 ) -> Iterator[Writer]:
-    """What writes lines to a file, batch by batch; the file is complete when the block ends.
+    """A function that writes lines to a file, batch by batch; the file is complete when the block ends.
 
     Args:
         degrees: longitudes and latitudes (n, 2) of points.
@@ -113,7 +113,7 @@ def _geojson(part: Path, degrees: Callable[[Array], Array | None]) -> Iterator[W
             places = np.round(places, 9)
             for i, told in enumerate(_rows(batch.columns)):
                 line = places[batch.offsets[i] : batch.offsets[i + 1]]
-                if (np.abs(np.diff(line[:, 0])) > 180).any():  # over the 180th meridian: on, not around the globe
+                if (np.abs(np.diff(line[:, 0])) > 180).any():  # across the 180th meridian: go on, not around the globe
                     line = np.stack([np.unwrap(line[:, 0], period=360), line[:, 1]], -1)
                 shape = {"type": "LineString", "coordinates": line.tolist()}
                 feature = {"type": "Feature", "properties": told, "geometry": shape}
@@ -198,5 +198,5 @@ def _rows(columns: dict[str, NDArray[Any]]) -> Iterator[dict[str, Any]]:
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Truth values as numbers, for formats that have none."""
+    """Booleans as integers, for formats without booleans."""
     return values.astype(np.int32) if values.dtype == np.bool_ else values

@@ -1,4 +1,5 @@
-"""The ways of a tour: what is said of them, what of it contradicts, the tour. Loads quickly, for the command line."""
+"""The options of a tour: contradictions among them, and the tour that they describe. Loads quickly, for the command
+line."""
 
 from __future__ import annotations
 
@@ -14,19 +15,19 @@ if TYPE_CHECKING:
 
 KINDS = ("orbit", "turntable", "still", "plan", "line", "points")
 WAY = (*KINDS, "around", "azimuth", "pitch", "distance", "fov", "seconds", "height", "speed", "line_crs")
-"""All that is said of the way of a tour."""
+"""All options that describe a tour's path."""
 
 ROUND = ("around", "azimuth", "pitch", "distance")
-"""What is about orbits only."""
+"""The options that apply to orbits only."""
 
 
 def chosen(options: Mapping[str, Any]) -> list[str]:
-    """The kinds of tours that were asked for; round a place one goes in an orbit, if nothing else is said."""
+    """The kinds of tours that were asked for; ``around`` alone means an orbit."""
     return [kind for kind in KINDS if options[kind]] or ["orbit"] * (options["around"] is not None)
 
 
 def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
-    """The way that options describe, with places read where they are texts ("7.6,45.9,2000")."""
+    """The path that options describe, with places parsed from text ("7.6,45.9,2000")."""
     flags = dict.fromkeys(("orbit", "turntable", "still", "plan"), False)
     way = {**dict.fromkeys(WAY), **flags, "points": (), **options}
     if way["around"] is not None:
@@ -36,7 +37,7 @@ def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_tour(options: Mapping[str, Any]) -> None:
-    """Raise UsageError where the options of a tour contradict each other."""
+    """Raise UsageError if the options of a tour contradict each other."""
     kinds = [f"`{kind}`" for kind in chosen(options)]
     if len(kinds) > 1:
         raise UsageError(f"{kinds[0]} and {kinds[1]} are two tours: choose one.")
@@ -46,15 +47,15 @@ def check_tour(options: Mapping[str, Any]) -> None:
             "points": ROUND}  # fmt: skip
     for name in only.get(kind, WAY[len(KINDS) :]):
         if options[name] is not None:
-            raise UsageError(f"`{name}` says nothing about {kinds[0] if kinds else 'a tour from a file'}.")
+            raise UsageError(f"`{name}` does not apply to {kinds[0] if kinds else 'a tour from a file'}.")
     if options["speed"] is not None and options["seconds"] is not None:
         raise UsageError("`seconds` and `speed` say the same twice: give one of them.")
     if options["speed"] is not None and not options["speed"] > 0:
-        raise UsageError(f"`speed` is in metres per second, more than 0, not {options['speed']:g}.")
+        raise UsageError(f"`speed` must be more than 0 metres per second, not {options['speed']:g}.")
     if options["around"] is not None and len(options["around"]) > 2 and options["distance"] is not None:
         raise UsageError("The radius in `around` and `distance` say the same twice: give one of them.")
     if kind == "points" and len(options["points"]) < 2:
-        raise UsageError("A line to fly along has at least two places: give `points` twice or more.")
+        raise UsageError("A line to fly along needs at least two points: give `points` twice or more.")
 
 
 def tour_of(

@@ -28,7 +28,7 @@ from orograph.verify.sweep import Block
 Ints = NDArray[np.int64]
 
 BAND_BYTES = 1 << 25
-"""About how much of a very wide terrain is read at once."""
+"""Roughly how much of a very wide terrain is read at a time."""
 
 BLOCK = 128
 """Columns of a block of a mesh with vertices between samples."""
@@ -92,7 +92,7 @@ def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
     rows, cols = terrain.grid.shape
     finest = (LONGEST // max(rows - 1, cols - 1, 1)).bit_length() - 1
     if finest < 0:
-        raise UsageError(f"The referee judges terrains of up to {LONGEST:,} samples a side, not {rows:,} × {cols:,}.")
+        raise UsageError(f"The referee judges terrains with up to {LONGEST:,} samples a side, not {rows:,} × {cols:,}.")
     position = tessellation.vertices[:, :2]
     outside = ~((position >= 0) & (position <= (cols - 1, rows - 1))).all(-1)
     if outside.any():
@@ -109,8 +109,8 @@ def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
             return shift
     column, row = position[finer[0]]
     raise UsageError(
-        f"Vertex {finer[0]} of the tessellation, at column {column:.17g} and row {row:.17g}, lies at a finer "
-        "fraction of a cell than the exact arithmetic of the referee holds.",
+        f"Vertex {finer[0]} of the tessellation, at column {column:.17g} and row {row:.17g}, lies at a finer fraction "
+        "of a cell than the referee's exact arithmetic can represent.",
         remedy=f"Round columns and rows to multiples of 2^-{finest}.",
     )
 

@@ -1,4 +1,4 @@
-"""The referee of pictures: a depth image, the terrain and the view it is said to show → a ``DepthReport``.
+"""The referee of pictures: a depth image, the terrain and the view it should show → a ``DepthReport``.
 
 Whatever draws terrain leaves a depth at each pixel. The truth it is judged by is the referee's own (``walk``). See
 docs/verify.md.
@@ -83,8 +83,8 @@ class DepthReport:
         ]
         if self.farthest_at is not None:
             lines.append(
-                f"{self.mismatches:,} pixels show ground where there is none, or none where there is some: up to "
-                f"{self.farthest:.4g} px from one that agrees, at pixel {self.farthest_at[0]}, {self.farthest_at[1]}"
+                f"{self.mismatches:,} pixels wrongly show ground or none: up to {self.farthest:.4g} px from one that "
+                f"agrees, at pixel {self.farthest_at[0]}, {self.farthest_at[1]}"
             )
         return "\n".join(lines)
 
@@ -109,7 +109,7 @@ def judge_depth(
     check_exaggeration(exaggeration)
     if depth.shape != (view.height, view.width) or depth.dtype not in (np.float32, np.float64):
         raise UsageError(
-            f"A depth image of this view is float32 or float64 of shape ({view.height}, {view.width}), not "
+            f"A depth image of this view must be float32 or float64 of shape ({view.height}, {view.width}), not "
             f"{depth.dtype} {depth.shape}."
         )
     return aside(partial(_judge, depth, terrain, view, Camera.of(view, terrain.grid, exaggeration), jobs))

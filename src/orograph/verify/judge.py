@@ -72,7 +72,7 @@ def judge_mesh(
 def check_exaggeration(exaggeration: float) -> None:
     """Raise UsageError unless it is one."""
     if not (math.isfinite(exaggeration) and exaggeration > 0):
-        raise UsageError(f"An exaggeration is a positive number, not {exaggeration}.")
+        raise UsageError(f"The exaggeration must be a positive number, not {exaggeration}.")
 
 
 def _judge(
@@ -171,7 +171,7 @@ def judge_block(
 
 
 class _Total:
-    """What the blocks find, summed up in order."""
+    """The findings of the blocks, summed in order."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh

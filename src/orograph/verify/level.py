@@ -1,4 +1,4 @@
-"""A view for judging meshes that belong to no view: in metres on the vertical."""
+"""A view for judging meshes that belong to no view, in vertical metres."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAR = 1e9
 
 
 def level_view(terrain: Terrain) -> View:
-    """A level look from so far that a pixel is a metre of height wherever on the terrain, and all of it is in view.
+    """A horizontal view from so far that a pixel is a metre of height anywhere on the terrain, with all of it in view.
 
     >>> verify.judge_mesh(mesh, terrain, verify.level_view(terrain)).largest  # metres    # doctest: +SKIP
 

@@ -1,4 +1,5 @@
-"""Methods measured alike: time, triangles, change from frame to frame, tiles read, and the error the referee finds.
+"""All methods measured in the same way: time, triangles, change from frame to frame, tiles read, and the referee's
+error.
 
 Of a method nothing is known here but that it selects (``Selector``). *Views* are taken one by one, twice: first for the
 referee, which also compiles kernels and reads tiles; then for the clock, three times each, of which the fastest counts.
@@ -37,14 +38,14 @@ from orograph.verify.report import ROUNDING, Report
 from orograph.viewpoint import Camera, View
 
 ROUNDS = 3
-"""How often the clock is run for a view."""
+"""How often a view is timed."""
 
 
 class Selector(Protocol):
     """What can be measured: a ``lod.method.Method``."""
 
     def select(self, camera: Camera, goal: Goal) -> Selection:
-        """What a camera is to see.
+        """What a camera sees.
 
         ``stats`` may have ``refine_ms``, where not all of the time counts, ``tiles_read`` and ``within_budget``.
         """
@@ -53,7 +54,7 @@ class Selector(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What a method does on some views or a flight.
+    """How a method performs on views or a flight.
 
     Attributes:
         frames: views or frames selected for.
@@ -98,7 +99,7 @@ class Measurement:
 
     @property
     def kept(self) -> bool | None:
-        """Whether what was promised holds; None if nothing was promised, or nothing was judged."""
+        """Whether the guarantee holds; None if there is none, or nothing was judged."""
         if not self.conservative or self.tolerance is None or not self.judged:
             return None
         bound = self.tolerance * (1 + ROUNDING)
@@ -179,7 +180,7 @@ def _selected(
 
 
 class _Tally:
-    """What is summed up over frames."""
+    """Sums over frames."""
 
     def __init__(self, terrain: Terrain, exaggeration: float, jobs: int | None) -> None:
         self.terrain, self.exaggeration, self.jobs = terrain, exaggeration, jobs
@@ -205,7 +206,7 @@ class _Tally:
         return mesh
 
     def judge(self, selection: Selection, view: View) -> None:
-        """Have the referee look at a selection: at its triangles, or at the depth of its picture."""
+        """Let the referee judge a selection: its triangles, or the depth of its picture."""
         about: dict[str, Any] = {"exaggeration": self.exaggeration, "jobs": self.jobs}
         if isinstance(selection, RayWindows):
             depth = ray_depth(self.terrain, view, selection.bound or 0.0, selection.surface, **about)

@@ -1,4 +1,4 @@
-"""What the referee says: numbers, where the worst of each is, and whether the promise holds."""
+"""The referee's report: numbers, where the worst of each is, and whether the guarantee holds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Place = tuple[float, float]
 """(column, row) on the raster; whole numbers are int."""
 
 ROUNDING = 1e-7
-"""Relative excess over a tolerance that is put down to rounding: 1e-11 m, a metre before the eye, are 1e-8 pixels."""
+"""Relative excess over a tolerance that is attributed to rounding: 1e-11 m, a metre before the eye, are 1e-8 pixels."""
 
 
 def place(column: float, row: float) -> Place:
@@ -76,7 +76,7 @@ class Report:
 
     @property
     def defects(self) -> dict[str, int]:
-        """What is wrong with the mesh, whatever the tolerance; empty for a sound one."""
+        """What is wrong with the mesh, whatever the tolerance; empty for a valid one."""
         return {name: getattr(self, name) for name in DEFECTS if getattr(self, name)}
 
     def ok(self, tolerance: float = math.inf) -> bool:
@@ -84,7 +84,7 @@ class Report:
         return not self.defects and self.largest <= tolerance * (1 + ROUNDING)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as JSON has it; an infinite distance is None."""
+        """Everything as JSON values; an infinite distance is None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         for name in ("largest", "largest_at_samples", "rms"):
             if not math.isfinite(values[name]):
@@ -127,4 +127,4 @@ DEFECTS = {
     "wrong_heights": "vertices not at the raster's height",
     "inner": "open edges inside the mesh",
 }
-"""The counts that should be 0, and how they are called."""
+"""The counts that should be 0, and their names."""

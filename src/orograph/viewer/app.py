@@ -1,4 +1,4 @@
-"""A window of its own: a glfw canvas, a renderer, the loop, and what to say where there is no screen."""
+"""The desktop window: a glfw canvas, a renderer, the loop, and the errors when there is no screen."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 MOST_FRAMES = 120.0
-"""Frames in a second, at most."""
+"""Maximum frames per second."""
 SWITCH = 0.0005
-"""Seconds after which a thread that reads tiles hands the interpreter to the frame that waits for it: it would lose the
-usual 5 ms several times."""
+"""Seconds after which a thread that reads tiles yields the interpreter to a waiting frame, which would otherwise lose
+the usual 5 ms several times."""
 POLL = 0.03
-"""Seconds between two looks at what mouse and keyboard do, before the first frame."""
+"""Seconds between two polls of mouse and keyboard before the first frame."""
 _GARBAGE = gc.get_threshold()
 
 
@@ -41,14 +41,14 @@ class NoWindowError(OrographError):
 
 
 def check() -> None:
-    """Raise NoWindowError, before any work, where no window can be opened; NoAdapterError without wgpu."""
+    """Raise NoWindowError before any work if no window can be opened; NoAdapterError without wgpu."""
     for module in ("wgpu", "rendercanvas", "glfw", "imgui_bundle"):
         try:
             __import__(module)
         except ImportError as error:
             raise NoWindowError(
                 f"The window needs {module}.",
-                remedy="Install it: pip install 'orograph[view]'. See orograph doctor for what else there is.",
+                remedy="Install it: pip install 'orograph[view]'. orograph doctor lists alternatives.",
             ) from error
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise NoWindowError(
@@ -68,10 +68,10 @@ def check() -> None:
 
 
 class Warm:
-    """What a window needs and the terrain does not, made in a thread while the terrain is read.
+    """Load what the window needs, in a thread, while the terrain is read.
 
-    Nearly all of a start is Python at work in one thread or the other; what runs beside it is the GPU's driver. So the
-    GPU is opened first, then modules are loaded, then Numba is set up (a quarter of a second before its first kernel).
+    Nearly all of a start is Python work in one thread or the other; only the GPU's driver runs in parallel. So the GPU
+    is opened first, then modules are loaded, then Numba is set up (a quarter of a second before its first kernel).
     """
 
     def __init__(self, adapter: str | None = None) -> None:
@@ -91,13 +91,13 @@ class Warm:
             return
         finally:
             self._opened.set()
-        with contextlib.suppress(Exception):  # whoever needs it says what is wrong with it
+        with contextlib.suppress(Exception):  # the code that needs it reports the error
             importlib.import_module("orograph.viewer.window")
             importlib.import_module("orograph.rendering.gpu.renderer")
             importlib.import_module("orograph.rendering.gpu.stream.tiles").warm()
 
     def device(self) -> None:
-        """Return when there is a device.
+        """Wait for the device.
 
         Raises:
             NoAdapterError: there is none.
@@ -107,17 +107,17 @@ class Warm:
             raise self._failure
 
     def join(self) -> None:
-        """Return when all is loaded."""
+        """Wait until everything is loaded."""
         self._thread.join()
 
 
 def hurry() -> None:
-    """Look for garbage seldom while modules are loaded: a sixth of a start is that, and none is found."""
+    """Collect garbage rarely while modules are loaded: it takes a sixth of a start and finds nothing."""
     gc.set_threshold(100_000, 10, 10)
 
 
 def settle() -> None:
-    """Look for garbage as always from now on, but not among what was loaded."""
+    """Collect garbage normally from now on, but skip what is already loaded."""
     gc.freeze()
     gc.set_threshold(*_GARBAGE)
 
@@ -126,7 +126,7 @@ def make_canvas(title: str, size: tuple[int, int]) -> Any:
     """A glfw window.
 
     Raises:
-        NoWindowError: the screen gives none.
+        NoWindowError: the screen does not provide one.
     """
     import glfw
     from rendercanvas.glfw import RenderCanvas
@@ -137,7 +137,7 @@ def make_canvas(title: str, size: tuple[int, int]) -> Any:
         )  # fmt: skip
     except (glfw.GLFWError, RuntimeError, TypeError, ValueError) as error:
         raise NoWindowError(
-            f"The screen gives no window: {error}.", remedy="See orograph doctor, or use orograph render."
+            f"The screen does not provide a window: {error}.", remedy="See orograph doctor, or use orograph render."
         ) from error
 
 
@@ -145,7 +145,7 @@ def clipboard() -> tuple[Callable[[], str], Callable[[str], None]]:
     """The screen's clipboard."""
     import glfw
 
-    any_window: Any = None  # the argument is of no use since GLFW 3.3
+    any_window: Any = None  # the argument is unused since GLFW 3.3
 
     def get() -> str:
         found: Any = glfw.get_clipboard_string(any_window)
@@ -155,7 +155,7 @@ def clipboard() -> tuple[Callable[[], str], Callable[[str], None]]:
 
 
 def accept_files(canvas: Any, window: Window) -> None:
-    """Lay files that are dropped on a glfw window over the ground."""
+    """Lay files dropped on a glfw window over the ground."""
     handle = getattr(canvas, "_window", None)
     if handle is None:
         return
@@ -166,17 +166,17 @@ def accept_files(canvas: Any, window: Window) -> None:
     def dropped(_: Any, paths: list[str]) -> None:
         for path in paths:
             if add(window, path):
-                window.session.messages.say(f"{Path(path).name} lies on the ground now, above the other layers.")
+                window.session.messages.say(f"{Path(path).name} now lies on the ground, above the other layers.")
         window.touch()
 
-    set_callback: Any = glfw.set_drop_callback  # its stub has the C function's arguments
+    set_callback: Any = glfw.set_drop_callback  # its stub has the C function's signature
     set_callback(handle, dropped)
 
 
 def renderer_of(
     gpu_memory: int | None = None, memory: int | None = None, jobs: int | None = None
 ) -> Callable[[Device, Terrain], Drawer]:
-    """What makes the renderer of a window."""
+    """Makes the renderer of a window."""
 
     def make(device: Device, terrain: Terrain) -> Drawer:
         from orograph.rendering.gpu.detail_renderer import DetailRenderer
@@ -199,16 +199,16 @@ def show(
     warm: Warm | None = None,
     progress: Progress = SILENT,
 ) -> None:
-    """Open a window on a session, and return when it is closed.
+    """Open a window for a session, and return when it is closed.
 
     Args:
         size: of the window, logical pixels.
         make: makes the renderer.
         adapter: a part of the GPU's name.
-        screenshot: write the window's terrain there after so many ``frames`` (or when it is as good as it gets),
-            then close.
-        warm: what loads the window's modules meanwhile.
-        progress: hears of what comes before the window.
+        screenshot: write the window's terrain there after ``frames`` frames (or once it no longer improves), then
+            close.
+        warm: the loader of the window's modules.
+        progress: gets progress reports until the window opens.
 
     Raises:
         NoWindowError, NoAdapterError: there is no screen, or no GPU.
@@ -242,7 +242,7 @@ def show(
             if isinstance(error, OrographError):
                 raise
             raise NoAdapterError(
-                f"{device.adapter.name} does not draw to this window: {error}.", remedy="See orograph doctor."
+                f"{device.adapter.name} cannot draw to this window: {error}.", remedy="See orograph doctor."
             ) from error
     failure: list[BaseException] = []
     if screenshot is not None:
@@ -258,7 +258,7 @@ def _prepared(
     session: Session, canvas: Any, make: Callable[[Device, Terrain], Drawer], device: Device, format: str,
     warm: Warm | None,
 ) -> list[Drawer]:  # fmt: skip
-    """The renderer, made ready for the first frame in a thread: meanwhile the window answers, and may be closed.
+    """The renderer, prepared for the first frame in a thread; meanwhile the window responds and may be closed.
 
     Args:
         format: of the picture. warm: what loads the window's modules.
@@ -288,10 +288,10 @@ def _prepared(
 
 
 def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]) -> None:
-    """Save a picture after so many frames, or when further ones would be the same, and close."""
+    """Save a picture after ``frames`` frames, or when further ones would be the same, and close."""
 
     def hook(w: Window) -> None:
-        enough = w.drawing.drawn >= frames or w.drawing.done  # at rest no frames are drawn
+        enough = w.drawing.drawn >= frames or w.drawing.done  # no frames are drawn at rest
         if enough and not w.plan.wanted and not failure:
             w.on_frame.remove(hook)
             try:

@@ -1,7 +1,7 @@
-"""Views that a user keeps of a terrain, by the keys 1 to 9: JSON in the user's config folder, one file per terrain.
+"""Views of a terrain that a user keeps under the keys 1 to 9: JSON in the user's config folder, one file per terrain.
 
-A terrain is known by its name and by where its samples lie (size, transform, CRS), so a store and the files it was
-built from share their views if their grids are the same.
+A terrain is identified by its name and its grid (size, transform, CRS), so a store and the files it was built from
+share their views if their grids are the same.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SLOTS = tuple("123456789")
 
 
 def config_folder() -> Path:
-    """Where settings are kept: ``$OROGRAPH_CONFIG``, else the platform's config folder."""
+    """The settings folder: ``$OROGRAPH_CONFIG``, else the platform's config folder."""
     if chosen := os.environ.get("OROGRAPH_CONFIG"):
         return Path(chosen)
     if sys.platform == "darwin":
@@ -33,7 +33,7 @@ def config_folder() -> Path:
 
 
 def place_key(grid: Grid) -> str:
-    """Twelve hexadecimal digits of where a grid's samples lie."""
+    """Twelve hexadecimal digits that identify a grid."""
     crs = "" if grid.crs is None else grid.crs.to_wkt()
     text = f"{grid.shape} {[f'{v:.9g}' for v in grid.transform[:6]]} {crs}"
     return hashlib.sha256(text.encode()).hexdigest()[:12]
@@ -75,7 +75,7 @@ class Bookmarks:
         return tuple(sorted(self._views))
 
     def keep(self, slot: str, view: View) -> None:
-        """Keep a view, in the file too.
+        """Keep a view, also in the file.
 
         Raises:
             OutputError: the file cannot be written; the view is kept until the window closes.
@@ -84,8 +84,8 @@ class Bookmarks:
         self._write()
 
     def carry(self, others: Bookmarks, moved: Callable[[View], View | None]) -> None:
-        """Have the views of another terrain, too, until the window closes: those that ``moved`` finds here, and that
-        do not take the place of this terrain's own."""
+        """Also use the views of another terrain, until the window closes: those that ``moved`` can convert and whose
+        slots are free."""
         for slot in others.slots:
             if slot not in self and (view := moved(others._views[slot])) is not None:
                 self._views[slot] = view

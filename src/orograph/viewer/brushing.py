@@ -1,8 +1,8 @@
 """One selection of data and ground: ranges of variables (brushed in a histogram or a scatter plot) and an area.
 
-A place is selected if every variable that it has is within its range, and it lies within the area. The ground is judged
-on a lattice over the terrain for the plots, and texel by texel for the veil that is laid over what is not selected;
-things that stand are judged by their own value, and by what is painted beneath them.
+A place is selected if every variable that it has is within its range, and it lies within the area. Ground is tested on
+a lattice over the terrain for the plots, and texel by texel for the veil laid over unselected ground; standing things
+are tested by their own value and by what is painted beneath them.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ Range = tuple[float, float]
 HEIGHT = "Height"
 
 LATTICE, TEXELS = 128, 768
-"""Places along the terrain's longer side that plots are of, and texels of the veil."""
+"""Places along the terrain's longer side in plots, and texels of the veil."""
 
 VEIL, PALE = (246, 244, 239, 190), 0.72
-"""Over what is not selected: sRGB and opacity; and how pale things are."""
+"""The veil over unselected ground: sRGB and opacity; and how pale unselected things are."""
 
 
 class Sampled(NamedTuple):
-    """Places and what is there.
+    """Places and their values.
 
     Attributes:
         x, y: (n,) in the terrain's CRS. values: of each variable (n,), NaN where it has none.
@@ -56,7 +56,7 @@ class Brush:
 
     Attributes:
         ranges: of variables, by name. area: corners (x, y) in the terrain's CRS, of a polygon; () : everywhere.
-        veil: the layer over what is not selected; None: all is.
+        veil: the layer over what is not selected; None: all is selected.
     """
 
     def __init__(self) -> None:
@@ -70,14 +70,14 @@ class Brush:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is selected, and so all is shown."""
+        """Whether nothing is selected, so that everything is shown."""
         return not self.ranges and not self.area
 
     def choose(self, ranges: Mapping[str, Sequence[float]] | None = None, area: Sequence[Any] | None = None) -> None:
-        """Select.
+        """Change the selection.
 
         Args:
-            ranges, area: the new ones; None: as they are.
+            ranges, area: the new ones; None: unchanged.
 
         Raises:
             UsageError: a range is not two numbers, the lower first; an area has one or two corners.
@@ -90,13 +90,13 @@ class Brush:
             try:
                 corners = tuple((float(point[0]), float(point[1])) for point in area)
             except (TypeError, ValueError, IndexError):
-                raise UsageError("An area is corners (easting, northing).") from None
+                raise UsageError("An area must be a list of corners (easting, northing).") from None
             if 0 < len(corners) < 3:
-                raise UsageError(f"An area has three corners or more, not {len(corners)}.")
+                raise UsageError(f"An area must have three corners or more, not {len(corners)}.")
         self.ranges, self.area = made, corners
 
     def ground(self, terrain: Terrain, shown: ShownData | None) -> Sampled:
-        """The lattice of places that plots are of."""
+        """The lattice of places for plots."""
         self._renew(terrain, shown)
         if self._ground is None:
             grid = terrain.grid
@@ -105,7 +105,7 @@ class Brush:
         return self._ground
 
     def things(self, terrain: Terrain, shown: ShownData | None) -> Sampled | None:
-        """The places of things that show a value, with it; None: there are none."""
+        """The places and values of things that show a value; None: there are none."""
         self._renew(terrain, shown)
         if self._things is None and shown is not None and shown.things is not None:
             made = shown.things
@@ -117,7 +117,7 @@ class Brush:
         return self._things
 
     def stale(self, terrain: Terrain, shown: ShownData | None) -> bool:
-        """Whether other data are shown than those that the veil was made of."""
+        """Whether the data shown differ from those that the veil was made from."""
         return not self.empty and self._key != _key(terrain, shown)
 
     def _renew(self, terrain: Terrain, shown: ShownData | None) -> None:
@@ -132,7 +132,7 @@ class Brush:
         return list(names)
 
     def table(self, names: Sequence[str], terrain: Terrain, shown: ShownData | None) -> Sampled:
-        """Where variables are plotted: places on the ground, or things, where one of them is theirs."""
+        """Where variables are plotted: places on the ground, or things if one of the variables is theirs."""
         ground = self.ground(terrain, shown)
         found = self.things(terrain, shown)
         return ground if found is None or all(name in ground.values for name in names) else found
@@ -147,7 +147,7 @@ class Brush:
             with np.errstate(invalid="ignore"):
                 within = (values >= low) & (values <= high)
             if at is self._things and self._ground is not None and name not in self._ground.values:
-                within |= np.isnan(values)  # (it is a variable of other things)
+                within |= np.isnan(values)  # (the variable belongs to other things)
             held &= within
         if self.area:
             held &= inside(at.x, at.y, np.array(self.area))
@@ -173,7 +173,7 @@ class Brush:
                           crs=over.crs if placed else None)  # fmt: skip
 
     def seen(self, terrain: Terrain, shown: ShownData | None) -> Things | None:
-        """What stands, pale where it is not selected."""
+        """Standing things, pale where not selected."""
         things = None if shown is None else shown.things
         if things is None or self.empty:
             return things
@@ -187,7 +187,7 @@ class Brush:
         return self._pale[1]
 
     def places(self, terrain: Terrain, shown: ShownData | None) -> Array:
-        """(n, 2) what is selected, in the terrain's CRS: things, else places on the ground."""
+        """(n, 2) the selection in the terrain's CRS: things, else places on the ground."""
         found = self.things(terrain, shown)
         things = None if found is None or shown is None else shown.things
         if found is not None and things is not None:
@@ -197,7 +197,7 @@ class Brush:
         return np.stack([at.x, at.y], 1)[self.holds(at) & np.isfinite(at.values[HEIGHT])]
 
     def told(self, terrain: Terrain, shown: ShownData | None) -> str:
-        """How much is selected, in words."""
+        """How much is selected, as text."""
         at, found = self.ground(terrain, shown), self.things(terrain, shown)
         known = np.isfinite(at.values[HEIGHT])
         part = float((self.holds(at) & known).sum() / max(known.sum(), 1))
@@ -209,7 +209,7 @@ class Brush:
 
 
 def _key(terrain: Terrain, shown: ShownData | None) -> Any:
-    """What places are sampled from: compared by what they are, and held."""
+    """What places are sampled from; compared by identity, and kept alive."""
     return terrain, None if shown is None else (*shown.painted, shown.things)
 
 
@@ -222,7 +222,8 @@ def _lattice(grid: Grid) -> tuple[Array, Array]:
 
 
 def sampled(x: Array, y: Array, terrain: Terrain, shown: ShownData | None) -> Sampled:
-    """Heights, painted numbers and their standard deviations at places (n,); of two of one name the upper one."""
+    """Heights, painted numbers and their standard deviations at places (n,); of two with the same name, the
+    upper one."""
     grid = terrain.grid
     col, row = grid.index(x, y)
     here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1)
@@ -237,7 +238,7 @@ def sampled(x: Array, y: Array, terrain: Terrain, shown: ShownData | None) -> Sa
 
 
 def _of_painted(one: Shown, values: NDArray[np.float32], x: Array, y: Array) -> Array:
-    """Values (n,) at places of what (rows, cols) painted data have: of the nearest texel."""
+    """Values (n,) of painted data (rows, cols) at places: those of the nearest texel."""
     col, row = (np.rint(v).astype(np.int64) for v in one.over.index(x, y))
     here = (row >= 0) & (row < one.over.rows) & (col >= 0) & (col < one.over.cols)
     row, col = np.where(here, row, 0), np.where(here, col, 0)
@@ -262,5 +263,5 @@ def _range(name: str, given: Sequence[float]) -> Range:
     except (TypeError, ValueError):
         low = high = math.nan
     if not low <= high:
-        raise UsageError(f"A range of {name} is two numbers, the lower first, not {given}.")
+        raise UsageError(f"A range of {name} must be two numbers, the lower first, not {given}.")
     return low, high

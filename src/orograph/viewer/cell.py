@@ -1,10 +1,11 @@
-"""A canvas in a notebook's cell: ``rendercanvas``'s widget, and what it leaves to be done for a window.
+"""A canvas in a notebook's cell: ``rendercanvas``'s widget, and what it lacks for a window.
 
-- Jupyter may hand messages of the page to a thread of their own (*subshells*, ipykernel 7), where ``rendercanvas``
-  would draw, too; its scheduler waits in the loop of the thread that made it, and is never woken. All go to that loop.
-- Keys that a browser has a use for (Tab, F1, F12, Ctrl + digit) are kept from it while the cell has the keyboard.
-- The clipboard is the page's: what is copied is sent there, and what is pasted comes with the page's own event (no page
-  may read the clipboard otherwise).
+- Jupyter may handle the page's messages in another thread (*subshells*, ipykernel 7), where ``rendercanvas`` would also
+  draw; its scheduler waits in the loop of the thread that made it, and is never woken. So all messages go to that loop.
+- While the cell has the keyboard, the browser does not get the keys that it would use itself (Tab, F1, F12, Ctrl +
+  digit).
+- The clipboard is the page's: copied text is sent there, and pasted text comes with the page's own event (a page cannot
+  read the clipboard otherwise).
 
 Lengths are CSS pixels.
 """
@@ -16,7 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 FRAME = 4
-"""CSS pixels that the widget's frame takes beside the picture."""
+"""CSS pixels that the widget's frame adds to the picture."""
 
 SCRIPT = """
 {
@@ -50,11 +51,11 @@ SCRIPT = """
   }
 }
 """
-"""Appended to the widget's own script, whose classes it changes."""
+"""Appended to the widget's own script, whose classes it patches."""
 
 
 def make_canvas(size: tuple[int, int], **options: Any) -> Any:
-    """A canvas of ``size``, narrower where the cell is.
+    """A canvas of ``size``, or narrower if the cell is.
 
     Raises:
         ImportError: the extra is missing.
@@ -96,7 +97,7 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
 
 
 class Clipboard:
-    """The clipboard of the page that shows a canvas: what was copied here or pasted there last."""
+    """The clipboard of the page that shows a canvas: what was last copied here or pasted there."""
 
     def __init__(self, canvas: Any) -> None:
         self._canvas, self._text = canvas, ""
@@ -114,7 +115,7 @@ class Clipboard:
             send({"type": "orograph_copy", "text": text})
 
     def _pasted(self, text: str) -> None:
-        """As if Ctrl + V were pressed, now that the text is here."""
+        """Act as if Ctrl + V were pressed, now that the text is here."""
         self._text = text
         for kind in ("key_down", "key_up"):
             self._canvas.submit_event({"event_type": kind, "key": "v", "modifiers": ("Control",), "time_stamp": 0.0})

@@ -1,4 +1,4 @@
-"""What keys and buttons do to a window, one function each: ``keys`` binds them, panels call them."""
+"""What keys and buttons do to a window, one function each; ``keys`` binds them, panels call them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ if TYPE_CHECKING:
 
 
 def zoom_middle(window: Window, notches: float) -> None:
-    """Zoom to the middle of the picture."""
+    """Zoom towards the middle of the picture."""
     view = window.session.view
     window.session.nav.wheel(view.width / 2, view.height / 2, notches)
 
 
 def copy_view(window: Window) -> None:
-    """The view, as JSON, into the clipboard."""
+    """Copy the view to the clipboard as JSON."""
     window.clipboard[1](window.session.view_json())
-    window.session.messages.say("The view is in the clipboard: pictures take it from a file.")
+    window.session.messages.say("The view is in the clipboard: save it as a file to draw pictures with it.")
 
 
 def paste_view(window: Window) -> None:
@@ -41,16 +41,18 @@ def toggle_wireframe(window: Window) -> None:
 
 
 def toggle_freeze(window: Window) -> None:
-    """Keep the mesh of this view, or let it follow again."""
+    """Freeze the mesh of this view, or let it follow again."""
     frozen = window.session.settings.frozen is None
     window.session.freeze(frozen)
     window.session.messages.say(
-        "The mesh is that of this view: fly around it; F lets it follow again." if frozen else "The mesh follows."
+        "The mesh of this view is frozen: fly around it; F lets it follow again."
+        if frozen
+        else "The mesh follows the view again."
     )
 
 
 def play_day(window: Window) -> None:
-    """Let the sun's time pass, or stop it."""
+    """Start or stop the passing of the sun's time."""
     light = window.session.settings.sun
     if light.place is None:
         window.session.messages.say(light.trouble)
@@ -59,7 +61,7 @@ def play_day(window: Window) -> None:
 
 
 def add_stop(window: Window) -> None:
-    """Keep this camera in the tour."""
+    """Add this camera to the tour."""
     touring = window.touring
     touring.add()
     k = touring.chosen or 0
@@ -72,7 +74,7 @@ def play_tour(window: Window) -> None:
 
 
 def escape(window: Window) -> None:
-    """Leave the help, the tool, or a flight: the first that is on."""
+    """Close the first of these that is active: the help, the tool, or a flight."""
     if window.help:
         window.help = False
     elif window.touring.playing:

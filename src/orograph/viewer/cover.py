@@ -1,6 +1,6 @@
-"""How much of a terrain its layers hide: the bar of the heights' colours is of use as long as some of them are seen.
+"""How much of a terrain its layers hide: the colour bar of heights is only useful while their colours are visible.
 
-Places spread evenly over the terrain are looked up in each layer's image, by its extent alone, once and by a thread.
+Places spread evenly over the terrain are looked up in each layer's image, by its extent alone, once, in a thread.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from orograph.viewer.session import Session
 
 SIDE = 48
-"""Places along each side of the terrain, at most."""
+"""Maximum places along each side of the terrain."""
 MOST = 0.97
-"""The part of the ground that layers may hide before its colours no longer count."""
+"""If layers hide more of the ground than this part, its colours no longer count."""
 
 
 def places(probe: Probe) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where there is ground, spread evenly: coordinates in the terrain's CRS, (n,) and (n,)."""
+    """Places with ground, evenly spread: coordinates in the terrain's CRS, (n,) and (n,)."""
     rows, cols = (np.unique(np.linspace(0, n - 1, SIDE).round().astype(int)) for n in probe.coarse.shape)
     r, c = (axis.ravel() for axis in np.meshgrid(rows, cols, indexing="ij"))
     there = np.isfinite(probe.coarse[r, c])
@@ -48,7 +48,7 @@ def inside(path: str, grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]
 
 
 class Cover:
-    """What the layers of a session hide; what is not known yet counts as hidden."""
+    """What the layers of a session hide; a layer not yet looked up counts as hiding the ground."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -56,7 +56,7 @@ class Cover:
         self._masks: dict[str, NDArray[np.bool_] | None] = {}
 
     def hides(self) -> bool:
-        """Whether hardly anything is seen of the colours of heights."""
+        """Whether the colours of heights are hardly visible."""
         hidden = np.zeros(self._places[0].shape, bool)
         for layer in self._session.settings.layers:
             if layer.hides:

@@ -1,6 +1,6 @@
-"""Data in the window: what is painted and what stands, its priorities, its times, and what it says at a place.
+"""Data in the window: what is painted and what stands, priorities, times, and values at a place.
 
-The data of a session are read again when a priority or the time changes; colours keep their scale over all times.
+Data are read again when a priority or the time changes; colours keep their scale over all times.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 LOOKED_AT = 12
-"""Times, evenly from all, whose values make the scale of a series."""
+"""Number of times, evenly spread, whose values define the scale of a series."""
 
 
 WHOLE_MINUTES = 7200.0
-"""Seconds of a span above which moments are whole minutes."""
+"""Spans longer than this many seconds have moments in whole minutes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What data say at a place.
+    """A value of data at a place.
 
     Attributes:
-        name, unit: what it is. value: a number, or the name of a class. sigma: its standard deviation; None: not known.
+        name, unit: what it is. value: a number, or the name of a class. sigma: its standard deviation; None: unknown.
     """
 
     name: str
@@ -65,10 +65,10 @@ class ShownData:
         data: as given. priority: of terrain, data and uncertainty. grid: the terrain's.
 
     Attributes:
-        times: of the data that have any, ISO 8601 in UTC, in order. span: the first and the last moment of them and of
-            tracks, seconds since 1970; None: no time is known. time: the one that is shown; "": as given.
-        playing: whether time passes. exceeds: instead of the first raster's values, how probably they are above this
-            one is shown; None: its values are.
+        times: of the data that have any, ISO 8601 in UTC, in order. span: their first and last moment, including
+            tracks, seconds since 1970; None: no times. time: the time that is shown; "": as given.
+        playing: whether time passes. exceeds: show the probability that the first raster's values exceed this one;
+            None: show its values.
         painted: what is painted, bottom to top. things: what stands, or None.
     """
 
@@ -85,14 +85,14 @@ class ShownData:
         self._spans: dict[int, tuple[float, float]] = {}
 
     def choose(self, time: str) -> None:
-        """Choose the time that is shown, one of the data's or a moment between them; "": as given.
+        """Choose the time to show, one of the data's times or a moment between them; "": as given.
 
         Raises:
             UsageError: there is no such time.
         """
         if time and time not in self.times and not self._within(time):
             told = f"from {self.times[0]} to {self.times[-1]}" if self.times else "none"
-            raise UsageError(f"There is no time {time!r} of these data; there are {told}.")
+            raise UsageError(f"These data have no time {time!r}; they have {told}.")
         self.time = time
 
     def _within(self, time: str) -> bool:
@@ -103,7 +103,7 @@ class ShownData:
         return self.span is not None and bool(self.span[0] - 60 <= second <= self.span[1] + 60)
 
     def at_part(self, part: float) -> str:
-        """The moment at a part (0 to 1) of the span, ISO 8601 in UTC: to the minute where it is long enough."""
+        """The moment at a part (0 to 1) of the span, ISO 8601 in UTC: to the minute if the span is long enough."""
         if self.span is None:
             return ""
         first, last = self.span
@@ -112,7 +112,7 @@ class ShownData:
 
     @property
     def part(self) -> float:
-        """How far the chosen time is along the span; 0 where none is chosen."""
+        """The chosen time as a part of the span; 0 if none is chosen."""
         if self.span is None or not self.time:
             return 0.0
         first, last = self.span
@@ -120,7 +120,7 @@ class ShownData:
 
     @property
     def told(self) -> str:
-        """The chosen time in words, and how values between two times are found."""
+        """The chosen time as text, and how values between two times are found."""
         if not self.time:
             return "as given"
         around = neighbours(self.times, self.time)
@@ -128,7 +128,7 @@ class ShownData:
         return self.time.replace("T", " ") + between
 
     def current(self, terrain: Terrain) -> tuple[Dataset, ...]:
-        """The data of the chosen time. How members differ is not known of a series' single time."""
+        """The data of the chosen time. A single time of a series says nothing about the differences between members."""
         made = [self._at_time(k, one, terrain) for k, one in enumerate(self.data)]
         k = self.doubtful
         if self.exceeds is not None and k is not None:
@@ -139,8 +139,8 @@ class ShownData:
 
     @property
     def doubtful(self) -> int | None:
-        """The number of the first data of which it can be asked how probably they exceed a value: a raster with an
-        uncertainty, or such a probability; None: there are none."""
+        """The index of the first data with a probability of exceeding a value: a raster with an uncertainty, or with
+        such a probability; None: there are none."""
         for k, one in enumerate(self.data):
             raster = not (has_features(one.source) or is_table(one.source) or stands(one))
             if raster and (one.uncertainty is not None or one.exceeds is not None):
@@ -159,7 +159,7 @@ class ShownData:
         bare = one.but(time=self.time, uncertainty=doubt)
         if bare.derived and len(read(bare.but(value=None, exceeds=None, uncertainty=None), terrain.grid).values) == 1:
             range_ = None if one.exceeds is not None else one.range
-            bare = bare.but(value=None, exceeds=None, range=range_)  # of a single time: what it is
+            bare = bare.but(value=None, exceeds=None, range=range_)  # of a single time: as it is
         if bare.exceeds is not None:
             return bare
         if bare.range is not None or "+" in str(one.variable or one.band or ""):
@@ -174,7 +174,7 @@ class ShownData:
         return bare.but(range=self._spans[k])
 
     def at(self, x: float, y: float) -> tuple[Found, ...]:
-        """What painted data say at a place in the terrain's CRS, the uppermost first."""
+        """Painted data at a place in the terrain's CRS, the uppermost first."""
         found = []
         for one in reversed(self.painted):
             col, row = (round(float(v)) for v in one.over.index(x, y))
@@ -191,7 +191,7 @@ class ShownData:
         return tuple(found)
 
     def of_thing(self, number: int) -> tuple[Found, ...]:
-        """What a thing that stands shows, by its number."""
+        """The value of a standing thing, by its number."""
         if self.things is None or not 0 <= number < len(self.things) or not np.isfinite(self.things.values[number]):
             return ()
         which = int(self.things.shown[number])
@@ -203,6 +203,6 @@ class ShownData:
 
 
 def _clock(time: str) -> str:
-    """A time in short words: its hour, or its day where that is midnight."""
+    """A time as short text: its hour, or its day at midnight."""
     day, _, hour = time.partition("T")
     return hour if hour != "00:00" else day

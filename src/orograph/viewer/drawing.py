@@ -1,8 +1,8 @@
-"""Drawing the terrain for a window: only when its picture would be another one, and on, whatever fails.
+"""Draw the terrain for a window: only when its picture would change, and despite errors.
 
-What fails while a frame is drawn (a file that vanished, a device that was lost) becomes a message; the last picture
-stays, and drawing is tried again when something changes or after ``RETRY`` seconds. In place of a lost device a thread
-opens another one, while panels go on (``reopening``).
+If drawing a frame fails (a file vanished, a device was lost), a message says so and the last picture stays; drawing is
+tried again when something changes or after ``RETRY`` seconds. A thread opens a new device in place of a lost one, while
+panels keep working (``reopening``).
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ if TYPE_CHECKING:
 
 RETRY = 2.0
 PATIENCE = 0.4
-"""Seconds of rest after which a slow device makes a picture smoother."""
+"""Seconds of rest after which a slow device refines a picture."""
 
-UNREAD = "A part of the picture cannot be read:"
+UNREAD = "Part of the picture cannot be read:"
 UNDRAWN = "The terrain could not be drawn."
-RENEWING = "The GPU was lost; the terrain is being made ready for a new device."
+RENEWING = "The GPU was lost; the terrain is being prepared for a new device."
 
 
 class Drawer(Protocol):
-    """What draws terrain: ``rendering.gpu.renderer.Renderer``."""
+    """Draws terrain: ``rendering.gpu.renderer.Renderer``."""
 
     def draw(
         self, target: Any, format: str, scene: Scene, *, overlay: Any = ..., freeze: View | None = None,
         wait: bool = False, samples: int | None = None,
     ) -> Any:  # fmt: skip
-        """Draw a scene into a texture's view; statistics."""
+        """Draw a scene into a texture's view; returns statistics."""
 
     def depth(self) -> NDArray[np.float32]:
         """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
 
     @property
     def busy(self) -> bool:
-        """Whether tiles are on their way."""
+        """Whether tiles are still loading."""
 
     @property
     def resting(self) -> bool:
-        """Whether further frames of the same scene would be the same."""
+        """Whether further frames of the same scene would be identical."""
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
 
 
 class Drawing:
@@ -71,10 +71,10 @@ class Drawing:
         format: of the picture's texture.
 
     Attributes:
-        renderer: what draws; screen: the picture that it drew last.
-        stats: what the last frame of the terrain told; drawn: how many frames of it were drawn.
+        renderer: draws the terrain; screen: the picture that it drew last.
+        stats: statistics of the terrain's last frame; drawn: number of its frames so far.
         draft: how large the picture is in motion.
-        stood: what stands in the picture, or None.
+        stood: the standing things in the picture, or None.
         failed: when drawing failed, on ``time.perf_counter``'s clock; 0 while it does not.
     """
 
@@ -99,26 +99,26 @@ class Drawing:
 
     @property
     def eager(self) -> bool:
-        """Whether the next frame should come at once: there is more to be seen, and the device is quick."""
+        """Whether the next frame should come at once: there is more to show, and the device is fast."""
         return not (self._resting or self._patient or self.coming or self.window.renewal.replaced())
 
     @property
     def done(self) -> bool:
-        """Whether a frame was drawn and further ones would be the same."""
+        """Whether a frame was drawn and further ones would be identical."""
         return self.drawn > 0 and self._resting
 
     @property
     def waits(self) -> list[float]:
-        """Seconds after which drawing is worth another try."""
+        """Seconds until drawing should be tried again."""
         return ([RETRY] if self.failed or self._lacks else []) + ([] if self._resting else [PATIENCE])
 
     @property
     def _lacks(self) -> bool:
-        """Whether the last frame would be better later on: something could not be read, or is being made."""
+        """Whether the last frame will improve later: something could not be read, or is being made."""
         return bool(getattr(self.stats, "failed", "") or getattr(self.stats, "making", ""))
 
     def _due(self, now: float) -> bool:
-        """Whether it is time to look whether what is lacking is there."""
+        """Whether it is time to check for what was lacking."""
         return self._lacks and now - self._drawn_at >= RETRY
 
     @property
@@ -126,7 +126,7 @@ class Drawing:
         return self._slow and not self.renderer.busy
 
     def draw(self, scale: float, now: float) -> None:
-        """Draw the terrain if its picture would be another one; ``scale``: of the picture's size."""
+        """Draw the terrain if its picture would change; ``scale``: of the picture's size."""
         if self.coming or self.window.renewal.replaced():
             return
         session, settings = self.window.session, self.window.session.settings
@@ -138,7 +138,7 @@ class Drawing:
             if same and (self._resting if not self.failed else now - self.failed < RETRY) and not self._due(now):
                 return
             if same and self._patient and not self.failed and now - self._drawn_at < PATIENCE:
-                return  # on a slow device the pointer comes before a smoother picture
+                return  # on a slow device the pointer comes before refinement
             self.screen.prepare(scene.view.width, scene.view.height)
             self.stats = self.renderer.draw(
                 self.screen.view, self.screen.format, scene, overlay=overlay, freeze=settings.frozen
@@ -153,10 +153,10 @@ class Drawing:
             before, self._trouble = self._trouble, trouble
             empty, self._empty = self._empty, self.stats.triangles + getattr(self.stats, "windows", 0) == 0
             if self._empty and not empty:
-                session.messages.say("No ground is in view: H goes home, where all of it is.")
+                session.messages.say("No ground is in view: press H to see all of it.")
             own = settings.painted.path if settings.painted is not None else None
             for note in getattr(self.stats, "notes", ()):
-                if own is None or own not in note:  # of a layer that a tool paints there is nothing to be told
+                if own is None or own not in note:  # the user gave no layer that a tool paints
                     session.messages.say(note)
             if self.window.renewal.replaced():
                 self._trouble = before
@@ -165,7 +165,7 @@ class Drawing:
                 session.messages.say(f"{UNREAD} {trouble}", error=True)
             elif before and not trouble:
                 session.messages.drop(UNREAD)
-                session.messages.say("All of the picture can be read again.")
+                session.messages.say("The whole picture can be read again.")
             made, self._making = self._making, getattr(self.stats, "making", "")
             if made != self._making:
                 session.messages.drop(made)
@@ -182,12 +182,12 @@ class Drawing:
             self._fail(error, now)
 
     def exact(self, samples: int) -> None:
-        """Draw the terrain with all tiles and so many samples of each pixel.
+        """Draw the terrain with all tiles and ``samples`` samples per pixel.
 
         Raises:
-            OrographError: a tile cannot be had.
+            OrographError: a tile cannot be read.
         """
-        if self._coming is not None:  # what is saved may take its time
+        if self._coming is not None:  # saving may take its time
             self._coming.join()
             self.ready()
         scene, settings = self.window.session.scene(), self.window.session.settings
@@ -203,7 +203,7 @@ class Drawing:
         self._scene = None
 
     def _stand(self, scene: Scene) -> None:
-        """Draw what stands over the picture: on its depth, as in pictures."""
+        """Draw the standing things over the picture, with its depth, as in pictures."""
         self.stood = self._standing.draw(scene, self.renderer, self.screen)
         if self.stood is not None and self.stood.missing and not self._told_missing:
             self._told_missing = True
@@ -211,7 +211,7 @@ class Drawing:
             self.window.session.messages.say(told)
 
     def thing_at(self, x: float, y: float) -> int:
-        """The thing that is seen at a pixel of the view, −1 where it is none."""
+        """The thing visible at a pixel of the view, −1 if there is none."""
         if self.stood is None:
             return -1
         rows, cols = self.stood.which.shape
@@ -220,7 +220,7 @@ class Drawing:
         return int(self.stood.which[i, j]) if 0 <= i < rows and 0 <= j < cols else -1
 
     def _fail(self, error: Exception, now: float) -> None:
-        """A frame could not be drawn: say so, and try to get a device again if it was lost."""
+        """Report that a frame could not be drawn, and try to get a new device if it was lost."""
         if self.lost(error):
             self.reopen()
             return
@@ -236,7 +236,7 @@ class Drawing:
             traceback.print_exc()
 
     def renew(self, renderer: Drawer) -> None:
-        """Go on with another renderer, of another terrain."""
+        """Continue with another renderer, of another terrain."""
         if not self.coming:
             self.renderer.close()
         self._others.close()
@@ -247,38 +247,39 @@ class Drawing:
             self.window.session.messages.drop(said)
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
         self._others.close()
         self.renderer.close()
 
     def check(self) -> None:
-        """Raise wgpu's error if the device is lost: making a buffer says so, writing to one may end the process."""
+        """Raise wgpu's error if the device is lost: creating a buffer reports it, writing to one may crash the
+        process."""
         self.window.device.buffer(4, "COPY_DST", "alive")
 
     def lost(self, error: Exception) -> bool:
-        """Whether an error says that the device was lost."""
+        """Whether an error means that the device was lost."""
         return self.window.device.lost is not None or "lost" in str(error).lower()
 
     @property
     def coming(self) -> bool:
-        """Whether the device was lost, and a thread makes the renderer on a new one."""
+        """Whether the device was lost and a thread is making the renderer on a new one."""
         return self._coming is not None
 
     def reopen(self) -> None:
-        """Begin again on a new device, which a thread opens."""
+        """Start again on a new device, which a thread opens."""
         window, new = self.window, self._coming
         if new is not None and new.device is not window.device:
-            return  # the same loss, heard of again
+            return  # the same loss, reported again
         with contextlib.suppress(Exception):  # it is lost anyway
             self.renderer.close()
         with contextlib.suppress(Exception):
             self._others.close()
         with contextlib.suppress(Exception):
-            window.context.unconfigure()  # lets go of textures of the lost device: nothing is to be shown of them
+            window.context.unconfigure()  # releases textures of the lost device, which cannot be shown
         window.device.lost = window.device.lost or "lost while drawing"
         self._scene, self._resting = None, False
         scene, overlay, format = None, None, self.screen.format
-        with contextlib.suppress(Exception):  # the first frame says what is wrong with it
+        with contextlib.suppress(Exception):  # the first frame reports what is wrong with it
             scene, overlay = window.session.scene(), window.session.settings.overlay()
 
         def prepare(renderer: Any) -> None:
@@ -289,7 +290,8 @@ class Drawing:
         self.renderer = self._coming
 
     def ready(self) -> bool:
-        """Whether there is a device to draw panels with: takes what was made of a new one since the last frame."""
+        """Whether there is a device to draw panels with; takes over what a new device has ready since the last
+        frame."""
         window, new = self.window, self._coming
         if new is None:
             return True
@@ -306,7 +308,7 @@ class Drawing:
         except Exception as error:
             self._coming, self.failed = None, time.perf_counter()
             window.device.lost = window.device.lost or "not to be drawn with"
-            window.session.messages.say(f"The GPU was lost and is not to be had again: {error}", error=True)
+            window.session.messages.say(f"The GPU was lost and cannot be opened again: {error}", error=True)
             again = threading.Timer(RETRY, window.refresh)
             again.daemon = True
             again.start()
@@ -314,6 +316,6 @@ class Drawing:
         if new.renderer is not None:
             self.renderer, self._coming = new.renderer, None
             window.session.messages.drop(RENEWING)
-            window.session.messages.say("The GPU was lost; drawing goes on with a new device.")
+            window.session.messages.say("The GPU was lost; drawing continues on a new device.")
             window.touch()
         return new.device is not None

@@ -1,7 +1,7 @@
-"""What mouse and keyboard tell a window: to panels, to the camera, to the tool, or to a key's command.
+"""Dispatch mouse and keyboard events to panels, the camera, the tool, or a key's command.
 
-Events are ``rendercanvas``'s; positions are logical pixels of the canvas. A press that begins over a panel is the
-panel's, and so is all that is typed while a text field has the keyboard.
+Events are ``rendercanvas``'s; positions are logical pixels of the canvas. A press that begins over a panel belongs to
+the panel, and typing belongs to a text field while it has the keyboard.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class Events:
         self.decide()
 
     def decide(self) -> None:
-        """Do what keys ask for that are not a text field's; called at every frame, as those wait that follow a press on
-        a panel before it is drawn."""
+        """Run the commands of pressed keys that are not for a text field. It runs in every frame, because keys that
+        follow a press on a panel wait until that is drawn."""
         while self._later and not self.window.gui.undecided:
             event = self._later.pop(0)
             if event["event_type"] != "char":
@@ -114,5 +114,5 @@ class Events:
 
 
 def _text(event: dict[str, Any]) -> str:
-    """What was typed."""
+    """Handle typed text."""
     return event.get("data") or event.get("char_str") or ""

@@ -1,4 +1,4 @@
-"""The best view of what is selected: looked for by a thread, then flown to."""
+"""Find the best view of the selection in a thread, then fly to it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 MOST = 400
-"""Places of a selection that are looked at, evenly from all."""
+"""Places of a selection that are considered, evenly spread."""
 
 
 class Finder:
     """Finds views for a window.
 
     Attributes:
-        busy: whether one is looked for.
+        busy: whether a search is running.
     """
 
     def __init__(self, window: Window) -> None:
@@ -50,7 +50,7 @@ class Finder:
                 seen = Stretched(terrain, stretch)
                 found = search(seen, places, 1, size=(view.width, view.height), fovs=(view.fov_y,))
                 if not len(found):
-                    session.messages.say("No camera sees anything of what is selected.")
+                    session.messages.say("No camera sees any of what is selected.")
                 elif session.terrain is terrain:
                     best = found[0]
                     self._found = seen.back(best.view)
@@ -64,7 +64,7 @@ class Finder:
         session.probe.submit(look)
 
     def take(self) -> None:
-        """Fly to what was found."""
+        """Fly to the view found."""
         found, self._found = self._found, None
         if found is not None:
             session = self.window.session

@@ -1,9 +1,9 @@
-"""Flying by held keys: speed in proportion to the height above the ground, the same way at any frame rate.
+"""Flying with held keys: speed is proportional to the height above the ground, and the path is the same at any frame
+rate.
 
-A velocity in camera axes follows the keys within a tenth of a second (exponentially), the eye follows the velocity.
-The speed depends on the place, so the way is integrated in ticks of fixed length whatever the frames are: after the
-same time the same ticks have been made. What is left of a frame after its last tick is drawn, not kept, so motion stays
-even.
+A velocity in camera axes follows the keys within a tenth of a second (exponentially), and the eye follows the velocity.
+The speed depends on the place, so the path is integrated in ticks of fixed length, independent of frames: the same time
+always gives the same ticks. The rest of a frame after its last tick is drawn but not kept, so motion stays even.
 
 Units: metres and radians of stretched space, seconds.
 """
@@ -25,14 +25,14 @@ Array = NDArray[np.float64]
 
 TICK = 1.0 / 240.0
 RESPONSE = 0.1
-"""Seconds in which the velocity comes within 1/e of what the keys say."""
+"""Seconds in which the velocity comes within 1/e of the keys' target."""
 PACE = 0.8
-"""Heights above the ground gone in a second."""
+"""Heights above the ground per second."""
 SLOWEST, FASTEST = 1.5, 2e6
-"""Metres in a second."""
+"""Minimum and maximum speed, metres per second."""
 FAST, SLOW = 5.0, 0.2
 TURN = math.radians(50.0)
-"""Radians in a second that the arrow keys turn."""
+"""Turning speed of the arrow keys, radians per second."""
 
 MOVES: dict[str, tuple[float, float, float]] = {
     "w": (0, 0, 1), "s": (0, 0, -1), "a": (-1, 0, 0), "d": (1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0),
@@ -62,11 +62,11 @@ class Flying:
 
     @property
     def moving(self) -> bool:
-        """Whether it still moves."""
+        """Whether the camera still moves."""
         return bool(np.abs(self.velocity).max() > 0)
 
     def stop(self) -> None:
-        """Stand still at once."""
+        """Stop at once."""
         self.velocity[:] = 0.0
         self.rest = 0.0
         self._kept = self._drawn = None
@@ -78,7 +78,7 @@ class Flying:
         """The view after some more time.
 
         Args:
-            view: what the last call returned, or any other one: the flight goes on from there.
+            view: the last result, or any other view: the flight goes on from there.
             keys: held down, of ``KEYS``.
             pace: a factor on the speed (``FAST``, ``SLOW``).
         """
@@ -104,7 +104,7 @@ class Flying:
 
 
 def step(pose: Pose, velocity: Array, seconds: float, limits: Limits) -> Pose:
-    """Go on with a velocity; over rising ground the eye rises with it."""
+    """Move with a velocity; over rising ground the eye rises with it."""
     ground = limits.ground(float(pose.eye[0]), float(pose.eye[1]))
     height = pose.distance if math.isnan(ground) else pose.eye[2] - ground * pose.exaggeration
     speed = min(max(PACE * height, SLOWEST), FASTEST)

@@ -1,13 +1,13 @@
 """A smooth flight from one view to another: van Wijk & Nuij, *Smooth and efficient zooming and panning*, InfoVis 2003.
 
-Seen from above, a view is where it looks (u along the line between both targets) and how much it shows (w, here the
-distance from eye to target). Of all ways from (0, w0) to (u1, w1) the shortest in the metric
+Seen from above, a view is described by where it looks (u along the line between both targets) and how much it shows (w,
+here the distance from eye to target). Of all paths from (0, w0) to (u1, w1) the shortest in the metric
 
     ds² = ρ²/w² du² + 1/(ρ² w²) dw²
 
-is the one that seems to move evenly: a long way goes up first and comes down at the end. Its closed form is eq. (9) of
-the paper, with the special case u1 = 0 (pure zoom). ρ = √2 trades panning for zooming (the paper's users liked 1.42).
-Heading, pitch and lens are interpolated beside it, the heading the shorter way round. The whole eases in and out.
+is the one that appears to move evenly: a long path rises first and descends at the end. Its closed form is eq. (9) of
+the paper, with the special case u1 = 0 (pure zoom). ρ = √2 balances panning and zooming (the paper's users preferred
+1.42). Heading, pitch and lens are interpolated too, the heading the shorter way round. The flight eases in and out.
 
 Units: metres, seconds.
 """
@@ -26,9 +26,9 @@ from orograph.viewpoint import View
 
 RHO = math.sqrt(2.0)
 PACE = 1.6
-"""Length in the metric gone in a second."""
+"""Length in the metric per second."""
 SHORTEST, LONGEST = 0.25, 4.0
-"""Seconds that a flight lasts."""
+"""Minimum and maximum duration of a flight, seconds."""
 
 
 class Path:
@@ -44,7 +44,7 @@ class Path:
     def __init__(self, distance: float, start: float, end: float, rho: float = RHO) -> None:
         self.w0, self.w1, self.u1, self.rho = start, end, distance, rho
         r2 = rho * rho
-        # Where the pan is less than a millionth of what is shown, the general form loses its digits.
+        # If the pan is less than a millionth of what is shown, the general form loses precision.
         self.zooms = distance < 1e-6 * max(start, end)
         if self.zooms:
             self.length = abs(math.log(end / start)) / rho
@@ -70,7 +70,7 @@ class Glide:
 
     Attributes:
         start, end: the views; size and range are the end's.
-        seconds: how long it takes; None: by the length of the way.
+        seconds: duration; None: from the length of the path.
     """
 
     start: View
@@ -101,10 +101,10 @@ class Glide:
         self._at = at
 
     def at(self, time: float) -> View:
-        """The view at a time; the end's own from ``seconds`` on."""
+        """The view at a time; the end view from ``seconds`` on."""
         assert self.seconds is not None
         if time >= self.seconds:
             return self.end
         t = max(time, 0.0) / self.seconds
-        part = t * t * t * (t * (6 * t - 15) + 10)  # rests, with no jerk, at both ends (Perlin's fade)
+        part = t * t * t * (t * (6 * t - 15) + 10)  # at rest, without jerk, at both ends (Perlin's fade)
         return lifted(self._at(part), self.limits).to_view()

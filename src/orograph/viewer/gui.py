@@ -1,6 +1,6 @@
-"""Dear ImGui on a canvas: fonts, colours, the layout that is kept, and whom an event is for.
+"""Dear ImGui on a canvas: fonts, colours, the saved layout, and the target of an event.
 
-wgpu-py's own glue decides by the last frame's state whether an event is ImGui's; where frames are drawn on demand that
+wgpu-py's own glue uses the last frame's state to decide whether an event is for ImGui. With frames drawn on demand that
 state is stale (a move and a press arrive together), so here the window under the pointer is looked up when a press
 comes. Events are taken from ``rendercanvas``; positions are logical pixels.
 """
@@ -21,7 +21,7 @@ FONT = 15.0
 """Logical pixels."""
 
 FRAMES = 3
-"""Frames after which a pressed text field has the keyboard."""
+"""Frames until a pressed text field has the keyboard."""
 
 INK = (0.93, 0.94, 0.95, 1.0)
 PAPER = (0.105, 0.115, 0.13, 0.94)
@@ -35,7 +35,7 @@ class Gui:
 
     Args:
         device: where it draws; ``format``: of the canvas's textures.
-        layout: the file that positions of panels are kept in, or None.
+        layout: the file that stores the positions of panels, or None.
         clipboard: functions that get and set the clipboard's text, or None for ImGui's own.
     """
 
@@ -57,11 +57,11 @@ class Gui:
         io.config_error_recovery_enable_assert = False
         self.fresh = layout is None or not _places_panels(layout)
         self._later: list[tuple[Callable[[], None], bool | None]] = []
-        """What is told, and whether of a button; None: of neither button nor pointer."""
+        """Queued input, and whether it is about a button; None: about neither button nor pointer."""
         self._fresh_pointer = False
         self._expecting = 0
         self.raised: list[str] = []
-        """Panels to be brought to the top of their stacks, one a frame."""
+        """Panels to bring to the top of their stacks, one per frame."""
         if clipboard is not None:
             get, put = clipboard
             platform = imgui.get_platform_io()
@@ -73,19 +73,19 @@ class Gui:
         _style()
 
     def rebuild(self, device: Device, format: str) -> None:
-        """Draw with another device: the last one was lost."""
+        """Draw with another device after the last one was lost."""
         from wgpu.utils.imgui import ImguiWgpuBackend
 
         imgui.set_current_context(self.context)
         self.backend = ImguiWgpuBackend(device.handle, format)
-        # The backend sets an empty name of the layout's file; it is ours to set after that.
+        # The backend sets an empty name for the layout's file; set ours after that.
         imgui.get_io().set_ini_filename(self._layout)
-        for texture in imgui.get_platform_io().textures:  # what another backend made went with its device
+        for texture in imgui.get_platform_io().textures:  # another backend's resources are gone with its device
             status = imgui.ImTextureStatus
             if texture.status in (status.ok, status.want_updates):
                 texture.set_tex_id(0)
                 texture.set_status(status.want_create)
-                whole = texture.update_rect  # the backend brings this part of it
+                whole = texture.update_rect  # the backend provides this part
                 whole.x, whole.y, whole.w, whole.h = 0, 0, texture.width, texture.height
             elif texture.status == status.want_destroy:
                 texture.set_tex_id(0)
@@ -94,17 +94,17 @@ class Gui:
     # ---- events --------------------------------------------------------------------------------------------------
 
     def pointer(self, x: float, y: float) -> None:
-        """The pointer is at (x, y)."""
+        """Move the pointer to (x, y)."""
         self._do(partial(self._io().add_mouse_pos_event, x, y), False)
 
     def button(self, button: int, down: bool) -> None:
-        """A button (1 left, 2 right, 3 middle) goes down or up."""
+        """Press or release a button (1 left, 2 right, 3 middle)."""
         if 1 <= button <= 5:
             self._do(partial(self._io().add_mouse_button_event, button - 1, down), True)
 
     def _do(self, tell: Callable[[], None], button: bool) -> None:
-        """Tell of the mouse, of a button not before a frame in which the pointer was there: a quick click on a tab that
-        comes together with the move to it would be lost."""
+        """Queue a mouse event. A button waits for a frame with the pointer in place: a quick click on a tab that
+        arrives together with the move would be lost."""
         if self._later or (button and self._fresh_pointer):
             self._later.append((tell, button))
         else:
@@ -112,14 +112,14 @@ class Gui:
             tell()
 
     def _then(self, tell: Callable[[], None]) -> None:
-        """Tell of the keyboard or the wheel, after what waits: a Ctrl that is let go would overtake its click."""
+        """Queue a keyboard or wheel event after those that wait: a released Ctrl would otherwise overtake its click."""
         if self._later:
             self._later.append((tell, None))
         else:
             tell()
 
     def _tell_later(self) -> None:
-        """What waited for a frame, up to and with one button."""
+        """Pass on the events that waited for a frame, up to and including one button."""
         while self._later:
             tell, button = self._later[0]
             if button and self._fresh_pointer:
@@ -132,24 +132,24 @@ class Gui:
 
     @property
     def waiting(self) -> bool:
-        """Whether something waits for a frame to be told."""
+        """Whether events wait for a frame."""
         return bool(self._later)
 
     @property
     def undecided(self) -> bool:
-        """Whether a press on a panel was not yet drawn: it may have been on a text field, whose keys come."""
+        """Whether a press on a panel is not drawn yet: it may be on a text field that takes the next keys."""
         return self._expecting > 0
 
     def pressed(self) -> None:
-        """A button went down over a panel."""
+        """A button was pressed over a panel."""
         self._expecting = FRAMES
 
     def wheel(self, dx: float, dy: float) -> None:
-        """The wheel turns, in notches."""
+        """Turn the wheel, in notches."""
         self._then(partial(self._io().add_mouse_wheel_event, dx, dy))
 
     def key(self, name: str, down: bool) -> None:
-        """A key goes down or up, by ``rendercanvas``'s name."""
+        """Press or release a key, by ``rendercanvas``'s name."""
         from wgpu.utils.imgui import ImguiRenderer
 
         key: Any = ImguiRenderer.KEY_MAP.get(name)
@@ -169,12 +169,12 @@ class Gui:
             self._then(partial(io.add_key_event, getattr(imgui.Key, _MODIFIERS[name]), down))
 
     def text(self, characters: str) -> None:
-        """Characters were typed."""
+        """Type characters."""
         if characters:
             self._then(partial(self._io().add_input_characters_utf8, characters))
 
     def over(self, x: float, y: float) -> bool:
-        """Whether a panel (or a menu that is open) is at (x, y)."""
+        """Whether a panel (or an open menu) is at (x, y)."""
         imgui.set_current_context(self.context)
         if imgui.get_frame_count() == 0:
             return False
@@ -205,19 +205,19 @@ class Gui:
         self._expecting -= bool(self._expecting and not self._later)
 
     def end(self) -> Any:
-        """End the frame; what is to be drawn."""
+        """End the frame; returns its draw data."""
         imgui.render()
         return imgui.get_draw_data()
 
     def close(self) -> None:
-        """Let go of the context; the layout is saved."""
+        """Destroy the context; the layout is saved."""
         imgui.set_current_context(self.context)
         implot.destroy_context(self.plots)
         imgui.destroy_context(self.context)
 
 
 def _places_panels(layout: Path) -> bool:
-    """Whether a layout's file says where panels are: one kept by a window that never showed any does not."""
+    """Whether a layout's file contains panel positions: that of a window that never showed panels does not."""
     try:
         return "DockId=" in layout.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
@@ -233,7 +233,7 @@ def _style() -> None:
     style.grab_rounding = 3.0
     style.popup_rounding = 4.0
     style.window_border_size = 0.0
-    style.frame_border_size = 1.0  # unchosen radio buttons and empty boxes would hardly be seen without
+    style.frame_border_size = 1.0  # otherwise unchosen radio buttons and empty boxes are hardly visible
     style.item_spacing = (8.0, 6.0)
     style.window_padding = (10.0, 8.0)
     c = imgui.Col_

@@ -1,4 +1,4 @@
-"""The keys and what they do: one table, for the window that obeys it and for the help that prints it."""
+"""The keys and what they do: one table for the window, which executes it, and the help, which prints it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HELD = (
     ("W A S D", "fly forward, left, back, right"),
     ("E Q", "fly up, down"),
     ("Arrows", "turn"),
-    ("Shift, Ctrl", "held with these: faster, slower"),
+    ("Shift, Ctrl", "while held: faster, slower"),
 )
 
 
@@ -58,7 +58,7 @@ def _keep(window: Window, slot: str) -> None:
 
 
 def bindings() -> tuple[Binding, ...]:
-    """All keys that do something when they go down."""
+    """All keys that trigger something when pressed."""
     digits = [
         *(Binding(d, "go to a kept view", partial(_recall, slot=d), shown="1 … 9") for d in "123456789"),
         *(Binding(d, "keep this view", partial(_keep, slot=d), control=True, shown="1 … 9") for d in "123456789"),
@@ -83,7 +83,7 @@ def bindings() -> tuple[Binding, ...]:
         Binding(" ", "play the day", commands.play_day, shown="Space"),
         Binding("k", "add this camera to the tour", commands.add_stop),
         Binding("l", "play the tour", commands.play_tour),
-        Binding("Backspace", "take back the last point", lambda w: w.tools.undo()),
+        Binding("Backspace", "remove the last point", lambda w: w.tools.undo()),
         Binding("x", "wireframe", commands.toggle_wireframe),
         Binding("f", "freeze the mesh and fly around it", commands.toggle_freeze),
         Binding("q", "close the window", lambda w: w.canvas.close(), control=True),
@@ -93,7 +93,7 @@ def bindings() -> tuple[Binding, ...]:
 
 
 def help_rows() -> list[tuple[str, str]]:
-    """(key, effect), one row for keys that are alike."""
+    """(key, effect), one row for similar keys."""
     rows: dict[str, str] = {}
     for b in bindings():
         rows.setdefault(b.label, b.what)

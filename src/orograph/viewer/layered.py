@@ -1,4 +1,4 @@
-"""What is laid over a frame of the window: things that stand, and the variants of its scene (``viewer.variants``)."""
+"""What is drawn over a frame of the window: standing things, and the variants of its scene (``viewer.variants``)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 class Standing:
-    """Draws what stands over a picture, on its depth, as in pictures; where it stands is kept."""
+    """Draws standing things over a picture, with its depth, as in pictures; remembers where they stand."""
 
     def __init__(self) -> None:
         self._placed: tuple[Any, float, Any] | None = None
 
     def draw(self, scene: Scene, renderer: Drawer, screen: Screen) -> Stood | None:
-        """Draw it, and the grid; what stands, or None."""
+        """Draw them, and the grid; returns the standing things, or None."""
         things = scene.theme.things
         gridded = interval_of(scene.annotations.aids, scene.view) is not None
         if things is None and not gridded:
@@ -50,10 +50,10 @@ class Standing:
 
 
 class Others:
-    """Draws the variants of a window's scene over its picture, each by a renderer of its own.
+    """Draws the variants of a window's scene over its picture, each with its own renderer.
 
     Args:
-        window: whose. make: makes the renderer on a device.
+        window: the window. make: makes a renderer on a device.
     """
 
     def __init__(self, window: Window, make: Callable[[Device, Terrain], Drawer]) -> None:
@@ -62,10 +62,10 @@ class Others:
         self._screen: Screen | None = None
 
     def draw(self, scene: Scene, renderer: Drawer, screen: Screen, how: dict[str, Any]) -> bool:
-        """Lay the variants over the picture on a screen; whether further frames would be the same.
+        """Draw the variants over the picture on a screen; returns whether further frames would be the same.
 
         Args:
-            renderer: what drew the picture. how: of ``Drawer.draw``; a frozen mesh is that of the scene's terrain.
+            renderer: drew the picture. how: as for ``Drawer.draw``; a frozen mesh belongs to the scene's terrain.
         """
         if not scene.variants:
             return True
@@ -98,7 +98,7 @@ class Others:
         return rests
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
         for _, renderer, _ in self._made.values():
             renderer.close()
         self._made, self._screen = {}, None

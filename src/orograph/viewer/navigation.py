@@ -1,15 +1,15 @@
-"""Moves of a camera, as pure functions from ``View`` to ``View``: orbit, pan, zoom, look, and the views one asks for.
+"""Camera moves as pure functions from ``View`` to ``View``: orbit, pan, zoom, look, and requested views.
 
-- ``Grab``: a ground point taken by the cursor. *Pan* moves the camera without turning it so that the point stays under
-  the cursor exactly: at the eye's own height where the ground is seen from above, parallel to the picture where it is
-  seen at a grazing angle (a level move would leap there).
-- ``zoom``: towards the point under the cursor or away from it; it does not move in the picture.
+- ``Grab``: a ground point held by the cursor. *Pan* moves the camera without turning it so that the point stays exactly
+  under the cursor: at the eye's own height if the ground is seen from above, parallel to the picture at a grazing angle
+  (where a level move would leap).
+- ``zoom``: towards the point under the cursor or away from it; the point does not move in the picture.
 - ``orbit``: about the point under the cursor as a rigid body; the point does not move, and the horizon stays level.
 - ``look``: turning the head.
 
-None of them takes the eye below ``clearance`` metres above the ground: where a move would, the nearest one is made that
-does not *and* keeps its promise about the point under the cursor. The ground is a function (easting, northing) → height
-in true metres, NaN where there is none. Units: metres, degrees; pixel positions as in ``View``.
+No move takes the eye below ``clearance`` metres above the ground: instead the nearest move is made that stays above it
+*and* keeps the point under the cursor. The ground is a function (easting, northing) → height in true metres, NaN where
+there is none. Units: metres, degrees; pixel positions as in ``View``.
 """
 
 from __future__ import annotations
@@ -30,29 +30,30 @@ Pixel = tuple[float, float]
 Ground = Callable[[float, float], float]
 
 CLEARANCE = 2.0
-"""Metres, the least height of the eye above the ground: that of a tall person."""
+"""Minimum height of the eye above the ground, metres: that of a tall person."""
 NEAREST = 1.0
-"""Metres, the least depth of the point zoomed to."""
+"""Minimum depth of the point zoomed to, metres."""
 GRAZING = math.radians(14.0)
 """Angle between ray and horizontal below which a pan is parallel to the picture."""
 LOWEST = math.radians(4.0)
-"""A level pan follows the cursor down to this angle below the horizontal; the point cannot be taken to the horizon."""
+"""A level pan follows the cursor down to this angle below the horizontal, so that the point is never dragged to the
+horizon."""
 HIGHEST_PITCH = math.radians(85.0)
 
 
 def no_ground(x: float, y: float) -> float:
-    """The ground of a world without any."""
+    """The ground of a world without ground."""
     return math.nan
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a camera must keep.
+    """Limits of a camera.
 
     Attributes:
         ground: height of the ground, true metres.
         clearance: metres above it that the eye keeps.
-        farthest: metres from the point under the cursor beyond which one cannot zoom out.
+        farthest: maximum distance from the point under the cursor when zooming out, metres.
     """
 
     ground: Ground = no_ground
@@ -60,12 +61,12 @@ class Limits:
     farthest: float = math.inf
 
     def floor(self, pose: Pose) -> float:
-        """The least height of a pose's eye, stretched space; −inf where there is no ground."""
+        """The minimum height of a pose's eye, stretched space; −inf where there is no ground."""
         height = self.ground(float(pose.eye[0]), float(pose.eye[1]))
         return -math.inf if math.isnan(height) else (height + self.clearance) * pose.exaggeration
 
     def allow(self, pose: Pose) -> bool:
-        """Whether the eye is high enough (a thousandth of a millimetre is rounding)."""
+        """Whether the eye is high enough (a thousandth of a millimetre allows for rounding)."""
         return bool(pose.eye[2] >= self.floor(pose) - 1e-6)
 
 
@@ -73,13 +74,13 @@ FREE = Limits()
 
 
 def kept_above(view: View, limits: Limits = FREE, exaggeration: float = 1.0) -> View:
-    """The view, lifted with its target if its eye is too low."""
+    """The view, lifted together with its target if its eye is too low."""
     pose = Pose.of(view, exaggeration)
     return view if limits.allow(pose) and view.projection == "perspective" else lifted(pose, limits).to_view()
 
 
 def lifted(pose: Pose, limits: Limits) -> Pose:
-    """The pose at the lowest height that is allowed at its place, if it is lower."""
+    """The pose, raised to the lowest allowed height at its place if it is lower."""
     floor = limits.floor(pose)
     return pose if pose.eye[2] >= floor else pose.at(np.array([pose.eye[0], pose.eye[1], floor]))
 
@@ -103,14 +104,14 @@ class Grab:
 
     @classmethod
     def take(cls, view: View, point: Point, exaggeration: float = 1.0) -> Self:
-        """Take a point (easting, northing, height) of the ground."""
+        """Grab a point (easting, northing, height) of the ground."""
         pose = Pose.of(view, exaggeration)
         held = np.array(point, np.float64) * [1.0, 1.0, exaggeration]
         down = pose.eye - held
         return cls(pose, held, math.atan2(down[2], math.hypot(down[0], down[1])) >= GRAZING)
 
     def to(self, pixel: Pixel, limits: Limits = FREE) -> View:
-        """The view in which the point lies at ``pixel``."""
+        """The view in which the point appears at ``pixel``."""
         ray = self.start.ray(pixel)
         depth = self.start.depth(self.point)
         if self.level:
@@ -123,19 +124,21 @@ class Grab:
 
 
 def _below(ray: Array, angle: float) -> Array:
-    """The ray, or if it does not fall by ``angle``, the one below it that does; its length is kept in the plan."""
+    """The ray, or if it falls by less than ``angle``, the one below it that falls by it; its horizontal length
+    is kept."""
     level = math.hypot(ray[0], ray[1])
     return np.array([ray[0], ray[1], min(ray[2], -level * math.tan(angle))]) if level > 0 else ray
 
 
 def _cleared(pose: Pose, point: Array, ray: Array, depth: float, limits: Limits) -> Pose:
-    """The eye on the half line ``point − depth·ray`` next to ``depth`` that is allowed; lifted, if none is."""
+    """The eye on the half line ``point − depth·ray`` at the nearest allowed depth to ``depth``; lifted, if none is
+    allowed."""
 
     def at(d: float) -> Pose:
         return pose.at(point - d * ray)
 
     good = None
-    for k in range(1, 40):  # away from the point where that is upwards, towards it else
+    for k in range(1, 40):  # away from the point if that is upwards, otherwise towards it
         d = depth * (1.0 + 0.05 * 1.25**k) if ray[2] < 0 else depth * 0.85**k
         if d < 1e9 and limits.allow(at(d)):
             good = d
@@ -146,7 +149,7 @@ def _cleared(pose: Pose, point: Array, ray: Array, depth: float, limits: Limits)
 
 
 def _bisect(bad: float, good: float, allowed: Callable[[float], bool]) -> float:
-    """The value nearest to ``bad`` that is allowed, to 1e-12 of their distance."""
+    """The allowed value nearest to ``bad``, to 1e-12 of their distance."""
     for _ in range(40):
         middle = 0.5 * (bad + good)
         if allowed(middle):
@@ -181,12 +184,13 @@ def zoom(
         if not limits.allow(pose):
             return lifted(pose, limits).to_view()
         wanted = _bisect(wanted, depth, lambda d: limits.allow(at(d)))
-    # The target goes where the point is: what is looked at is what was zoomed to.
+    # Move the target to the point: the camera now looks at what was zoomed to.
     return replace(at(wanted), distance=max(wanted, NEAREST)).to_view()
 
 
 def dolly(view: View, pixel: Pixel, metres: float, limits: Limits = FREE, exaggeration: float = 1.0) -> View:
-    """Move along a pixel's ray, for a cursor that is not on the ground; slides over the ground where it meets it."""
+    """Move along a pixel's ray, for a cursor that is not on the ground; slide over the ground where the ray
+    meets it."""
     pose = Pose.of(view, exaggeration)
     ray = pose.ray(pixel)
     return lifted(pose.at(pose.eye + ray * (metres / float(np.linalg.norm(ray)))), limits).to_view()
@@ -209,7 +213,7 @@ def orbit(view: View, pivot: Point, turn: float, tilt: float, limits: Limits = F
     if not limits.allow(moved):
         if not limits.allow(pose):
             return lifted(moved, limits).to_view()
-        # Steeper views of the same point lie higher; if even the steepest does not help, turn less.
+        # Steeper views of the same point are higher; if even the steepest is too low, turn less.
         if limits.allow(pose.around(centre, heading, -math.pi / 2)):
             pitch = _bisect(pitch, -math.pi / 2, lambda p: limits.allow(pose.around(centre, heading, p)))
             moved = pose.around(centre, heading, pitch)
@@ -243,8 +247,8 @@ def towards(
     """The view with a point (easting, northing, height) in the middle of the picture.
 
     Args:
-        heading, pitch: degrees; None: as they are.
-        distance: metres of stretched space from the point; None: as far as it is.
+        heading, pitch: degrees; None: unchanged.
+        distance: metres of stretched space from the point; None: unchanged.
     """
     pose = Pose.of(view, exaggeration)
     centre = np.array(point, np.float64) * [1.0, 1.0, exaggeration]

@@ -5,8 +5,8 @@
     middle drag       look around                                   w a s d q e       fly (shift: faster, ctrl: slower)
     shift, ctrl+left  orbit, look around (for trackpads)            arrows            turn
 
-The window tells it of events, gives it time, and draws ``view``; it knows no GUI, so all of this is tested without one.
-Where the cursor is on the ground is asked of ``pick``, which may answer None (sky). Units: pixels of the view; seconds.
+The window passes on events and time, and draws ``view``; the module has no GUI, so all of this is tested without one.
+``pick`` finds the ground under the cursor, or None (sky). Units: pixels of the view; seconds.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ LEFT, RIGHT, MIDDLE = 1, 2, 3
 
 ORBIT_PER_PIXEL = 0.3
 LOOK_PER_PIXEL = 0.15
-"""Degrees per pixel of a picture of 720 rows; in higher ones, less."""
+"""Degrees per pixel in a picture of 720 rows; less in higher ones."""
 WHEEL = math.log(1.25)
-"""By which the logarithm of the zoom grows with a notch of the wheel."""
+"""Change of the logarithm of the zoom per notch of the wheel."""
 SMOOTH = 0.07
-"""Seconds in which a zoom comes within 1/e of where it goes."""
+"""Seconds in which a zoom comes within 1/e of its goal."""
 CLICK = 4.0
 """Pixels that a mouse may move during a click."""
 GO_CLOSER = 2.5
-"""How many times nearer a double click goes."""
+"""A double click goes this many times nearer."""
 OBLIQUE = -40.0
-"""Degrees of the oblique preset's pitch."""
+"""Pitch of the oblique preset, degrees."""
 
 
 @dataclass(slots=True)
@@ -76,13 +76,13 @@ class _Zoom:
 
 @dataclass(slots=True)
 class Navigator:
-    """The camera and what moves it.
+    """The camera and its motion.
 
     Attributes:
-        view: what is to be drawn.
+        view: the view to draw.
         home: what ``go_home`` returns to.
         pick: pixel → (easting, northing, height) of the ground there, or None.
-        limits: the ground to keep above.
+        limits: the ground to stay above.
         exaggeration: of the picture.
     """
 
@@ -101,7 +101,7 @@ class Navigator:
     # ---- events --------------------------------------------------------------------------------------------------
 
     def press(self, button: int, x: float, y: float, modifiers: Collection[str] = ()) -> None:
-        """A button goes down."""
+        """A button was pressed."""
         self.stop()
         kind = {LEFT: "pan", RIGHT: "orbit", MIDDLE: "look"}.get(button, "")
         if button == LEFT and "Shift" in modifiers:
@@ -119,7 +119,7 @@ class Navigator:
         self._drag = drag
 
     def move(self, x: float, y: float) -> None:
-        """The pointer moves."""
+        """The pointer moved."""
         drag = self._drag
         if drag is None:
             return
@@ -131,7 +131,7 @@ class Navigator:
         if drag.kind == "pan":
             if drag.grab is not None:
                 self.view = drag.grab.to((x, y), self.limits)
-            else:  # the sky was taken: it turns with the hand
+            else:  # the sky was grabbed: it turns with the hand
                 per_pixel = math.degrees(self.view.pixel_slope)
                 self.view = look(self.view, -dx * per_pixel, dy * per_pixel, self.exaggeration)
         elif drag.kind == "orbit" and drag.pivot is not None:
@@ -144,12 +144,12 @@ class Navigator:
             self.view = look(self.view, dx * per_pixel, -dy * per_pixel, self.exaggeration)
 
     def release(self, button: int, x: float, y: float) -> bool:
-        """A button goes up; whether that was a click (the pointer has not moved)."""
+        """A button was released; returns whether that was a click (the pointer has not moved)."""
         drag, self._drag = self._drag, None
         return drag is not None and drag.button == button and not drag.moved
 
     def wheel(self, x: float, y: float, notches: float) -> None:
-        """The wheel turns; positive: towards the point under the cursor."""
+        """The wheel turned; positive: towards the point under the cursor."""
         self._glide = None
         self.flying.stop()
         rest = notches * WHEEL
@@ -168,7 +168,7 @@ class Navigator:
             self.go_to(point, closer=GO_CLOSER)
 
     def key_down(self, key: str, modifiers: Collection[str] = ()) -> bool:
-        """A key goes down; whether it is one of flying."""
+        """A key was pressed; returns whether it is a flying key."""
         name = key.lower() if len(key) == 1 else key
         self._modifiers(modifiers)
         if name not in KEYS:
@@ -178,7 +178,7 @@ class Navigator:
         return True
 
     def key_up(self, key: str, modifiers: Collection[str] = ()) -> bool:
-        """A key goes up; whether it was flying."""
+        """A key was released; returns whether it was flying."""
         name = key.lower() if len(key) == 1 else key
         self._modifiers(modifiers)
         held = name in self.keys
@@ -192,7 +192,7 @@ class Navigator:
 
     @property
     def moving(self) -> bool:
-        """Whether ``advance`` would change the view: draw again soon."""
+        """Whether ``advance`` would change the view, so that a frame is due soon."""
         return bool(self.keys or self.flying.moving or self._glide is not None or self._zoom is not None)
 
     @property
@@ -202,7 +202,7 @@ class Navigator:
 
     @property
     def pivot(self) -> Point | None:
-        """The point that is being orbited."""
+        """The point of the current orbit."""
         drag = self._drag
         return drag.pivot if drag is not None and drag.kind == "orbit" and drag.moved else None
 
@@ -232,14 +232,14 @@ class Navigator:
             self._zoom = None
 
     def stop(self) -> None:
-        """End flights and zooms where they are."""
+        """Stop flights and zooms where they are."""
         self._glide = self._zoom = None
         self.flying.stop()
 
     # ---- going places --------------------------------------------------------------------------------------------
 
     def centre(self) -> Point:
-        """The ground in the middle of the picture; where there is none, the view's target."""
+        """The ground in the middle of the picture; without ground, the view's target."""
         return self.pick(self.view.width / 2, self.view.height / 2) or self.view.target
 
     def go(self, view: View) -> None:
@@ -250,12 +250,12 @@ class Navigator:
         self._glide = Glide(start, end, self.limits, self.exaggeration), 0.0
 
     def jump(self, view: View) -> None:
-        """Be at a view at once."""
+        """Jump to a view."""
         self.stop()
         self.view = kept_above(view.resized(self.view.width, self.view.height), self.limits, self.exaggeration)
 
     def _focused(self) -> View:
-        """The view, its target at the ground in the middle of the picture if there is some: flights zoom by it."""
+        """The view, with its target at the ground in the middle of the picture if there is any: flights zoom by it."""
         pose = Pose.of(self.view, self.exaggeration)
         point = self.pick(self.view.width / 2, self.view.height / 2)
         if point is None:
@@ -264,13 +264,13 @@ class Navigator:
         return replace(pose, distance=max(depth, 1.0)).to_view()
 
     def go_to(self, point: Point, closer: float = 1.0) -> None:
-        """Fly to a point, which comes to the middle of the picture, so many times nearer."""
+        """Fly to a point, which comes to the middle of the picture, ``nearer`` times as near."""
         pose = Pose.of(self.view, self.exaggeration)
         distance = float(np.linalg.norm(np.array(point) * [1, 1, self.exaggeration] - pose.eye)) / closer
         self.go(towards(self.view, point, self.limits, self.exaggeration, distance=distance))
 
     def go_home(self) -> None:
-        """Fly to where the window began."""
+        """Fly to the initial view."""
         self.go(self.home)
 
     def north_up(self) -> None:
@@ -282,7 +282,7 @@ class Navigator:
         self._turn(heading=0.0, pitch=-90.0)
 
     def oblique(self, heading: float | None = None) -> None:
-        """Look down at the middle by ``OBLIQUE``, in a direction (degrees), or the present one."""
+        """Look down at the middle by ``OBLIQUE``, in a direction (degrees), or the current one."""
         self._turn(heading=heading, pitch=OBLIQUE)
 
     def turn_quarter(self, quarters: int) -> None:
@@ -295,15 +295,15 @@ class Navigator:
         self.go(towards(self.view, self.centre(), self.limits, self.exaggeration, heading=heading, pitch=pitch))
 
     def resize(self, width: int, height: int) -> None:
-        """The picture has another size."""
+        """The picture has a new size."""
         self.view = self.view.resized(max(width, 1), max(height, 1))
-        if self._drag is not None:  # what is held was taken in another picture
+        if self._drag is not None:  # what is held was grabbed in another picture
             self._drag = None
 
     def stretch(self, exaggeration: float) -> None:
-        """Heights are stretched anew, the ground that is looked at stays where it is in the picture: the camera keeps
-        its direction and its distance from the ground in the middle, or where it looks along the ground, from the
-        ground below it."""
+        """Change the exaggeration while the ground that is looked at stays in place in the picture: the camera keeps
+        its direction and its distance from the ground in the middle, or if it looks along the ground, from the ground
+        below it."""
         pose = Pose.of(self.view, self.exaggeration)
         held = self.pick(self.view.width / 2, self.view.height / 2) if pose.pitch < -GRAZING else None
         height = self.limits.ground(*self.view.eye[:2]) if held is None else held[2]

@@ -1,9 +1,8 @@
 """The window in a notebook's cell: ``orograph.view(terrain)``.
 
 The same panels, mouse and keys on ``rendercanvas``'s widget, which runs in Jupyter, VS Code, Colab and marimo. The cell
-also holds a still picture of the first view, which is what shows where there is no front end to run the widget (a
-notebook on a web page, a printed one), and all there is where the extra ``notebook`` or a GPU is missing; then the
-still is drawn by the CPU.
+also holds a still picture of the first view. It appears where no front end runs the widget (a notebook on a web page, a
+printed one), and replaces the widget if the extra ``notebook`` or a GPU is missing; then the CPU draws it.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class Still:
     """A picture instead of a widget.
 
     Attributes:
-        picture: it. why: what keeps the widget from running, a sentence, or "".
+        picture: the picture. why: a sentence that says why the widget cannot run, or "".
     """
 
     picture: Picture
@@ -58,16 +57,16 @@ def view(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Widget | Still:
-    """A terrain to be explored in a cell; a still picture where that cannot be.
+    """Explore a terrain in a cell; a still picture if that is impossible.
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options.
-        camera: where from; None: all of it, from the south.
+        camera: the first view; None: all of it, from the south.
         size: of the cell's picture, pixels.
-        panels: whether panels are shown at first (Tab shows and hides them).
+        panels: whether panels are shown initially (Tab toggles them).
         gpu_memory: bytes of GPU memory for tiles.
-        conservative: refuse a ``method`` with which the tolerance is no promise.
-        progress: hears of the terrain being read; False: nothing is said.
+        conservative: refuse a ``method`` that does not guarantee the tolerance.
+        progress: gets progress reports on reading the terrain; False: silent.
         options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 
     Raises:

@@ -1,4 +1,4 @@
-"""A canvas that can be drawn on, and a sentence on it while a terrain is opened."""
+"""Prepare a canvas for drawing, and show a sentence on it while a terrain is opened."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from orograph.viewer.bookmarks import config_folder
 from orograph.viewer.gui import Gui
 
 Opened = tuple[Gui, Any, str]
-"""What draws panels on a canvas, its context, and the format of its textures."""
+"""A canvas's panels, its context, and the format of its textures."""
 
 
 def open_canvas(
     canvas: Any, device: Device, clipboard: tuple[Callable[[], str], Callable[[str], None]] | None = None
 ) -> Opened:
-    """Make a canvas ready to be drawn on by a device, with panels laid out as they were the last time."""
+    """Prepare a canvas for drawing on a device, with panels laid out as last time."""
     context = canvas.get_wgpu_context()
     format = str(context.get_preferred_format(device.adapter.handle))
     context.configure(device=device.handle, format=format)
@@ -32,7 +32,7 @@ def open_canvas(
 
 
 def announce(canvas: Any, device: Device, opened: Opened, text: str) -> None:
-    """Draw a sentence on a canvas at once: something to see while a terrain is opened."""
+    """Draw a sentence on a canvas at once, to show something while a terrain is opened."""
     gui, context, _ = opened
 
     def draw() -> None:
@@ -55,6 +55,6 @@ def announce(canvas: Any, device: Device, opened: Opened, text: str) -> None:
         device.queue.submit([encoder.finish()])
 
     canvas.request_draw(draw)
-    for _ in range(2):  # fonts come with the first frame
+    for _ in range(2):  # fonts become available with the first frame
         canvas._process_events()
         canvas.force_draw()

@@ -1,7 +1,7 @@
 """What is drawn over the terrain: north arrow, scale bar, colour bar, read-out, messages, the help.
 
-Everything lies on slips of dark translucent paper, so that it reads on snow and on shade alike. Lengths are logical
-pixels; the scale bar holds at the middle of the picture, in metres on the ground (not of a stretched grid).
+Everything lies on dark translucent panels, legible on snow and shade alike. Lengths are logical pixels; the scale bar
+applies to the middle of the picture, in metres on the ground (not of a distorted grid).
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 MARGIN = 14.0
 PAD = 8.0
 BESIDE = 190.0
-"""What scale bar and colour bar take beside the read-out."""
+"""Space that scale bar and colour bar take beside the read-out."""
 FOOT, NARROW, HIGH_FOOT = 34.0, 850.0, 120.0
-"""What the read-out takes at the foot of the terrain's area; the width below which its lines stand above the scale bar;
-what they take there."""
+"""Space of the read-out at the bottom of the terrain's area; the width below which its lines are above the scale bar;
+and the space they take there."""
 
 
 def color(r: float, g: float, b: float, a: float = 1.0) -> int:
-    """ImGui's number of a colour."""
+    """A colour as an ImGui number."""
     return int(imgui.get_color_u32((r, g, b, a)))
 
 
 def slip(draw: Any, x: float, y: float, w: float, h: float) -> None:
-    """Paper for a piece at (x, y)."""
+    """The panel behind a piece at (x, y)."""
     draw.add_rect_filled((x, y), (x + w, y + h), color(0.06, 0.07, 0.08, 0.62), 5.0)
 
 
@@ -56,7 +56,7 @@ def furniture(window: Window) -> None:
 
 
 def _north(window: Window, draw: Any, x: float, y: float) -> None:
-    """A needle that points to grid north, foreshortened as the ground is."""
+    """A needle that points to grid north, foreshortened like the ground."""
     session = window.session
     scene = session.scene()
     angle = north_on_screen(scene)
@@ -79,7 +79,7 @@ def _north(window: Window, draw: Any, x: float, y: float) -> None:
 
 
 def _scale(window: Window, draw: Any, x: float, y: float) -> None:
-    """A bar for the ground in the middle of the picture."""
+    """A scale bar for the ground in the middle of the picture."""
     view = window.session.view
     point = window.middle()
     if point is None:
@@ -132,7 +132,7 @@ def _table(
 
 
 def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
-    """Where the cursor is on the ground, and how high that is."""
+    """The ground position and height under the cursor."""
     hit = window.session.probe.hit
     if hit is None or window.pointer is None:
         return
@@ -146,7 +146,7 @@ def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
     parts += [one.words for one in window.found()]
     lines = ["    ".join(parts)]
     left, _, area, _ = window.area
-    if imgui.calc_text_size(lines[0]).x > area - 2 * BESIDE:  # one line would lie over scale and colours
+    if imgui.calc_text_size(lines[0]).x > area - 2 * BESIDE:  # a single line would cover scale and colours
         lines = parts
         y -= 46 + 20 * (len(lines) - 1)
         middle = left + MARGIN + PAD + max(imgui.calc_text_size(t).x for t in lines) / 2
@@ -162,7 +162,7 @@ def lonlat(lon: float, lat: float) -> str:
 
 
 def pivot(window: Window) -> None:
-    """A mark on the point that is orbited."""
+    """A mark at the centre of the orbit."""
     point = window.session.nav.pivot
     if point is None:
         return
@@ -175,10 +175,10 @@ def pivot(window: Window) -> None:
 
 
 def messages(window: Window) -> None:
-    """Sentences above the foot of the terrain's area, before all panels; errors have a button."""
+    """Messages above the bottom of the terrain's area, in front of all panels; errors have a button."""
     x, y, w, h = window.area
     bottom = y + h - MARGIN - FOOT
-    if window.session.settings.furniture and w < NARROW:  # the read-out stands above the scale bar there
+    if window.session.settings.furniture and w < NARROW:  # there the read-out is above the scale bar
         bottom -= HIGH_FOOT
     for k, message in reversed(list(enumerate(window.session.messages.shown))):
         imgui.set_next_window_pos((x + w / 2, max(bottom, y + 60.0)), imgui.Cond_.always, (0.5, 1.0))
@@ -206,7 +206,7 @@ def _message(window: Window, message: Message, wide: float) -> None:
 
 
 def help(window: Window) -> None:
-    """All keys, in the middle of the window; what a small window does not hold is scrolled to."""
+    """All keys, in the middle of the window; scrollable in a small window."""
     wide, tall = imgui.get_io().display_size
     imgui.set_next_window_pos((wide / 2, tall / 2), imgui.Cond_.always, (0.5, 0.5))
     imgui.set_next_window_size_constraints((0, 0), (max(wide - 2 * PAD, 60.0), max(tall - 2 * PAD, 60.0)))

@@ -1,4 +1,4 @@
-"""Pictures of a window: the terrain with all tiles and smooth edges, and the view beside it as JSON."""
+"""Save pictures of a window: the terrain with all tiles and smooth edges, and the view beside it as JSON."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 SAMPLES = 16
-"""Of a pixel."""
+"""Samples per pixel."""
 
 
 class Pictures:
     """Saves what a window shows.
 
     Attributes:
-        asked: the file that the next quiet frame is written to, or None.
+        asked: the file to write the next finished frame to, or None.
     """
 
     def __init__(self, window: Window) -> None:
@@ -29,14 +29,14 @@ class Pictures:
         self.asked: Path | None = None
 
     def ask(self) -> None:
-        """Save what is seen of the terrain, and the view beside it, when this frame is drawn."""
+        """Save the visible terrain, and the view beside it, once this frame is drawn."""
         session = self.window.session
         stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in session.terrain.name)
         self.asked = Path.cwd() / f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}.png"
         session.messages.say("Saving a picture, with all tiles and smooth edges.")
 
     def save(self) -> None:
-        """Write what was asked for, and say so."""
+        """Write the requested picture, and report it."""
         path, self.asked = self.asked, None
         if path is None:
             return
@@ -51,7 +51,7 @@ class Pictures:
         self.window.touch()
 
     def write(self, path: Path, *, panels: bool = False) -> None:
-        """Write the terrain's picture as it is with all tiles there; ``panels``: the whole window's.
+        """Write the terrain's picture with all tiles; ``panels``: the whole window's.
 
         Raises:
             OutputError: it cannot be written.

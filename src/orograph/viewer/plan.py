@@ -1,8 +1,8 @@
-"""The plan: a small map of all the terrain in the window, with the camera's footprint; click it to go there.
+"""The plan: a small map of the whole terrain in the window, with the camera's footprint; click it to go there.
 
-Its relief is drawn once, by the CPU caster in a thread, at the size it is shown. The footprint is where the rays of the
-picture's border meet a plane at the height of what is looked at, as far as the terrain reaches. It is hidden, an inset,
-or takes half of the window. Units: logical pixels; metres.
+A thread draws its relief once with the CPU ray caster, at the displayed size. The footprint is where the rays of the
+picture's border meet a plane at the height of the target, within the terrain's reach. The plan is hidden, an inset, or
+takes half of the window. Units: logical pixels; metres.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Mode = Literal["inset", "half", "none"]
 NEXT: dict[Mode, Mode] = {"inset": "half", "half": "none", "none": "inset"}
 MOST = 1024
-"""Pixels along the longer side of the drawn relief."""
+"""Pixels along the longer side of the relief."""
 INSET = 0.3
 """Part of the area's shorter side that the inset takes."""
 AROUND = 12
@@ -40,7 +40,7 @@ class Plan:
     """The plan of a window.
 
     Attributes:
-        mode: how it is shown. view: of the relief that is drawn, or None. trouble: why there is none, or "".
+        mode: how it is shown. view: of the relief drawn, or None. trouble: why there is none, or "".
     """
 
     def __init__(self, window: Window) -> None:
@@ -62,7 +62,7 @@ class Plan:
 
     @property
     def wanted(self) -> bool:
-        """Whether it is shown and its relief is still to come."""
+        """Whether it is shown but its relief is not ready."""
         return self._visible and self._texture is None and not self.trouble
 
     @property
@@ -71,11 +71,11 @@ class Plan:
         return self._rect[2] if self.mode == "inset" else 0.0
 
     def cycle(self) -> None:
-        """Inset, half, none."""
+        """Cycle through inset, half and none."""
         self.mode = NEXT[self.mode]
 
     def place(self, area: Area) -> Area:
-        """Take a place in the area; what is left to the terrain."""
+        """Take its place in the area; returns what is left for the terrain."""
         x, y, w, h = area
         if self.mode == "half" and w > 200:
             self._rect = x, y, math.floor(w / 2), h
@@ -87,7 +87,7 @@ class Plan:
         return area
 
     def draw(self) -> None:
-        """The relief, the footprint, and what the mouse does there."""
+        """Draw the relief and the footprint, and handle the mouse."""
         x, y, w, h = self._rect
         small = self.mode == "inset" and (self.window.area[2] < 420 or self.window.area[3] < 300)
         self._visible = self.mode != "none" and not small
@@ -122,7 +122,7 @@ class Plan:
 
     @property
     def _map(self) -> Area:
-        """Where the relief is: in the middle of the plan, as large as fits; one of another size is not stretched."""
+        """The rectangle of the relief: centred in the plan, as large as fits; one of another size is not stretched."""
         assert self.view is not None
         x, y, w, h = self._rect
         scale = min(w / self.view.width, h / self.view.height)
@@ -150,7 +150,7 @@ class Plan:
     # ---- the relief ------------------------------------------------------------------------------------------------
 
     def _relief(self, w: float, h: float) -> None:
-        """Have the relief drawn for this size, and bring it to the GPU when it is."""
+        """Have the relief drawn at this size, and upload it to the GPU when ready."""
         ratio = self.window.ratio * min(1.0, MOST / (max(w, h) * self.window.ratio))
         size = max(32, round(w * ratio)), max(32, round(h * ratio))
         have = None if self.view is None else (self.view.width, self.view.height)
@@ -196,11 +196,11 @@ class Plan:
         self._texture = backend.register_texture(view), view, texture
 
     def forget_texture(self) -> None:
-        """The device was lost: the relief is drawn again."""
+        """Draw the relief again after the device was lost."""
         self._texture, self.view, self._pixels = None, None, None
 
     def forget(self) -> None:
-        """The terrain is another one: its relief is drawn."""
+        """Draw the relief of a new terrain."""
         self.forget_texture()
         self.trouble, self._drawing = "", None
 
@@ -228,7 +228,7 @@ class Plan:
             canvas.add_circle(at, 4.0, imgui.get_color_u32((0.9, 0.2, 0.15, 1)), 16, 1.6)
 
     def _tour(self, canvas: Any) -> None:
-        """The way of the tour with its stops, and thinly that of what it looks at."""
+        """The path of the tour with its stops, and thinly the path of its targets."""
         touring = self.window.touring
         way = touring.way()
         if not len(way):
@@ -245,7 +245,7 @@ class Plan:
             canvas.add_circle_filled(at, 4.0 if k == touring.chosen else 2.8, ink)
 
     def _far(self) -> float:
-        """Metres beyond which a footprint tells nothing: twice the terrain's diagonal."""
+        """The maximum reach of a footprint, metres: twice the terrain's diagonal."""
         west, south, east, north = self.window.session.terrain.grid.bounds()
         return 2.0 * math.hypot(east - west, north - south)
 
@@ -282,7 +282,7 @@ class Plan:
 
 
 def centred(view: View, point: Point, middle: Point) -> View:
-    """The view moved sideways so that what was at ``middle`` is at a point."""
+    """The view moved sideways so that the point at ``middle`` moves to another point."""
     from dataclasses import replace
 
     dx, dy = point[0] - middle[0], point[1] - middle[1]
@@ -291,9 +291,9 @@ def centred(view: View, point: Point, middle: Point) -> View:
 
 
 def footprint(view: View, exaggeration: float, far: float) -> Array | None:
-    """Where the rays of the picture's border meet the plane at the target's height: (4·``AROUND``, 2), in order.
+    """The points where rays of the picture's border meet the plane at the target's height: (4·``AROUND``, 2), in order.
 
-    Rays that do not meet it within ``far`` metres end there. None where none does.
+    Rays that do not meet it within ``far`` metres end there. None if none meets it.
     """
     t = np.linspace(0.0, 1.0, AROUND, endpoint=False)
     zero, one = np.zeros_like(t), np.ones_like(t)

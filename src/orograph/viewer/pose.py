@@ -1,8 +1,8 @@
 """How a camera stands: eye, heading and pitch in *stretched* space, where navigation happens, and back to a ``View``.
 
-What is under the cursor is a matter of the picture, and in the picture heights are stretched by the exaggeration; so
-all moves are made there and taken back to true places at the end. A camera of navigation never rolls: it has a heading
-(radians clockwise from grid north) and a pitch (radians above the horizontal, −π/2 straight down), and that is all.
+What is under the cursor depends on the picture, where heights are stretched by the exaggeration; so all moves are made
+there and converted to true places at the end. A navigation camera never rolls: it has only a heading (radians clockwise
+from grid north) and a pitch (radians above the horizontal, −π/2 straight down).
 
 The set of eyes from which a point G appears at a pixel, for a fixed heading and pitch, is the half line G − τ·d, τ > 0,
 with d the pixel's ray of unit forward component: τ is G's depth. Panning, zooming and keeping above ground while G
@@ -25,7 +25,7 @@ from orograph.viewpoint import Point, View
 Array = NDArray[np.float64]
 
 STEEP = math.radians(60.0)
-"""Pitch beyond which the view's up is written as its heading: (0, 0, 1) says little when one looks along it."""
+"""Beyond this pitch the view's up is set to its heading: (0, 0, 1) is useless when looking along it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Pose:
         eye: (3,) float64, stretched space.
         heading, pitch: radians.
         distance: from the eye to the target, metres of stretched space.
-        view: what the pose was made of: size, lens and range are its own.
+        view: the view that the pose was made from; gives size, lens and range.
         exaggeration: the stretch.
     """
 
@@ -49,7 +49,7 @@ class Pose:
 
     @classmethod
     def of(cls, view: View, exaggeration: float = 1.0) -> Pose:
-        """The pose of a view; roll is lost, and a plan becomes a perspective straight down with the same scale."""
+        """The pose of a view; roll is lost, and a plan becomes a perspective straight down at the same scale."""
         stretch = np.array([1.0, 1.0, exaggeration])
         _, up, forward = view.axes(exaggeration)
         level = math.hypot(forward[0], forward[1])
@@ -105,11 +105,11 @@ class Pose:
         return replace(self, eye=np.asarray(eye, np.float64))
 
     def turned(self, heading: float, pitch: float) -> Pose:
-        """The same place, another direction; the heading is brought to (−π, π]."""
+        """The same place with another direction; the heading is normalised to (−π, π]."""
         return replace(self, heading=wrapped(heading), pitch=pitch)
 
     def around(self, pivot: Array, heading: float, pitch: float) -> Pose:
-        """Turned as a rigid body about a point (3,): the point keeps its pixel and its depth."""
+        """Rotate as a rigid body about a point (3,): the point keeps its pixel and its depth."""
         offset = pivot - self.eye
         seen = [float(a @ offset) for a in self.axes()]
         turned = self.turned(heading, pitch)

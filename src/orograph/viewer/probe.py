@@ -1,13 +1,13 @@
-"""What the ground is like under the cursor and under the eye, answered at once from what is known, and exactly soon.
+"""The ground under the cursor and under the eye: answered at once from what is known, and exactly soon after.
 
 A window must not wait for a disk or a web server. ``Probe`` holds one nested level of at most ``COARSE`` samples in
-memory; what is asked beyond that (the true surface, ``measuring``) is read by a thread, and the window is told
-when something came of it. Three questions are answered:
+memory; anything beyond that (the true surface, ``measuring``) is read by a thread, which notifies the window. It
+answers three questions:
 
 - ``pick``: the ground at a pixel, for navigation: the full-resolution surface if it can be had within ``patience``,
   else the coarse one (a pan that holds a point some metres beside the drawn ground is still a pan);
 - ``ground``: the height under the eye, many times a frame: tiles at full resolution near the eye, else coarse;
-- ``hover``: everything known of the place under the cursor; only the newest question is answered.
+- ``hover``: everything about the place under the cursor; only the newest question is answered.
 
 Units: metres; pixels of the view.
 """
@@ -31,11 +31,11 @@ from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import Point, View
 
 COARSE = 1 << 20
-"""Samples of the level that is kept in memory."""
+"""Samples of the level that is held in memory."""
 NEAR_BYTES = 12 << 20
-"""Of tiles at full resolution kept for ``ground``: some 48."""
+"""Bytes of full-resolution tiles held for ``ground``: about 48 tiles."""
 PATIENCE = 0.04
-"""Seconds that a press of a button waits for the true surface."""
+"""How long a button press waits for the true surface, seconds."""
 
 Array = NDArray[np.float64]
 
@@ -44,11 +44,11 @@ class Probe:
     """The ground of a terrain, for a window.
 
     Args:
-        terrain: whose ground it is.
-        changed: called, from a thread, when an answer has come.
+        terrain: the terrain.
+        changed: called from a thread when an answer is ready.
 
     Attributes:
-        hit: what ``hover`` found last; None in the sky.
+        hit: the last result of ``hover``; None in the sky.
         trouble: the last failure of reading, or "".
     """
 
@@ -99,7 +99,7 @@ class Probe:
             tile = self.terrain.read(0, r, min(r + TILE + 1, rows), c, min(c + TILE + 1, cols))
         except (OrographError, OSError) as error:
             self.trouble = str(error)
-            return  # it stays asked for: the coarse level answers
+            return  # the request stands: the coarse level answers for now
         with self._lock:
             self._tiles.put(key, tile)
             self._asked.discard(key)
@@ -142,8 +142,8 @@ class Probe:
         return None if math.isnan(t) else _point(origin + t * direction)
 
     def pick_about(self, view: View, x: float, y: float, exaggeration: float = 1.0) -> Point | None:
-        """As ``pick_coarse``; an eye that stands below the coarse level's ground sees the level of the true ground
-        below it."""
+        """As ``pick_coarse``; an eye below the coarse level's ground uses the level shifted to below the eye's true
+        ground."""
         found = self.pick_coarse(view, x, y, exaggeration)
         if found is not None:
             return found
@@ -156,7 +156,7 @@ class Probe:
     # ---- all about the place under the cursor --------------------------------------------------------------------
 
     def hover(self, view: View, x: float, y: float, exaggeration: float = 1.0) -> None:
-        """Ask what is at a pixel; ``hit`` holds the answer when ``changed`` is called."""
+        """Ask for the ground at a pixel; ``hit`` holds the answer when ``changed`` is called."""
         with self._lock:
             self._newest = view, x, y, exaggeration
             if self._hovering or self._closed:
@@ -165,7 +165,7 @@ class Probe:
         self._threads.submit(self._hover)
 
     def leave(self) -> None:
-        """The cursor is not over the terrain."""
+        """The cursor left the terrain."""
         with self._lock:
             self._newest = None
         self.hit = None
@@ -187,11 +187,11 @@ class Probe:
             self.changed()
 
     def submit(self, work: Callable[[], None]) -> Future[None]:
-        """Have a thread do something (a measurement)."""
+        """Run a function (a measurement) in a thread."""
         return self._threads.submit(work)
 
     def close(self) -> None:
-        """Let the threads end; what they still do is not waited for."""
+        """Shut down the threads without waiting for running work."""
         with self._lock:
             self._closed = True
         self._threads.shutdown(wait=False, cancel_futures=True)

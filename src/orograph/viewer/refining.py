@@ -1,4 +1,4 @@
-"""Work that a thread does finely while its coarse result is shown; what something newer supersedes is dropped."""
+"""Refine in a thread while the coarse result is shown; newer requests supersede older ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class Refining(Generic[T]):
-    """What is made finely: the newest wish only. All but the making is on the thread that shows it."""
+    """Fine results: only the newest request counts. Everything but the computation runs in the thread that shows it."""
 
     def __init__(self) -> None:
         self._task = BackgroundTask()
@@ -20,24 +20,24 @@ class Refining(Generic[T]):
 
     @property
     def coming(self) -> bool:
-        """Whether something finer is to come."""
+        """Whether a finer result is pending."""
         return self._wish is not None
 
     def wish(self, make: Callable[[], T], then: Callable[[], None]) -> None:
-        """Have a thread make something, which then calls ``then``; all that was wished before is dropped."""
+        """Compute something in a thread, which then calls ``then``; earlier requests are dropped."""
         self.drop()
         self._wish = make, then
         self._begin()
 
     def drop(self) -> None:
-        """Nothing finer is wanted any more."""
+        """Drop all requests."""
         self._wish, self._number = None, self._number + 1
 
     def take(self) -> T | None:
-        """What was wished last, once, if it is ready.
+        """The newest result, once, if it is ready.
 
         Raises:
-            What its making raised.
+            What its computation raised.
         """
         made = self._task.take()
         if made is None or self._begun != self._number:
@@ -51,12 +51,12 @@ class Refining(Generic[T]):
         return result
 
     def close(self) -> None:
-        """Begin nothing any more."""
+        """Start no more work."""
         self.drop()
         self._task.close()
 
     def _begin(self) -> None:
-        """Begin the wish, unless the thread is still at an older one: ``take`` begins it then."""
+        """Start the request, unless the thread still works on an older one; then ``take`` starts it."""
         if self._wish is not None and self._task.wants(self._number):
             make, then = self._wish
             self._begun = self._number

@@ -1,7 +1,7 @@
-"""A renderer on a new device, made by a thread when the device was lost, while the window goes on.
+"""Make a renderer on a new device in a thread after the device was lost, while the window keeps running.
 
-Opening a device takes a twentieth of a second, a renderer and its shaders half a second and more: no frame has that.
-First comes the device, with which panels can be drawn again, then the renderer.
+Opening a device takes a twentieth of a second, a renderer with its shaders half a second or more: too long for a frame.
+The device comes first, so that panels can be drawn again, then the renderer.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 
 class Coming:
-    """What stands for the renderer until there is a new one.
+    """Stands in for the renderer until there is a new one.
 
     Args:
-        adapter: a part of the GPU's name. make: makes the renderer. prepare: makes it ready for its first frame.
-        told: called, from the thread, whenever an attribute has changed.
+        adapter: a part of the GPU's name. make: makes the renderer. prepare: prepares it for its first frame.
+        told: called from the thread whenever an attribute has changed.
 
     Attributes:
-        device: the new device, None before it is open. renderer: the new renderer, None before it is ready.
-        error: why there is neither, or None.
+        device: the new device; None until it is open. renderer: the new renderer; None until it is ready.
+        error: the failure, or None.
     """
 
     busy, resting = True, False
@@ -50,22 +50,22 @@ class Coming:
         self._thread.start()
 
     def draw(self, *args: Any, **kwargs: Any) -> Any:
-        """There is nothing to draw with yet."""
+        """Refuse to draw: there is no renderer yet."""
         raise RuntimeError("The GPU was lost, and the new device is not ready yet.")
 
     def depth(self) -> NDArray[np.float32]:
-        """There is no frame."""
+        """Refuse: there is no frame."""
         raise RuntimeError("lost: a new device is being opened")
 
     def close(self) -> None:
-        """Have what is made let go of."""
+        """Release the results once they are made."""
         with self._lock:
             self._closed = True
             if self.renderer is not None:
                 self.renderer.close()
 
     def join(self) -> None:
-        """Return when the thread has ended."""
+        """Wait for the thread."""
         self._thread.join()
 
     def _work(self) -> None:
@@ -74,7 +74,7 @@ class Coming:
             self.device = open_device(adapter)
             self._told()
             renderer = make(self.device, terrain)
-            with contextlib.suppress(Exception):  # the frame says what is wrong
+            with contextlib.suppress(Exception):  # the frame reports what is wrong
                 prepare(renderer)
             with self._lock:
                 self.renderer = renderer

@@ -1,9 +1,9 @@
-"""Going on with the store that is there now, when the one that is looked at was replaced.
+"""Continue with the new store when the one being viewed is replaced.
 
-A thread looks every ``EVERY`` seconds whether the store is still the same (at a URL as seldom as ``store.watch`` does;
-there a read that fails tells sooner). Then the same thread opens the new store, and makes what a window needs of it
-(the probe, a renderer that is ready for its first frame), while the last picture stays; the next frame takes all of it.
-A new store that cannot be opened, or shown, is a message, and is tried again.
+A thread checks every ``EVERY`` seconds whether the store is still the same (at a URL as rarely as ``store.watch``;
+there a failed read tells sooner). If not, the thread opens the new store and makes what a window needs (the probe, a
+renderer prepared for its first frame), while the last picture stays; the next frame takes it all over. If a new store
+cannot be opened or shown, a message says so, and it is tried again.
 
 Coordinates are metres in the terrains' CRSs.
 """
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 EVERY = 1.0
 REPLACED = "The store was replaced"
 AROUND = 0.5
-"""Of a terrain's extent, how far beyond its border a camera may look and still see something of it."""
+"""How far beyond the terrain's border a camera's target may lie, as a part of its extent."""
 
 Move = Callable[[Point], Point | None]
 
 
 def move_of(old: Grid, new: Grid) -> Move:
-    """From places on the old grid to the same ones on the new grid; None: they are not near it."""
+    """A map from places on the old grid to the same places on the new grid; None: the grids are not near each other."""
     if old.crs == new.crs:
         to = None
     else:
@@ -60,7 +60,7 @@ def move_of(old: Grid, new: Grid) -> Move:
 
 
 def moved(view: View, old: Grid, new: Grid) -> View | None:
-    """A view of the old grid's terrain as one of the new grid's; None if it does not look at that."""
+    """A view of the old grid's terrain as a view of the new grid's; None if it does not look at that."""
     target = move_of(old, new)(view.target)
     if target is None:
         return None
@@ -71,10 +71,10 @@ def moved(view: View, old: Grid, new: Grid) -> View | None:
 
 
 class Renewal:
-    """Looks whether a window's store is still the same, and makes what stands for it if not.
+    """Checks whether a window's store is still the same, and prepares its replacement if not.
 
     Args:
-        window: whose terrain.
+        window: the window.
         make: makes the renderer on a device.
     """
 
@@ -88,7 +88,7 @@ class Renewal:
             threading.Thread(target=self._work, name="replaced", daemon=True).start()
 
     def replaced(self) -> bool:
-        """Whether the terrain is of a store that is another by now; then it is no use reading on."""
+        """Whether the terrain's store has been replaced, so that reading on is useless."""
         watch = getattr(self.window.session.terrain, "watch", None)
         found = watch is not None and watch.replaced
         if found:
@@ -96,17 +96,17 @@ class Renewal:
         return found
 
     def close(self) -> None:
-        """Let the thread end."""
+        """Stop the thread."""
         self._closed = True
         self._wake.set()
 
     def take(self) -> None:
-        """Have the window go on with the new store, if it is ready."""
+        """Switch the window to the new store, if it is ready."""
         window, session = self.window, self.window.session
         if self._made is None or window.drawing.coming:
             return
         (ground, renderer, device), self._made = self._made, None
-        if device is not window.device:  # it was lost meanwhile: the renderer is made again
+        if device is not window.device:  # the device was lost meanwhile: make the renderer again
             renderer.close()
             ground.probe.close()
             return
@@ -114,7 +114,7 @@ class Renewal:
         lost = session.renew(ground, lambda view: moved(view, old, new))
         window.renew(renderer, move_of(old, new), lambda view: moved(view, old, new))
         session.messages.drop(REPLACED)
-        session.messages.say(f"{REPLACED}; it was opened again, and this is the new one. {lost}".strip())
+        session.messages.say(f"{REPLACED}, and the new one was opened. {lost}".strip())
         self._told = ""
 
     def _work(self) -> None:
@@ -123,19 +123,19 @@ class Renewal:
             self._wake.clear()
             terrain = self.window.session.terrain
             assert isinstance(terrain, StoredTerrain) and terrain.watch is not None
-            with contextlib.suppress(OrographError, OSError):  # what is gone for now is said by those who read
+            with contextlib.suppress(OrographError, OSError):  # readers report what is missing for now
                 terrain.watch()
             if terrain.watch.replaced and self._made is None and not self._closed and not self._renewed(terrain):
                 time.sleep(EVERY)
 
     def _renewed(self, terrain: StoredTerrain) -> bool:
-        """Make what the next frame takes, or say why not; whether it was made."""
+        """Prepare what the next frame takes, or report why not; returns whether it succeeded."""
         session, device = self.window.session, self.window.device
         try:
             ground = Ground.of(terrain.reopen(), session)
             renderer = self.make(device, ground.terrain)
             if hasattr(renderer, "prepare"):
-                with contextlib.suppress(Exception):  # the first frame says what is wrong
+                with contextlib.suppress(Exception):  # the first frame reports what is wrong
                     scene = session.settings.scene(ground.terrain, ground.home)
                     renderer.prepare(self.window.drawing.screen.format, scene, overlay=session.settings.overlay())
         except Exception as error:
@@ -143,7 +143,7 @@ class Renewal:
             if what != self._told:
                 self._told = what
                 session.messages.drop(REPLACED)
-                session.messages.say(f"{REPLACED}, and what is there now cannot be shown: {what}", error=True)
+                session.messages.say(f"{REPLACED}, but the new one cannot be shown: {what}", error=True)
                 self.window.refresh()
             return False
         self._made = ground, renderer, device

@@ -1,4 +1,4 @@
-"""What measuring comes to: names and values for the panel, files, and a viewshed as an image to lay over the ground."""
+"""Results of measuring: names and values for the panel, files, and a viewshed as an image over the ground."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from orograph.store.terrain import Terrain
 from orograph.viewpoint import Point
 
 Kind = Literal["pick", "profile", "area", "los", "viewshed"]
-"""As ``orograph measure`` calls them."""
+"""Names as in ``orograph measure``."""
 KINDS: tuple[Kind, ...] = ("pick", "profile", "area", "los", "viewshed")
 
 SEEN = (255, 196, 64, 150)
@@ -24,7 +24,7 @@ HIDDEN = (20, 24, 40, 110)
 
 
 def paint(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """A viewshed (rows, cols) as colours (rows, cols, 4): light where it is seen, shade where not, clear beyond."""
+    """A viewshed (rows, cols) as colours (rows, cols, 4): light where visible, shade where not, clear beyond."""
     out = np.zeros((*values.shape, 4), np.uint8)
     out[values > 0.5] = SEEN
     out[values <= 0.5] = HIDDEN
@@ -59,7 +59,7 @@ def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, ste
     GeoJSON with its numbers as properties (``orograph measure area --geojson`` takes it), a pick as JSON; the path.
 
     Args:
-        points: that were clicked, in the terrain's CRS.
+        points: the clicked points, in the terrain's CRS.
 
     Raises:
         OutputError, OSError: it cannot be written.

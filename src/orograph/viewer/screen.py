@@ -1,7 +1,7 @@
-"""The canvas's GPU side: the terrain's own picture, kept between frames, and how it comes on the screen.
+"""The canvas's GPU side: the terrain's own picture, kept between frames, and its copy to the screen.
 
-The terrain is drawn into a texture of its own, only when something about it changed; panels over it are drawn each
-frame. While the camera moves on a slow device the texture is smaller than the screen (a draft) and is stretched.
+The terrain is drawn into its own texture, only when something changed; panels are drawn over it every frame. While the
+camera moves on a slow device, the texture is smaller than the screen (a draft) and is stretched.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from orograph.gpu.device import Device
 from orograph.gpu.program import Program
 
 DRAFTS = (1.0, 0.7, 0.5, 0.35, 0.25)
-"""Sizes of the picture while the camera moves."""
+"""Scales of the picture while the camera moves."""
 TOO_SLOW, FAST_ENOUGH = 0.080, 0.030
-"""Seconds between frames from which a draft gets coarser, or finer again."""
+"""Seconds between frames above which a draft becomes coarser, and below which finer."""
 
 
 class Screen:
     """The texture of the terrain's picture and the pipeline that copies it.
 
     Args:
-        device: where; ``format``: of the canvas's textures, and of the picture's.
+        device: draws it; ``format``: of the canvas's textures, and of the picture's.
     """
 
     def __init__(self, device: Device, format: str) -> None:
@@ -38,7 +38,8 @@ class Screen:
         self._before: tuple[Any, Any, Any] | None = None
 
     def prepare(self, width: int, height: int) -> bool:
-        """Have a texture of this size; whether it is new (and black: ``revert`` brings the last one back)."""
+        """Provide a texture of this size; returns whether it is new (and black: ``revert`` brings the last one
+        back)."""
         if self.texture is not None and tuple(self.texture.size[:2]) == (width, height):
             self._before = None
             return False
@@ -51,7 +52,7 @@ class Screen:
         return True
 
     def revert(self) -> None:
-        """Show what was shown before ``prepare`` made a texture that nothing could be drawn into."""
+        """Show again what was shown before ``prepare`` made a texture that could not be drawn into."""
         if self._before is not None:
             self.texture, self.view, self._binding = self._before
             self._before = None
@@ -73,11 +74,11 @@ class Screen:
         return done
 
     def pixels(self) -> NDArray[np.uint8]:
-        """The picture as it was drawn last: (height, width, 3), sRGB."""
+        """The last picture drawn: (height, width, 3), sRGB."""
         return self.read(self.texture)
 
     def write(self, pixels: NDArray[np.uint8]) -> None:
-        """Put a picture (height, width, 3), sRGB, in the place of what was drawn."""
+        """Replace the last picture by (height, width, 3), sRGB."""
         height, width = pixels.shape[:2]
         data = np.full((height, width, 4), 255, np.uint8)
         data[..., :3] = pixels[..., ::-1] if self.format.startswith("bgra") else pixels
@@ -86,16 +87,16 @@ class Screen:
         )
 
     def read(self, texture: Any) -> NDArray[np.uint8]:
-        """What a texture of the canvas's format holds: (height, width, 3), sRGB."""
+        """The content of a texture of the canvas's format: (height, width, 3), sRGB."""
         found = self.device.read_texture(texture, np.uint8, 4)[..., :3]
         return np.ascontiguousarray(found[..., ::-1] if self.format.startswith("bgra") else found)
 
 
 class Draft:
-    """How large the picture is while the camera moves: as large as the device keeps up with.
+    """The size of the picture while the camera moves: as large as the device can keep up with.
 
     Args:
-        slow: whether the device is known to be (software): then begin small.
+        slow: whether the device is known to be slow (software): then begin small.
     """
 
     def __init__(self, slow: bool = False) -> None:
@@ -105,12 +106,12 @@ class Draft:
 
     @property
     def scale(self) -> float:
-        """The part of the screen's width and height."""
+        """The scale of the screen's width and height."""
         return DRAFTS[self.step]
 
     def tell(self, seconds: float) -> None:
-        """Two frames in motion came so long after each other."""
-        if seconds > 3 * TOO_SLOW:  # no hand waits for a mean of such frames
+        """Record the time between two frames in motion."""
+        if seconds > 3 * TOO_SLOW:  # an average over slow frames would come too late
             self.step, self._frames = min(self.step + 2, len(DRAFTS) - 1), 0
             return
         self._mean = seconds if self._frames == 0 else 0.7 * self._mean + 0.3 * seconds

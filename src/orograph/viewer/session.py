@@ -1,7 +1,6 @@
-"""All of a window that is not on the screen: terrain, camera, settings, what is measured, messages.
+"""The state behind a window: terrain, camera, settings, measurements, messages.
 
-Window, notebook and tests share it; it knows no GUI. Views go to the clipboard as the JSON that ``render --view``
-takes.
+Window, notebook and tests share it; it has no GUI. Views go to the clipboard as the JSON that ``render --view`` takes.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point, View
 
 HOME_PITCH, HOME_FOV = 42.0, 30.0
-"""Degrees, as ``camera.whole`` has them."""
+"""Azimuth and pitch of the home view, degrees, as in ``camera.whole``."""
 SHOWN = 4.0
-"""Seconds that a message is shown; errors stay until they are dismissed."""
+"""Seconds that a message is shown; errors stay until dismissed."""
 
 
 @dataclass(slots=True)
 class Message:
-    """A sentence for the user.
+    """A message to the user.
 
     Attributes:
-        text: what; ``error``: whether it stays until dismissed; ``until``: on ``time.monotonic``'s clock.
+        text: the message; ``error``: whether it stays until dismissed; ``until``: on ``time.monotonic``'s clock.
     """
 
     text: str
@@ -47,29 +46,29 @@ class Message:
 
 @dataclass(slots=True)
 class Messages:
-    """What is to be said, the newest last; the same sentence is not said twice."""
+    """The messages to show, the newest last; no message appears twice."""
 
     shown: list[Message] = field(default_factory=list)
 
     def say(self, text: str, *, error: bool = False) -> None:
-        """Show a sentence, in the window's words."""
+        """Show a message, in the window's words."""
         text = spoken(text)
         self.shown = [m for m in self.shown if m.text != text]
         self.shown.append(Message(text, error, math.inf if error else time.monotonic() + SHOWN))
         del self.shown[:-5]
 
     def advance(self) -> bool:
-        """Drop what has been shown long enough; whether a message still waits for its end."""
+        """Drop messages that have been shown long enough; returns whether another will expire."""
         now = time.monotonic()
         self.shown = [m for m in self.shown if m.until > now]
         return any(not m.error for m in self.shown)
 
     def hush(self) -> None:
-        """Drop all that would go by itself: something is to be watched now."""
+        """Drop all messages that would expire: the user should watch something now."""
         self.shown = [m for m in self.shown if m.error]
 
     def drop(self, beginning: str) -> None:
-        """Drop those that begin so."""
+        """Drop messages that begin with this text."""
         beginning = spoken(beginning)
         self.shown = [m for m in self.shown if not beginning or not m.text.startswith(beginning)]
 
@@ -80,10 +79,10 @@ class Messages:
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """What a session knows of its terrain.
+    """A session's terrain and what belongs to it.
 
     Attributes:
-        terrain: it. outline: what a view of all of it must hold. home: that view. probe: its ground.
+        terrain: the terrain. outline: points that a view of all of it must contain. home: that view. probe: its ground.
     """
 
     terrain: Terrain
@@ -93,20 +92,20 @@ class Ground:
 
     @classmethod
     def of(cls, terrain: Terrain, session: Session, size: tuple[int, int] | None = None) -> Ground:
-        """Look at a terrain, for a session; ``size``: of its picture (None: as it is).
+        """Prepare a terrain for a session; ``size``: of its picture (None: unchanged).
 
         Raises:
-            NothingInViewError: it has no valid sample. UsageError: it cannot be drawn as is set.
+            NothingInViewError: it has no valid sample. UsageError: it cannot be drawn with these settings.
         """
         size = size or (session.view.width, session.view.height)
         outline = camera.outline(terrain)
         home = home_of(outline, size, session.settings.exaggeration)
-        session.settings.scene(terrain, home)  # says what cannot be drawn before there is a window
+        session.settings.scene(terrain, home)  # reports what cannot be drawn before there is a window
         return cls(terrain, outline, home, Probe(terrain, lambda: session.changed()))
 
     @property
     def limits(self) -> Limits:
-        """Where a camera may go."""
+        """The limits of the camera."""
         return Limits(self.probe.ground, farthest=20.0 * max(math.dist(self.home.eye, self.home.target), 1000.0))
 
 
@@ -116,15 +115,15 @@ def home_of(outline: Any, size: tuple[int, int], exaggeration: float) -> View:
 
 
 class Session:
-    """A terrain that is being looked at.
+    """A terrain being viewed.
 
     Args:
-        terrain: what.
-        view: where from; None: all of it, from the south.
+        terrain: the terrain.
+        view: the first view; None: all of it, from the south.
         size: (width, height), pixels.
-        paths: what the terrain was opened from, for command lines that are shown.
+        paths: what the terrain was opened from, for displayed command lines.
         changed: called, from any thread, when the picture should be drawn again.
-        options: how the settings begin, by name (``Settings``); None: as they do by themselves.
+        options: initial settings by name (``Settings``); None: the defaults.
     """
 
     def __init__(
@@ -151,12 +150,12 @@ class Session:
 
     @property
     def terrain(self) -> Terrain:
-        """What is looked at."""
+        """The current terrain."""
         return self._ground.terrain
 
     @property
     def probe(self) -> Probe:
-        """What its ground is like."""
+        """Its ground."""
         return self._ground.probe
 
     def _home(self, size: tuple[int, int], exaggeration: float) -> View:
@@ -164,13 +163,13 @@ class Session:
         return home_of(self._ground.outline, size, exaggeration)
 
     def renew(self, ground: Ground, moved: Callable[[View], View | None]) -> str:
-        """Go on with another terrain: camera, light, and kept views stay, as far as they make sense there.
+        """Switch to another terrain: camera, light, and kept views stay, as far as they make sense there.
 
         Args:
-            moved: a view of the old terrain as one of the new; None where it does not look at that.
+            moved: a view of the old terrain as one of the new; None if it does not look at that.
 
         Returns:
-            What does not stay, a sentence; "" if all does.
+            A sentence that names what does not stay; "" if all does.
         """
         nav, at_home = self.nav, self.nav.view == self.nav.home
         nav.stop()
@@ -188,7 +187,7 @@ class Session:
         return f"It does not keep {' and '.join(lost)}." if lost else ""
 
     def resize(self, width: int, height: int) -> None:
-        """The picture has another size; who has not left home sees all of the terrain in it."""
+        """The picture has a new size; a camera still at home shows all of the terrain in it."""
         nav = self.nav
         at_home = nav.view == nav.home
         nav.home = self._home((max(width, 1), max(height, 1)), nav.exaggeration)
@@ -206,7 +205,7 @@ class Session:
         return self.nav.view
 
     def scene(self, scale: float = 1.0) -> Scene:
-        """What is to be drawn; ``scale``: of the picture's size, for drafts."""
+        """The scene to draw; ``scale``: of the picture's size, for drafts."""
         view = self.view
         if scale != 1.0:
             view = view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
@@ -220,15 +219,15 @@ class Session:
 
     @property
     def moving(self) -> bool:
-        """Whether time changes the picture."""
+        """Whether the picture changes over time."""
         light = self.settings.sun
         return self.nav.moving or self.settings.variants.moving or (light.playing and light.mode == "moment")
 
     def stretch(self, exaggeration: float, *, hold: bool = True) -> None:
-        """Set the exaggeration; who has not left home sees all of the stretched terrain.
+        """Set the exaggeration; a camera still at home shows all of the stretched terrain.
 
         Args:
-            hold: move the camera so that what is looked at stays in the picture; else whoever calls places it.
+            hold: move the camera so that what it looks at stays in the picture; otherwise the caller places it.
         """
         nav = self.nav
         at_home = nav.view == nav.home
@@ -242,7 +241,7 @@ class Session:
             nav.view = nav.home
 
     def freeze(self, on: bool) -> None:
-        """Keep the mesh of this view while the camera goes elsewhere; or let it follow again."""
+        """Freeze the mesh of this view while the camera goes elsewhere; or let it follow again."""
         self.settings.frozen = self.view if on else None
 
     # ---- views in and out ----------------------------------------------------------------------------------------
@@ -252,11 +251,11 @@ class Session:
         return json.dumps(self.view.to_dict(), indent=2)
 
     def paste_view(self, text: str) -> bool:
-        """Fly to the view in a text; says what is wrong with it, if something is. Whether it was one."""
+        """Fly to the view in a text; reports what is wrong with it. Returns whether it was a view."""
         try:
             values = parse(text)
             if not isinstance(values, dict):
-                raise UsageError("A view is a JSON object with eye and target.")
+                raise UsageError("A view must be a JSON object with eye and target.")
             view = View.from_dict(values, crs=self.terrain.grid.crs)
         except ValueError:
             self.messages.say("The clipboard holds no view (JSON with eye and target).")
@@ -285,6 +284,6 @@ class Session:
             self.nav.go(view)
 
     def close(self) -> None:
-        """Let threads end."""
+        """Stop all threads."""
         self.probe.close()
         self.settings.finer.close()

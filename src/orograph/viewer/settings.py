@@ -1,7 +1,7 @@
-"""What the panels set and the picture shows: light, colours, exaggeration, detail. No GUI; a ``Scene`` comes out.
+"""The settings behind the panels: light, colours, exaggeration, detail. No GUI; the result is a ``Scene``.
 
-The sun is placed by hand, or it is the real one at a time and the terrain's place (``lighting.sun``), and a day can be
-played. Times are shown in a zone of whole hours from UTC, at first the one of the place's longitude. Units: degrees,
+The sun is placed by hand, or it is the real sun at a time and the terrain's place (``lighting.sun``), and a day can be
+played. Times are shown in a zone of whole hours from UTC, initially that of the place's longitude. Units: degrees,
 pixels, seconds.
 """
 
@@ -36,13 +36,13 @@ DEFAULT_TOLERANCE = 1.0
 DAY = 86_400.0
 HAZE = 1.5
 PAINTED = (1920, 1080)
-"""Pixels of a window that painted data suit."""
+"""Size of a window for which data are painted, pixels."""
 PLAYED = (640, 360)
-"""The same while time passes, and data are painted again and again."""
+"""The same while time passes and data are painted repeatedly."""
 THEMED = ("layers", "data", "priority")
-"""Options that a theme is made of."""
+"""Options that make up a theme."""
 PLAY = 3600.0
-"""Seconds of the sun's time in a second, while a day is played."""
+"""Speed of a played day: seconds of the sun's time per second."""
 
 
 @dataclass(slots=True)
@@ -53,8 +53,8 @@ class SunSetting:
         mode: "placed" (azimuth, altitude) or "moment" (when).
         azimuth, altitude: degrees, from grid north.
         when: a time in ``zone``.
-        playing: whether time passes; ``speed``: seconds in a second.
-        place: (longitude, latitude) of the terrain's middle; None where only placed suns make sense.
+        playing: whether time passes; ``speed``: seconds per second.
+        place: (longitude, latitude) of the terrain's middle; None if only placed suns make sense.
         trouble: why there is no place.
     """
 
@@ -69,7 +69,7 @@ class SunSetting:
 
     @classmethod
     def over(cls, terrain: Terrain, given: Any = None) -> SunSetting:
-        """The light of a terrain; ``given``: a sun as ``sun_of`` takes it."""
+        """The light for a terrain; ``given``: a sun as ``sun_of`` takes it."""
         light = cls()
         try:
             light.place = place(terrain.grid)
@@ -119,7 +119,7 @@ class SunSetting:
         self.when = first + datetime.timedelta(days=min(max(number, 1), last) - 1)
 
     def advance(self, seconds: float) -> bool:
-        """Let time pass; whether the light moved. A day that is played begins again at its end."""
+        """Advance time; returns whether the light moved. A played day starts again at its end."""
         if not (self.playing and self.mode == "moment"):
             return False
         begin = self.when.replace(hour=0, minute=0, second=0, microsecond=0)
@@ -135,39 +135,39 @@ class SunSetting:
 
 
 def _carried_out(options: dict[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[Themed, Made]:
-    """A theme carried out, and the variants, for a window of ``size`` pixels."""
+    """A theme applied, and the variants, for a window of ``size`` pixels."""
     with sharing():
         return themed(options, terrain, size), Variants.made(options, terrain, size)
 
 
 def _as_set(layer: Layer, old: Layer) -> Layer:
-    """A layer that shows as another one is set to."""
+    """A layer with the visible settings of another."""
     return replace(layer, opacity=old.opacity, visible=old.visible, blend=old.blend, held=layer.held)
 
 
 class Settings:
-    """All that can be set about the picture: a scene's options by their names (``scene.parts``), and the window's own.
+    """All settings of the picture: a scene's options by name (``scene.parts``), and the window's own.
 
     Args:
-        terrain: what is looked at.
-        options: as ``Scene.of`` takes them; ``tolerance`` and ``sky`` have defaults of the window's.
+        terrain: the terrain.
+        options: as for ``Scene.of``; ``tolerance`` and ``sky`` have the window's defaults.
 
     Attributes:
-        sun: see ``SunSetting``. layers: a list. lamps, discs: shine where ``light`` knows them.
-        painted: a layer above all others for as long as a tool shows its result, or None. veil: over what is not
-            selected, or None. seen: gives what stands, as it is to be seen; None: as it is.
-        wireframe, levels, normals: as in ``rendering.gpu.frame.Overlay``. occlusion: strength of what screen space
-            darkens.
-        budget: triangles to keep near instead of a tolerance, or None.
+        sun: see ``SunSetting``. layers: a list. lamps, discs: shine if ``light`` supports them.
+        painted: a layer above all others while a tool shows its result, or None. veil: over what is not selected, or
+            None. seen: gives what stands, as it is to be seen; None: as it is.
+        wireframe, levels, normals: as in ``rendering.gpu.frame.Overlay``. occlusion: strength of screen-space ambient
+            occlusion.
+        budget: triangles to aim for instead of a tolerance, or None.
         method: as in ``Scene``; "auto": patches, the window's own.
-        shown: data, what comes first of them, and their times; None: there are none.
+        shown: data, their priorities and times; None: there are none.
         variants: focus, flight and ghosted surfaces, drawn over the scene.
         finer: data that a thread paints finely; ``finish`` takes them.
-        frozen: the view that the mesh is made for while one flies around it, or None.
+        frozen: the view for which the mesh is made while the camera flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
 
     Raises:
-        UsageError: there is no such option, or it makes no sense.
+        UsageError: there is no such option, or its value makes no sense.
     """
 
     def __init__(self, terrain: Terrain, **options: Any) -> None:
@@ -197,7 +197,7 @@ class Settings:
         self.options |= {"data": (), "priority": None}
         if self.flight is not None:
             if first is not None:
-                raise UsageError("`flight` says which priority holds, and so does `priority`.", remedy="Give one.")
+                raise UsageError("`flight` and `priority` both set the priority: give one of them.", remedy="Give one.")
             first = Priority.parse(BASE)
         if data or first is not None or (self.aids is not None and self.aids.walls):
             self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
@@ -214,23 +214,23 @@ class Settings:
         time: str | None = None,
         finer: Callable[[], None] | None = None,
     ) -> None:
-        """Carry the theme out: data become layers and what stands. What a priority set before, and nobody since, is as
-        it was without one; the data's layers keep their opacity, place and visibility.
+        """Apply the theme: data become layers and standing things. Options that only an earlier priority set return to
+        their former values; the data's layers keep their opacity, place and visibility.
 
         Args:
-            priority, time: the new ones; None: as they are.
-            finer: data are painted coarsely at once, and finely by a thread; called there when ``finish`` is to be.
-                None: it is done when this returns.
+            priority, time: the new ones; None: unchanged.
+            finer: paint data coarsely at once, and finely in a thread, which calls this when ``finish`` is due. None:
+                painting is complete when this returns.
 
         Raises:
-            UsageError: there is no such time. Others: as ``scene.theming.themed``; all stays as it was.
+            UsageError: there is no such time. Others: as ``scene.theming.themed``; nothing changes.
         """
         shown = self.shown
         if shown is None:
             self.variants.take(Variants.made(self.options, terrain, PAINTED))
             return
         if self.flight is not None and priority is not None:
-            raise UsageError("A flight says which priority holds.", remedy="Open the window without it.")
+            raise UsageError("A flight sets the priority.", remedy="Open the window without it.")
         before = shown.priority, shown.time
         try:
             shown.priority = priority or shown.priority
@@ -267,8 +267,8 @@ class Settings:
             self.finer.drop()
 
     def finish(self) -> bool:
-        """Take what a thread has painted finely, if it is ready and nothing else is shown by now; whether it was.
-        Layers stay where they are in the stack, and as they were set meanwhile.
+        """Take what a thread has painted finely, if it is ready and still current; returns whether it was. Layers keep
+        their place in the stack and their current settings.
 
         Raises:
             As ``show``; the coarse picture stays.
@@ -301,10 +301,10 @@ class Settings:
             super().__setattr__(name, value)
 
     def scene(self, terrain: Terrain, view: View) -> Scene:
-        """The picture as it is set.
+        """The scene with these settings.
 
-        Haze begins as far away as the eye is high and grows over ``HAZE`` diagonals of the terrain: it changes smoothly
-        as one flies, is thin from high above and deep along the ground.
+        Haze begins at a distance equal to the eye's height and grows over ``HAZE`` diagonals of the terrain: it changes
+        smoothly during a flight, and is thin from high above and dense along the ground.
         """
         west, south, east, north = terrain.grid.bounds()
         low, high = terrain.height_range
@@ -315,7 +315,7 @@ class Settings:
         if self.light not in SHINING:
             changed |= {"lamps": (), "discs": ()}
         if self.shown is not None and self.aids is not None:
-            changed["aids"] = replace(self.aids, walls=False)  # they stand among the things that were made
+            changed["aids"] = replace(self.aids, walls=False)  # they are part of the things already
         options = {**self.options, **changed, "focus": None, "flight": None, "ghosts": ()}
         scene = Scene.of(terrain, view, **options)
         things = None if self.shown is None else self.seen() if self.seen is not None else self.shown.things
@@ -324,7 +324,7 @@ class Settings:
         return self.variants.over(scene, options, self.stack[len(self.layers) :])
 
     def renew(self, terrain: Terrain, before: Grid) -> list[str]:
-        """The terrain is another one: what does not stay of what was set over the grid ``before``."""
+        """Adapt to a new terrain; returns the settings over the grid ``before`` that do not carry over."""
         there = SunSetting.over(terrain)
         self.sun.place, self.sun.trouble = there.place, there.trouble
         if self.sun.place is None and self.sun.mode == "moment":
@@ -338,7 +338,7 @@ class Settings:
 
     @property
     def leveled(self) -> bool:
-        """Whether what is drawn has levels: patches that the renderer streams, or windows of rays."""
+        """Whether the drawing has levels: streamed patches, or windows of rays."""
         choice = mesh_choice(self.method, "gpu")
         return choice is None or choice.info.kind == "rays"
 
@@ -348,7 +348,7 @@ class Settings:
         return (*self.layers, *(one for one in (self.veil, self.painted) if one is not None))
 
     def overlay(self) -> Any:
-        """What the renderer shows besides (``rendering.gpu.frame.Overlay``)."""
+        """What else the renderer shows (``rendering.gpu.frame.Overlay``)."""
         from orograph.rendering.gpu.frame import Overlay
 
         return Overlay(
@@ -356,9 +356,10 @@ class Settings:
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:
-        """With a budget: move the tolerance towards what a mesh of so many triangles is; whether it moved.
+        """With a budget: move the tolerance towards that of a mesh with as many triangles; returns whether it moved.
 
-        Triangles grow about as 1 / tolerance; a step goes most of the way, and within 5 % nothing moves.
+        The number of triangles grows about as 1 / tolerance; a step goes most of the way, and within 5 % nothing
+        changes.
         """
         if self.budget is None or triangles <= 0 or self.frozen is not None:
             return False

@@ -1,8 +1,8 @@
 """Measuring with the mouse: click points on the ground, see what they measure, save it.
 
-All numbers are those of ``measuring``: the full-resolution surface in true metres, never the drawn mesh. They are
-found by a thread; the panel shows the newest. A viewshed is painted on the ground as an image over it, which stands in
-for the user's own image until it is cleared.
+All numbers are those of ``measuring``: the full-resolution surface in true metres, never the drawn mesh. A thread
+computes them; the panel shows the newest. A viewshed is painted on the ground as an image, which replaces the user's
+own image until it is cleared.
 
     pick       height, coordinates, slope and aspect         profile   lengths, climb and descent along a line
     area       plan, surface, perimeter                      los       whether one point is seen from another
@@ -38,15 +38,15 @@ if TYPE_CHECKING:
 
 HINTS: dict[Kind, str] = {
     "pick": "Click a place.",
-    "profile": "Click points along a line; Backspace takes one back.",
+    "profile": "Click points along a line; Backspace removes the last.",
     "area": "Click the corners of an area.",
-    "los": "Line of sight: click the eye, then what it looks at.",
+    "los": "Line of sight: click the eye, then the target.",
     "viewshed": "Click the place of the eye.",
 }
 MOST = {"pick": 1, "los": 2, "viewshed": 1}
-"""Points of a measurement, where that is limited: a further click begins anew."""
+"""Maximum number of points of a measurement; a further click starts again."""
 FIELD = 90.0
-"""Logical pixels of a number's field."""
+"""Width of a number field, logical pixels."""
 Array = NDArray[np.float64]
 
 
@@ -54,10 +54,10 @@ class Tools:
     """The measuring tool of a window.
 
     Attributes:
-        active: whether clicks measure. kind: what. points: those that were clicked, on the ground.
-        result: of ``measure``, for these points, or None. trouble: why there is none, or "".
+        active: whether clicks measure. kind: the measurement. points: the clicked points, on the ground.
+        result: the result of ``measure`` for these points, or None. trouble: why there is none, or "".
         eye, target: metres above the ground for lines of sight. radius: metres of viewsheds.
-        marked: the place on the ground under the cursor on the profile, or None.
+        marked: the place on the ground for the cursor's place on the profile, or None.
     """
 
     def __init__(self, window: Window) -> None:
@@ -83,14 +83,14 @@ class Tools:
         return self._running > 0
 
     def toggle(self) -> None:
-        """Begin or leave measuring."""
+        """Start or stop measuring."""
         if self.active:
             self.leave()
         else:
             self.active = True
 
     def leave(self) -> None:
-        """Leave the tool; what it painted goes."""
+        """Leave the tool; what it painted disappears."""
         self.active = False
         self.clear()
 
@@ -101,7 +101,7 @@ class Tools:
         self.window.session.settings.painted = None
 
     def renew(self, move: Callable[[Point], Point | None]) -> None:
-        """The terrain is another one: what was clicked is measured on that, if all of it is there."""
+        """Switch to a new terrain: the clicked points are measured there, if all lie on it."""
         places = [move(point) for point in self.points]
         self.clear()
         self._running = 0
@@ -110,12 +110,12 @@ class Tools:
             self.measure()
 
     def choose(self, kind: Kind) -> None:
-        """Measure something else."""
+        """Choose another measurement."""
         self.clear()
         self.kind = kind
 
     def hover(self) -> None:
-        """The pointer moved: ask what is under it."""
+        """The pointer moved: query what is under it."""
         window = self.window
         if window.pointer is None:
             window.session.probe.leave()
@@ -138,13 +138,13 @@ class Tools:
         self.measure()
 
     def undo(self) -> None:
-        """Take back the last point."""
+        """Remove the last point."""
         if self.points:
             self.points.pop()
             self.measure()
 
     def finish(self) -> None:
-        """A double click ends a line: the second click's point is the first one's again."""
+        """A double click ends a line: its second click repeats the first one's point."""
         if len(self.points) > 1 and math.dist(self.points[-1], self.points[-2]) < 1e-3 * self._scale():
             self.points.pop()
             self.measure()
@@ -180,7 +180,7 @@ class Tools:
         self.window.session.probe.submit(run)
 
     def _work(self, at: list[tuple[float, float]]) -> Callable[[], Any] | None:
-        """What is to be done for points, or None if they are too few."""
+        """The measurement for the points, or None if there are too few."""
         terrain = self.window.session.terrain
         if self.kind == "pick" and at:
             return lambda: measuring.place(terrain, at[0])
@@ -196,7 +196,7 @@ class Tools:
         return None
 
     def _area(self, at: list[tuple[float, float]]) -> Any:
-        """An area, and the ground along its border, to be drawn."""
+        """An area, and the ground along its border, for drawing."""
         terrain = self.window.session.terrain
         found = measuring.area(terrain, at, jobs=1)
         self._border = found, measuring.profile(terrain, [*at, at[0]])
@@ -223,7 +223,7 @@ class Tools:
     _shown: Any = None
 
     def _line(self) -> Array | None:
-        """The ground along what was measured, (n, 3), no more than a thousand places or so; else the points."""
+        """The ground along what was measured, (n, 3), at most about a thousand places; else the points."""
         border = self._border[1] if self._border is not None and self._border[0] is self.result else None
         along = {"profile": self.result, "los": getattr(self.result, "profile", None), "area": border}.get(self.kind)
         if along is None:
@@ -254,8 +254,8 @@ class Tools:
             self.leave()
 
     def _follow(self, place: tuple[int, int]) -> None:
-        """The panel stands at the corner of the terrain's area, also when that changes, until it is moved by hand; then
-        it stays where it is, as far as it is in the window."""
+        """Keep the panel at the corner of the terrain's area, even if that changes, until it is moved by hand; then it
+        stays there, within the window."""
         panel: Any = imgui.internal.find_window_by_name("Measure")
         if panel is None or self._put is None:
             imgui.set_next_window_pos(place, imgui.Cond_.first_use_ever)
@@ -304,7 +304,7 @@ class Tools:
         imgui.end_disabled()
 
     def _heights(self) -> None:
-        """Eye and target above the ground, and how far a viewshed reaches: measured anew when one was changed."""
+        """Heights of eye and target above the ground, and the radius of a viewshed: a change measures again."""
         imgui.push_item_width(FIELD)
         changed = False
         for name in ("eye", "target"):
@@ -326,7 +326,7 @@ class Tools:
             self.measure()
 
     def _plot(self) -> None:
-        """Heights along the line; the cursor on the plot shows its place on the ground."""
+        """Heights along the line; the cursor on the plot marks its place on the ground."""
         profile = self.result.profile if self.kind == "los" else self.result
         x, z = profile.distance / 1000.0, profile.surface_heights
         if not np.isfinite(z).any():
@@ -354,20 +354,20 @@ class Tools:
             implot.end_plot()
 
     def _save(self) -> None:
-        """The result, beside where the window was started."""
+        """Save the result in the folder where the window was started."""
         session = self.window.session
         stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in session.terrain.name)
         stem = f"{stem}-{self.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
         try:
             path = save(self.kind, self.result, self.points, session.terrain, Path.cwd() / stem)
         except (OrographError, OSError) as error:
-            session.messages.say(f"It was not saved: {error}", error=True)
+            session.messages.say(f"The result was not saved: {error}", error=True)
         else:
             session.messages.say(f"Saved {path.name} in {path.parent}.")
 
 
 class _Part(Progress):
-    """Tells the panel how far a viewshed is."""
+    """Reports a viewshed's progress to the panel."""
 
     def __init__(self, tools: Tools, asked: int) -> None:
         self.tools, self.asked = tools, asked

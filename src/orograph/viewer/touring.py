@@ -1,9 +1,8 @@
-"""A tour made by hand: cameras kept one after another, gone through with the interpolation of ``tour``. No GUI.
+"""A tour made by hand: a sequence of cameras, interpolated by ``tour``. No GUI.
 
-A tour is a list of *stops*, each a key frame (``touring.keys``) and the seconds that the way from it to the next takes,
-so that stops can be moved, taken out and put in wherever, and times always increase. What is shown while it plays is
-what ``orograph movie --tour`` films: the same ``Tour``, kept above the ground by the same ``Course``. Units: seconds
-and metres.
+A tour is a list of *stops*, each a key frame (``touring.keys``) and the seconds from it to the next, so that stops can
+be moved, removed and inserted anywhere, and times always increase. What is shown while it plays is what ``orograph
+movie --tour`` films: the same ``Tour``, kept above the ground by the same ``Course``. Units: seconds and metres.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from orograph.viewer.session import Session
 
 LEG = 4.0
-"""Seconds from a stop to the next, unless said otherwise."""
+"""Default seconds from one stop to the next."""
 SHORTEST = 0.1
 FILMED = tuple(
     one
@@ -38,14 +37,14 @@ FILMED = tuple(
     if HOMES[name] in ("lighting", "data") and one.flag is not None and not one.multiple
     and name != "sun"
 )  # fmt: skip
-"""What the window says of a film: of light and ground, what the tour itself does not."""
+"""Options of the window that a film needs: light and ground, which the tour does not set."""
 ALONG = 240
-"""Places along the way that is drawn in the plan."""
+"""Places along the path drawn in the plan."""
 
 
 @dataclass(slots=True)
 class Stop:
-    """A key frame and the seconds from leaving it to the next (in a loop, of the last: to the first)."""
+    """A key frame and the seconds from leaving it to the next (in a loop, from the last to the first)."""
 
     key: Key
     leg: float = LEG
@@ -55,10 +54,10 @@ class Touring:
     """The tour of a window.
 
     Args:
-        session: whose camera and light it goes through.
+        session: its camera and light make the stops.
 
     Attributes:
-        stops: in order. chosen: the one that edits are about, or None.
+        stops: in order. chosen: the one to edit, or None.
         loop, ease, aim, fps, above_ground: as in ``Tour``; ``begin``: when the camera is at the first stop.
         time: where in the tour the window is; ``playing``: whether time passes.
         trouble: why there is no tour, or "".
@@ -91,7 +90,7 @@ class Touring:
 
     @property
     def tour(self) -> Tour | None:
-        """What the stops make, or None: then ``trouble`` says why."""
+        """The tour through the stops, or None; then ``trouble`` says why."""
         state = (
             tuple((s.key, s.leg) for s in self.stops), self.loop, self.ease, self.aim, self.fps, self.above_ground,
             self.begin,
@@ -116,34 +115,34 @@ class Touring:
 
     @property
     def duration(self) -> float:
-        """Seconds in all; 0 without a tour."""
+        """Total seconds; 0 without a tour."""
         tour = self.tour
         return 0.0 if tour is None else tour.duration
 
     # ---- stops ---------------------------------------------------------------------------------------------------
 
     def add(self) -> None:
-        """Keep the camera and the light of now as a stop, after the chosen one or at the end."""
+        """Add the current camera and light as a stop, after the chosen one or at the end."""
         at = len(self.stops) if self.chosen is None else self.chosen + 1
         self.stops.insert(at, Stop(self._key(self.stops[0].key if self.stops else None)))
         self.chosen = at
         self.time = self.times[at]
 
     def put(self, k: int) -> None:
-        """Have stop ``k`` be where the camera is now, and under its light."""
+        """Set stop ``k`` to the current camera and light."""
         old = self.stops[k].key
         others = [s.key for i, s in enumerate(self.stops) if i != k]
         new = self._key(others[0] if others else None)
         self.stops[k].key = replace(new, hold=old.hold, stop=old.stop, path=old.path, turns=old.turns)
 
     def remove(self, k: int) -> None:
-        """Take a stop out; the way to it goes on to the next."""
+        """Remove a stop; the path leads on to the next."""
         del self.stops[k]
         self.chosen = None if not self.stops else min(k, len(self.stops) - 1)
         self.playing = self.playing and bool(self.stops)
 
     def move(self, k: int, by: int) -> None:
-        """Let a stop change places with a neighbour; ways keep their times."""
+        """Swap a stop with a neighbour; path sections keep their times."""
         to = k + by
         if not 0 <= to < len(self.stops):
             return
@@ -151,7 +150,7 @@ class Touring:
         self.chosen = to
 
     def retime(self, k: int, time: float) -> None:
-        """Have the camera at stop ``k`` at a time; later ones follow as far behind as they did."""
+        """Move the arrival at stop ``k`` to a time; later stops shift with it."""
         if k == 0:
             self.begin = max(time, 0.0)
         else:
@@ -159,14 +158,14 @@ class Touring:
             before.leg = max(before.leg + time - self.times[k], SHORTEST)
 
     def change(self, k: int, **values: object) -> None:
-        """Change a stop's key (``hold``, ``path``, ``turns``…); what makes no sense is told and not done."""
+        """Change a stop's key (``hold``, ``path``, ``turns``…); reports and ignores invalid changes."""
         try:
             self.stops[k].key = replace(self.stops[k].key, **values)  # type: ignore[arg-type]
         except OrographError as error:
             self.session.messages.say(str(error))
 
     def renew(self, moved: Callable[[View], View | None]) -> None:
-        """The terrain is another one: the tour stays if all of its cameras look at that."""
+        """Switch to a new terrain: the tour stays if all of its cameras look at it."""
         self.playing, self._course = False, (None, None)
         views = [moved(stop.key.view) for stop in self.stops]
         for stop, view in zip(self.stops, views, strict=True):
@@ -180,7 +179,7 @@ class Touring:
         self.stops, self.chosen, self.time, self.playing, self.begin = [], None, 0.0, False, 0.0
 
     def _key(self, other: Key | None) -> Key:
-        """The camera and the light of now; ``other``: a key of the tour, that all must be alike in some things."""
+        """The current camera and light; ``other``: a key of the tour, which must agree in some respects."""
         view, settings = self.session.view, self.session.settings
         if other is not None:
             first = other.view
@@ -194,9 +193,9 @@ class Touring:
         kinds = {type(s.key.sun) for s in self.stops if s.key.sun is not None}
         if kinds and type(sun) not in kinds and len(self.stops) > 0:
             sun = None
-            self.session.messages.say("The sun of this key is left to the others: they say it in the other way.")
+            self.session.messages.say("The sun of this key follows the others, which set it differently.")
         water = settings.water if isinstance(settings.water, float) else None
-        # By their whole paths, so that the tour can be saved in another folder.
+        # Full paths, so that the tour can be saved in another folder.
         settings.layers = [replace(layer, path=_whole(layer.path)) for layer in settings.layers]
         said = bool(settings.layers) or any(s.key.layers is not None for s in self.stops)
         return Key(
@@ -207,12 +206,12 @@ class Touring:
     # ---- playing -------------------------------------------------------------------------------------------------
 
     def play(self) -> None:
-        """Begin to play where the time stands, from the beginning at its end; or pause."""
+        """Play from the current time, or from the beginning if at the end; or pause."""
         if self.playing:
             self.playing = False
             return
         if self.tour is None or self.duration == 0:
-            self.session.messages.say(self.trouble or "A tour needs two stops at least: keep some cameras first.")
+            self.session.messages.say(self.trouble or "A tour needs at least two stops: add some cameras first.")
             return
         if not self.loop and self.time >= self.duration - 1e-6:
             self.time = 0.0
@@ -220,7 +219,7 @@ class Touring:
         self.session.messages.hush()
 
     def advance(self, seconds: float) -> None:
-        """Let time pass. Whoever moves the camera meanwhile has it, and the tour pauses."""
+        """Advance time. If something else moves the camera, the tour pauses."""
         if not self.playing:
             return
         if self.tour is None or (self._shown is not None and not _same(self.session.view, self._shown)):
@@ -236,7 +235,7 @@ class Touring:
         self.show(self.time)
 
     def show(self, time: float) -> None:
-        """Have camera, light and scene as they are at a time of the tour."""
+        """Set camera, light and scene to those at a time of the tour."""
         tour = self.tour
         if tour is None:
             return
@@ -262,7 +261,7 @@ class Touring:
         self._shown = session.view
 
     def at(self, time: float) -> View:
-        """The camera at a time, above the ground if the tour says so (once that is known).
+        """The camera at a time, above the ground if the tour asks for it (once that is computed).
 
         Raises:
             IndexError: there is no tour.
@@ -279,7 +278,7 @@ class Touring:
         return tour.at(time) if course is None else course.at(time)
 
     def _lift(self, tour: Tour) -> None:
-        """Find how far the camera is to be lifted; by a thread."""
+        """Compute in a thread how far the camera must be lifted."""
         try:
             course = Course(tour, self.session.terrain)
         except (OrographError, OSError) as error:
@@ -290,7 +289,7 @@ class Touring:
             self.session.changed()
 
     def way(self) -> NDArray[np.float64]:
-        """Places of the eye, and of what it looks at, along the tour: (n, 2, 3); (0, 2, 3) without one."""
+        """Places of the eye and its target along the tour: (n, 2, 3); (0, 2, 3) without one."""
         tour = self.tour
         if self._way[0] is not tour or tour is None:
             views = [] if tour is None else [tour.at(t) for t in np.linspace(0.0, tour.duration, ALONG)]
@@ -300,10 +299,11 @@ class Touring:
     # ---- files ---------------------------------------------------------------------------------------------------
 
     def save(self, path: Path) -> bool:
-        """Write TOUR.json, as ``orograph movie --tour`` takes it; whether that went well (it is said)."""
+        """Write TOUR.json, as ``orograph movie --tour`` takes it; reports the outcome and returns whether it
+        succeeded."""
         tour = self.tour
         if tour is None:
-            self.session.messages.say(self.trouble or "There is no tour to be saved: keep some cameras first.")
+            self.session.messages.say(self.trouble or "There is no tour to save: add some cameras first.")
             return False
         try:
             tour.save(path)
@@ -314,14 +314,14 @@ class Touring:
         return True
 
     def load(self, path: Path) -> bool:
-        """Read a TOUR.json in place of the tour there is; whether that went well (it is said)."""
+        """Read a TOUR.json in place of the current tour; reports the outcome and returns whether it succeeded."""
         try:
             tour = Tour.load(path, crs=self.session.terrain.grid.crs)
         except OrographError as error:
             self.session.messages.say(f"The tour was not read: {error}", error=True)
             return False
         self.take(tour)
-        speed = " Its speed became times." if tour.speed is not None else ""
+        speed = " Its speed was converted to times." if tour.speed is not None else ""
         self.session.messages.say(f"{path.name}: {len(tour.keys)} stops, {tour.duration:.1f} s.{speed}")
         return True
 
@@ -339,7 +339,8 @@ class Touring:
         self.chosen = 0
 
     def command(self, path: Path, paths: Sequence[str]) -> str:
-        """The command line that films the tour saved at ``path``, as the window shows the terrain of ``paths``."""
+        """The command line that films the tour saved at ``path``, with the terrain of ``paths`` as shown in
+        the window."""
         settings = self.session.settings
         words = ["orograph", "movie", *(paths or [self.session.terrain.name]), "--tour", str(path)]
         words += ["-o", str(path.with_suffix(".mp4")), "--size", "1920x1080"]
@@ -351,12 +352,12 @@ class Touring:
 
 
 def _whole(path: str) -> str:
-    """A path from the root, if it is one of a file that is there."""
+    """An absolute path, if it names an existing file."""
     return str(Path(path).resolve()) if Path(path).exists() else path
 
 
 def _laid(have: Sequence[Layer], shown: Sequence[Layer]) -> list[Layer]:
-    """The window's layers, of which those are seen that a tour shows, as opaque as it says; the others are kept."""
+    """The window's layers: those that a tour shows are visible, as opaque as it says; the others are kept."""
     opacities = {_kind(layer): layer.opacity for layer in shown}
     out = [
         replace(layer, opacity=opacities.pop(kind), visible=True)
@@ -372,5 +373,5 @@ def _kind(layer: Layer) -> Layer:
 
 
 def _same(a: View, b: View) -> bool:
-    """Whether two views are one camera, in pictures of whatever size."""
+    """Whether two views are the same camera, whatever the size of their pictures."""
     return a.resized(b.width, b.height) == b

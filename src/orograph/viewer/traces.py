@@ -1,7 +1,7 @@
-"""What measuring leaves on the ground: the clicked points, the line between them, what hinders a line of sight.
+"""Marks of measuring on the ground: the clicked points, the line between them, what blocks a line of sight.
 
-Drawn over the picture, also where a mountain lies before it: what is measured is never lost from sight. Units: logical
-pixels; metres.
+They are drawn over the picture, even behind a mountain, so that measurements never disappear. Units: logical pixels;
+metres.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Array = NDArray[np.float64]
 def trace(
     window: Window, kind: Kind, points: Sequence[Point], line: Array | None, result: Any, marked: Point | None
 ) -> None:
-    """Draw points and lines, as far as they are before the eye.
+    """Draw points and lines, as far as they are in front of the eye.
 
     Args:
-        points: that were clicked. line: (n, 3) along what was measured, or None.
-        result: of the measurement, or None. marked: a place of the line that the cursor asks for.
+        points: the clicked points. line: (n, 3) along what was measured, or None.
+        result: of the measurement, or None. marked: the place of the line under the cursor.
     """
     draw: Any = imgui.get_background_draw_list()
     ink, dark = color(1.0, 0.82, 0.25), color(0, 0, 0, 0.65)
@@ -54,7 +54,7 @@ def trace(
 
 
 def on_screen(window: Window, points: Array, single: bool = False) -> list[list[tuple[float, float]]]:
-    """Runs of places (n, 3) before the eye; ``single``: one run for each."""
+    """Runs of places (n, 3) in front of the eye; ``single``: one run for each."""
     if len(points) == 0:
         return []
     session = window.session

@@ -1,12 +1,12 @@
-"""A terrain in a cell whose camera, light, layers and picks are traits: cells read, set, observe and link them.
+"""A terrain in a cell whose camera, light, layers and picks are traits, which cells can read, set, observe and link.
 
     widget = orograph.view("area.oro")
     widget.exaggeration = 2
     ipywidgets.link((slider, "value"), (widget, "altitude"))
     traitlets.link((widget, "camera"), (other, "camera"))       # both show the same view
 
-What is set goes into the window's session, and the picture follows; what the mouse, keys and panels change comes back
-with the next frame.
+Values set here go into the window's session, and the picture follows; changes by mouse, keys and panels come back with
+the next frame.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Widget(HasTraits):
 
     Attributes:
         window: the window in it (``viewer.window.Window``): its ``session`` has all settings.
-        canvas: the widget itself, to be put beside others.
+        canvas: the widget itself, to place beside others.
 
     Traits:
         camera: the ``View``, of the cell's own size; set it to be there at once (``fly`` takes its time).
@@ -80,7 +80,7 @@ class Widget(HasTraits):
         self.window.refresh()
 
     def close(self) -> None:
-        """Stop drawing and let go of the GPU's memory."""
+        """Stop drawing and release the GPU's memory."""
         self.canvas.close()
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
@@ -99,7 +99,7 @@ class Widget(HasTraits):
     # ---- from the window ---------------------------------------------------------------------------------------------
 
     def _told(self) -> None:
-        """Let cells know what a frame was drawn with."""
+        """Update the traits to what a frame was drawn with."""
         self._telling = True
         try:
             with self.hold_trait_notifications():
@@ -146,7 +146,7 @@ class Widget(HasTraits):
 
     @validate("priority", "time")
     def _of_data(self, proposal: Any) -> str:
-        """Shown at once: whether there are such data is known only then."""
+        """Shown at once, since only then is it known whether there are such data."""
         name, value = proposal["trait"].name, str(proposal["value"])
         session = self.window.session
         shown = session.settings.shown
@@ -167,7 +167,7 @@ class Widget(HasTraits):
         if self._telling:
             return value
         if unknown := set(value) - {"ranges", "area"}:
-            raise TraitError(f"A selection has ranges and area, not {', '.join(sorted(unknown))}.")
+            raise TraitError(f"A selection may have ranges and area, not {', '.join(sorted(unknown))}.")
         session, brush = self.window.session, self.window.brush
         try:
             brush.choose(value.get("ranges", {}), value.get("area", ()))
@@ -205,7 +205,7 @@ class Widget(HasTraits):
 
 
 def _selected(brush: Any) -> dict[str, Any]:
-    """What a brush has selected, as the trait has it."""
+    """The brush's selection as a trait value."""
     return {} if brush.empty else {"ranges": dict(brush.ranges), "area": brush.area}
 
 
@@ -216,13 +216,13 @@ def _exaggeration(value: float) -> float:
 
 def _light(value: str) -> str:
     if value not in get_args(Light):
-        raise UsageError(f"There is no light {value!r}; there are {', '.join(get_args(Light))}.")
+        raise UsageError(f"There is no light {value!r}; choose one of {', '.join(get_args(Light))}.")
     return value
 
 
 def _kind(value: str) -> str:
     if value and value not in KINDS:
-        raise UsageError(f"There is no measure {value!r}; there are {', '.join(KINDS)}.")
+        raise UsageError(f"There is no measure {value!r}; choose one of {', '.join(KINDS)}.")
     return value
 
 
@@ -232,11 +232,11 @@ def _points(value: Sequence[Any]) -> tuple[tuple[float, ...], ...]:
     except (TypeError, ValueError):
         points = ((),)
     if any(len(point) != 3 for point in points):
-        raise UsageError("Points are (easting, northing, height) each.")
+        raise UsageError("Each point must be (easting, northing, height).")
     return points
 
 
 CHECKS: dict[str, Callable[[Any], Any]] = {
     "exaggeration": _exaggeration, "light": _light, "layers": layers_of, "measure": _kind, "picked": _points,
 }  # fmt: skip
-"""What makes a trait's value of what is given, or raises UsageError."""
+"""Converts to a trait's value, or raises UsageError."""

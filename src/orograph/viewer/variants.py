@@ -1,8 +1,8 @@
 """Focus, flight and ghosted surfaces in the window: variants of its scene, made once, drawn over every frame.
 
-Each variant has a renderer of its own, so that its tiles and its smoothing go on from frame to frame; it takes as much
-GPU memory again. Which scenario of a flight shows follows the camera's height above ground and its speed, by at most
-``1 / BLENDED`` a second.
+Each variant has its own renderer, which keeps tiles and smoothing from frame to frame and takes as much GPU memory
+again. The visible scenario of a flight follows the camera's height above ground and its speed, changing by at most ``1
+/ BLENDED`` per second.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from orograph.scene.flying import Flight
 
 BLENDED = 3.0
-"""Seconds in which one scenario replaces another."""
+"""Seconds to blend from one scenario to another."""
 
 VARIED = ("focus", "flight", "ghosts")
 """Options that make variants."""
 
 LEAST = 1e-4
-"""Of a scenario: less need not change."""
+"""Smaller changes of a scenario's weight are ignored."""
 
 Made = tuple[tuple[Variant, ...], Flown | None]
 """Variants, and the scenario that the flight ends with, if there is one."""
@@ -40,7 +40,7 @@ class Variants:
     """The variants of a window's scene.
 
     Attributes:
-        shares: how much shows of approach, overflight and re-planning; None: there is no flight.
+        shares: weights of approach, overflight and re-planning; None: there is no flight.
         moving: whether they change by themselves.
     """
 
@@ -53,13 +53,13 @@ class Variants:
 
     @staticmethod
     def made(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> Made:
-        """What ``take`` takes, of a scene's options, its data being as they are given.
+        """The argument for ``take`` from a scene's options, with its data as given.
 
         Args:
-            size: pixels that painted data suit.
+            size: pixels, for painted data.
 
         Raises:
-            UsageError: both a flight and a focus are given. Others: as of a ``Scene``.
+            UsageError: both a flight and a focus are given. Others: as for a ``Scene``.
         """
         bare = {name: value for name, value in options.items() if name not in VARIED}
         focus, flight, ghosts = (
@@ -68,7 +68,7 @@ class Variants:
         if not (focus or flight or ghosts):
             return (), None
         if focus is not None and flight is not None:
-            raise UsageError("`flight` says which priority holds, and so does `focus`.", remedy="Give one.")
+            raise UsageError("`flight` and `focus` both set the priority: give one of them.", remedy="Give one.")
         low, high = terrain.height_range
         x, y = (float(v) for v in terrain.grid.xy(0.0, 0.0))
         anywhere = View((x, y, high + 1.0), (x, y, low - 1.0), width=size[0], height=size[1])
@@ -88,7 +88,7 @@ class Variants:
         return tuple(made), flown
 
     def take(self, made: Made) -> None:
-        """Show these from now on; a flight goes on where it is."""
+        """Show these variants from now on; a flight continues where it is."""
         self._made, self._flown = made
         if self._flown is None:
             self.shares, self.moving = None, False
@@ -97,7 +97,7 @@ class Variants:
         """A frame's scene with its variants.
 
         Args:
-            options: the scene's. above: layers over all others: what a tool paints, what is not selected.
+            options: the scene's. above: layers over all others: a tool's painting, the veil over what is not selected.
         """
         if not self._made:
             return scene
@@ -113,7 +113,7 @@ class Variants:
         return replace(scene, variants=tuple(made))
 
     def advance(self, view: View, seconds: float) -> None:
-        """Let the scenarios follow the camera, which moved for so long."""
+        """Let the scenarios follow the camera after ``seconds`` of motion."""
         if self._flown is None or self._flown.flight is None:
             return
         speed = 0.0 if self._eye is None or seconds <= 0 else math.dist(view.eye, self._eye) / seconds
@@ -130,7 +130,7 @@ class Variants:
 
     @property
     def told(self) -> str:
-        """How much shows of the scenarios, in words; "" without a flight."""
+        """The weights of the scenarios as text; "" without a flight."""
         if self.shares is None:
             return ""
         return ", ".join(f"{name} {share:.0%}" for name, share in zip((BASE, *OTHERS), self.shares) if share >= 0.005)

@@ -1,9 +1,9 @@
 """The window: a canvas, the terrain drawn on it, panels, and the loop that draws when something changed.
 
 Nothing is drawn while nothing happens. A frame advances the camera, draws the terrain into its own texture if its scene
-changed or tiles came (``drawing``), and over it panels and furniture. The terrain has the area that panels leave. The
-canvas may be any of ``rendercanvas``: a glfw window, or a notebook's widget. What mouse and keyboard do is told in
-``events``, ``keys`` and ``commands``.
+changed or tiles arrived (``drawing``), and panels and furniture over it. The terrain has the area that panels leave.
+The canvas may be any of ``rendercanvas``: a glfw window, or a notebook's widget. ``events``, ``keys`` and ``commands``
+handle mouse and keyboard.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from orograph.viewer.touring import Touring
 from orograph.viewpoint import Point, View
 
 PROGRESS = 0.2
-"""Seconds between frames that show how far a measurement is."""
+"""Seconds between frames that show the progress of a measurement."""
 ASKED = 0.1
-"""Seconds after which it is asked again what is under the pointer, while the camera moves."""
+"""Seconds between queries of what is under the pointer while the camera moves."""
 SETTLED = 0.12
 """Seconds without motion after which the picture is drawn at full size."""
 AFTER = 6
-"""Frames drawn after an event: ImGui takes some events one by one, and shows a tab a frame after it was chosen."""
+"""Frames drawn after an event: ImGui takes some events one by one, and shows a tab one frame after it is chosen."""
 
 LITTLE = 150.0
-"""Logical pixels of width below which the terrain is hardly to be seen."""
+"""Width below which the terrain is hardly visible, logical pixels."""
 
 Area = tuple[float, float, float, float]
 
@@ -53,19 +53,19 @@ class Window:
     """A session on a canvas.
 
     Args:
-        session: what is looked at.
-        canvas: a ``rendercanvas`` canvas, with no context yet.
+        session: the terrain and its state.
+        canvas: a ``rendercanvas`` canvas without a context.
         make: makes the renderer on a device.
-        device: where; None: the one ``open_device`` gives.
+        device: where to draw; None: the one from ``open_device``.
         clipboard: functions that get and set the clipboard's text.
-        opened: what ``open_canvas`` gave for the canvas, if something was drawn on it before.
+        opened: the result of ``open_canvas``, if something was already drawn on the canvas.
 
     Attributes:
         drawing: the terrain's picture; pictures: what saves it; plan, tools: the map inset and the measuring tool.
-        renewal: what sees to it that the store is still the same.
+        renewal: watches for a replaced store.
         brush: what is selected; finder: finds the best view of it. plotted, dragged: the plot that is shown, and where
             in it dragging began.
-        touring: the tour that is being made or played. cover: what layers hide of the colours of heights.
+        touring: the tour being made or played. cover: how much layers hide of the colours of heights.
         area: where the terrain is: (x, y, width, height), logical pixels.
         pointer: where the mouse is over the terrain, pixels of the view, or None.
         interval: seconds between frames in motion.
@@ -119,12 +119,12 @@ class Window:
         canvas.request_draw(self._frame)
 
     def refresh(self) -> None:
-        """Draw again soon; from any thread."""
+        """Request a frame; from any thread."""
         self._pending = max(self._pending, 1)
         self.canvas.request_draw()
 
     def touch(self) -> None:
-        """Something happened: draw the few frames that ImGui takes to see it."""
+        """Something happened: draw the few frames that ImGui needs to see it."""
         self._pending = AFTER
         self.canvas.request_draw()
 
@@ -132,7 +132,7 @@ class Window:
 
     @property
     def ratio(self) -> float:
-        """Physical pixels in a logical one."""
+        """Physical pixels per logical pixel."""
         return float(self.canvas.get_pixel_ratio()) or 1.0
 
     def to_picture(self, x: float, y: float) -> tuple[float, float]:
@@ -146,7 +146,7 @@ class Window:
         return x / ratio + self.area[0], y / ratio + self.area[1]
 
     def middle(self) -> Point | None:
-        """The ground in the middle of the picture, coarsely: looked up once for a view."""
+        """The approximate ground in the middle of the picture, looked up once per view."""
         view = self.session.view
         found: Point | None = self.cached(
             ("middle", view, self.session.settings.exaggeration),
@@ -157,7 +157,7 @@ class Window:
         return found
 
     def found(self) -> tuple[Found, ...]:
-        """What data say under the pointer: of the thing that is seen there, then of what is painted on the ground."""
+        """Data under the pointer: the visible thing's, then those painted on the ground."""
         shown, hit = self.session.settings.shown, self.session.probe.hit
         if shown is None or self.pointer is None:
             return ()
@@ -165,7 +165,7 @@ class Window:
         return thing if hit is None else (*thing, *shown.at(hit.easting, hit.northing))
 
     def cached(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What ``make`` gives, made once for a key; the last of each kind (the key's first part) is kept."""
+        """The result of ``make``, computed once per key; the last of each kind (the key's first part) is kept."""
         kind = key[0] if isinstance(key, tuple) else key
         held = self._cache.get(kind)
         if held is None or held[0] != key:
@@ -176,7 +176,7 @@ class Window:
         """Show the session's new terrain.
 
         Args:
-            renderer: what draws it.
+            renderer: draws it.
             move, moved: from places on the old terrain, and views of it, to those of the new one.
         """
         self.drawing.renew(renderer)
@@ -192,7 +192,7 @@ class Window:
     # ---- frames --------------------------------------------------------------------------------------------------
 
     def _frame(self) -> None:
-        """A frame; where the device is lost in the middle of one, a later one is drawn on another."""
+        """Draw a frame; if the device is lost meanwhile, a later frame is drawn on another."""
         if not self.drawing.ready():
             return
         try:
@@ -238,7 +238,7 @@ class Window:
             panels_drawn = self.gui.end()
         settled = now - self._moved > SETTLED
         self.drawing.draw(1.0 if settled else self.drawing.draft.scale, now)
-        if self.device.lost is not None:  # what panels were drawn with is lost, too
+        if self.device.lost is not None:  # the panels' device resources are lost too
             self.touch()
             return
         self.compose(self.context.get_current_texture().create_view(), size, panels_drawn)
@@ -249,7 +249,7 @@ class Window:
         self._go_on(moving or not settled or playing)
 
     def _ask(self, now: float, moving: bool) -> None:
-        """Ask what is under a pointer that rests while the camera moves."""
+        """Query what is under a resting pointer while the camera moves."""
         view = self.session.view
         if self._asked is None:
             self._asked = view, now
@@ -259,7 +259,7 @@ class Window:
                 self.tools.hover()
 
     def _go_on(self, moving: bool) -> None:
-        """Ask for the next frame: at once, later, or not before something happens."""
+        """Request the next frame: at once, later, or when something happens."""
         talking = self.session.messages.advance()
         if moving or self._pending or self.gui.waiting or self.pictures.asked is not None or self.drawing.eager:
             self.canvas.request_draw()
@@ -284,7 +284,7 @@ class Window:
         self.device.queue.submit([encoder.finish()])
 
     def _panels(self) -> None:
-        """Panels and furniture; finds the area that they leave to the terrain."""
+        """Draw panels and furniture; finds the area that they leave to the terrain."""
         self.area = panels.dock(self)
         if self.session.settings.panels and self.area[2] < LITTLE and not self._told:
             self._told = True

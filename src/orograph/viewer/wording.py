@@ -1,20 +1,21 @@
-"""Python's names in messages, in the window's words: as its panels call things, or its options where it begins."""
+"""Translate Python's names in messages to the window's words: as its panels call things, or its options at the
+start."""
 
 from __future__ import annotations
 
 from orograph.scene import wording
 
 STARTED = {"max_memory": "--memory", "gpu_memory": "--gpu-memory", "adapter": "--adapter", "jobs": "--jobs"}
-"""What is said when the window is opened, and of which no panel knows."""
+"""Options of opening the window that no panel has."""
 
 PANELS = {
     "colormap": "colors",
     "fov_y": "field of view",
-    "relief": "slopes shaded as",
+    "relief": "slope shading",
     "shadows": "cast shadows",
     "sky": "sky and haze",
 }
-"""What panels call an option otherwise than by its name."""
+"""Options whose panel label differs from their name."""
 
 
 def called(name: str) -> str:
@@ -23,5 +24,5 @@ def called(name: str) -> str:
 
 
 def spoken(text: str) -> str:
-    """A text of the library with its Python in backticks in the window's words."""
+    """A library text whose Python in backticks is translated to the window's words."""
     return wording.spoken(text, called)

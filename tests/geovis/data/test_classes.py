@@ -161,7 +161,7 @@ def test_broken_notes_are_refused_and_histograms_are_no_classes(tmp_path, ground
     beside.write_text(note([("Value", 0, 5), ("Count", 0, 1)], [(11, 7)]))
     assert shown(Dataset(path), ground.grid, 200, Priority()).classes is None
     beside.write_text(note([("Value", 0, 5), ("Class", 2, 2)], [("eleven", "w")]))
-    with pytest.raises(ReadError, match="no number"):
+    with pytest.raises(ReadError, match="lacks a number"):
         shown(Dataset(path), ground.grid, 200, Priority())
     beside.write_text("<PAM")
     with pytest.raises(ReadError):

@@ -140,7 +140,7 @@ def test_data_that_lie_elsewhere_or_are_all_missing_are_refused(tmp_path):
         read(Dataset(gone), grid)
     doubt = written(tmp_path / "s.tif", np.full((1, 5, 5), -1.0), from_origin(500_000, 5_600_000, 1000, 1000))
     good = written(tmp_path / "g.tif", np.ones((1, 5, 5)), from_origin(500_000, 5_600_000, 1000, 1000))
-    with pytest.raises(ReadError, match="never negative"):
+    with pytest.raises(ReadError, match="cannot be negative"):
         shown(Dataset(good, uncertainty=doubt), grid, 64, Priority())
 
 
@@ -329,7 +329,7 @@ def test_a_picture_shows_data_and_says_what_they_are(tmp_path):
     ("text", "what"),
     [("a.tif,stile=bars", "Did you mean style"), ("a.tif,style=bar", "Did you mean bars"),
      ("a.tif,classes=1", "2 to 12"),
-     ("a.tif,range=3:1", "lower to a higher"), ("a.tif,opacity=2", "0 to 1"), ("a.tif,breaks=5:1", "each above"),
+     ("a.tif,range=3:1", "lower to a higher"), ("a.tif,opacity=2", "0 to 1"), ("a.tif,breaks=5:1", "increasing"),
      ("a.tif,colormap=nix", "no colour map"), ("a.tif,size=-3", "above 0")],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(text, what):

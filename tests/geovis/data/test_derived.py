@@ -88,7 +88,7 @@ def test_standard_deviations_make_a_probability_by_the_normal_law(ground):
     assert one.sign == "none" and "normal law" in one.note
     certain = read_data(made.but(uncertainty=Uncertainty(0 * sigma)), ground.grid)
     np.testing.assert_array_equal(certain.values[0], values > 12)
-    with pytest.raises(ReadError, match="never negative"):
+    with pytest.raises(ReadError, match="cannot be negative"):
         read_data(made.but(uncertainty=Uncertainty(-sigma)), ground.grid)
 
 

@@ -172,12 +172,12 @@ def test_a_pair_has_the_colour_of_both_its_classes(tmp_path):
 
 def test_what_is_no_pair_is_told():
     array = np.zeros((4, 4))
-    with pytest.raises(UsageError, match="shows two things"):
+    with pytest.raises(UsageError, match="needs two variables"):
         pairs((Dataset(array, style="bivariate"),))
     three = pairs((Dataset(array, style="bivariate"), Dataset(array), Dataset(array, style="bivariate")))
     assert [isinstance(one, tuple) for one in three] == [False, True]
     grid = orograph.terrain(np.zeros((16, 20), np.float32), transform=PLACE, crs=UTM).grid
-    with pytest.raises(UsageError, match="no sign left"):
+    with pytest.raises(UsageError, match="cannot also show"):
         shown_pair(Dataset(array, style="bivariate", uncertainty=Uncertainty("spread")), Dataset(array), grid, 64)
 
 

@@ -268,14 +268,14 @@ def test_what_cannot_be_meant_is_told():
         shape(collection(square(501_000, 5_599_000, 1000, v=None, w=1.0)), grid, variable="v")
     with pytest.raises(UsageError, match="several attributes"):
         shape(collection(square(501_000, 5_599_000, 1000, v=1.0, w=1.0)), grid)
-    with pytest.raises(UsageError, match="celestial body"):
+    with pytest.raises(UsageError, match="celestial bodies"):
         shape(collection(fine, crs="ESRI:104905"), grid)
     with pytest.raises(UsageError, match="no style arrows of polygons"):
         shape(collection(fine), grid, style="arrows")
     with pytest.raises(UsageError, match="glyphs"):
         shape(collection(feature("LineString", lines["geometry"]["coordinates"], v=1.0, s=1.0)), grid, variable="v",
               uncertainty=orograph.Uncertainty("s", style="glyphs"))  # fmt: skip
-    with pytest.raises(ReadError, match="never negative"):
+    with pytest.raises(ReadError, match="cannot be negative"):
         shape(collection(square(501_000, 5_599_000, 1000, v=1.0, s=-1.0)), grid, variable="v", uncertainty="s")
     for text in ("-3", "5km", "x"):
         with pytest.raises(UsageError):

@@ -167,7 +167,7 @@ def test_gpx_has_tracks_segments_and_heights(tmp_path):
         with pytest.raises(ReadError):
             tracks(Dataset(gpx(tmp_path, body), style="tubes"))
     (tmp_path / "bad.gpx").write_text("<gpx><trk>")
-    with pytest.raises(ReadError, match="no GPX"):
+    with pytest.raises(ReadError, match="not GPX"):
         tracks(Dataset(str(tmp_path / "bad.gpx"), style="tubes"))
 
 
@@ -182,7 +182,7 @@ def test_geojson_lines_have_times_in_their_properties():
         tracks(Dataset(line, style="paths"))
     bare = {"type": "LineString", "coordinates": [[-2.9985, 50.549], [-2.998, 50.549]]}
     assert set(things(Dataset(bare, style="tubes")).kind) == {Kind.TUBE}
-    with pytest.raises(UsageError, match="say no times"):
+    with pytest.raises(UsageError, match="have no times"):
         things(Dataset(bare, style="paths"))
 
 
@@ -192,8 +192,8 @@ def test_geojson_lines_have_times_in_their_properties():
         ({"variable": "weight"}, "no attribute 'weight'"),
         ({"when": "then"}, "no attribute 'then'"),
         ({"group": "whose"}, "no attribute 'whose'"),
-        ({"time": "2019-01"}, "no moment"),
-        ({"height": "pulse+pulse"}, "no interval"),
+        ({"time": "2019-01"}, "not a time"),
+        ({"height": "pulse+pulse"}, "not an interval"),
     ],
 )
 def test_what_makes_no_track_is_refused(change, words):
@@ -202,7 +202,7 @@ def test_what_makes_no_track_is_refused(change, words):
     untimed = {k: v for k, v in table().items() if k != "time"}
     with pytest.raises(UsageError, match="Nothing says when"):
         things(Dataset(untimed, group="who", style="paths"))
-    with pytest.raises(ReadError, match="one after the other"):
+    with pytest.raises(ReadError, match="No two consecutive"):
         things(Dataset(table(x=[0.0] * 5), group="who", style="tubes"))
 
 

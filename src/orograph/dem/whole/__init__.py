@@ -84,8 +84,8 @@ __all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask", "fault_before"
 
 def _refuse_index(path: str) -> None:
     raise ReadError(
-        "It is an index of tiles (GTI): that one of them is lost or changed would not be noticed, and GDAL gives 0.",
-        path=path, remedy="Name the tiles themselves, or make a VRT of them (gdalbuildvrt).",
+        "It is an index of tiles (GTI): a lost or changed tile would go unnoticed, and GDAL would read 0.",
+        path=path, remedy="Name the tiles themselves, or make a VRT from them (gdalbuildvrt).",
     )  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def _check_layout(dataset: Any, key: object) -> None:
         fault, turned = tiff.fault(dataset, file), tiff.turned_floats(file)
     if turned:
         raise ReadError(
-            "Its floats are compressed by LERC with their high byte first, of which GDAL gives other numbers back.",
+            "Its floats are LERC-compressed in big-endian order, which GDAL decodes to other numbers.",
             path=dataset.name, remedy=tiff.TURNED,
         )  # fmt: skip
     if fault is not None:
@@ -116,7 +116,7 @@ def _refuse_lost_notes(dataset: Any) -> None:
         ET.fromstring(notes.read_bytes())
     except ET.ParseError as error:
         raise ReadError(
-            f"What was noted beside the raster cannot be understood ({error}).", path=notes,
+            f"The metadata file beside the raster cannot be parsed ({error}).", path=notes,
             remedy="Restore it from a copy, or remove it if the raster needs none.",
         ) from None  # fmt: skip
 
@@ -129,7 +129,7 @@ def _refuse_cut_crs(dataset: Any) -> None:
             continue
         text = re.sub(r'"[^"]*"', "", file.read_text("latin-1"))
         if re.match(r"\s*[A-Z_]+\s*[\[(]", text) and any(text.count(a) != text.count(b) for a, b in ("[]", "()")):
-            raise ReadError("The CRS beside the raster is cut short or damaged.", path=file, remedy=DAMAGED)
+            raise ReadError("The CRS file beside the raster is truncated or damaged.", path=file, remedy=DAMAGED)
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -349,8 +349,8 @@ def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
             there = dataset.shape if part.shape else (min(dataset.height, wanted[0]), min(dataset.width, wanted[1]))
             if there != wanted:
                 raise ReadError(
-                    f"It has {dataset.height} × {dataset.width} samples where the VRT it is a part of says "
-                    f"{wanted[0]} × {wanted[1]}: what lacks would be read as missing or 0.",
+                    f"It has {dataset.height} × {dataset.width} samples, but the VRT that contains it declares "
+                    f"{wanted[0]} × {wanted[1]}: the rest would be read as missing or 0.",
                     path=part.location, remedy="Make the VRT again (gdalbuildvrt), or restore the file from a copy.",
                 )  # fmt: skip
     _check_window(lend, part.location, part.band, window, part.by_mask)

@@ -125,7 +125,7 @@ def _check(dataset: Any, file: IO[bytes], band: int, row: int, col: int, codec: 
     if guarded:
         before, data, after = data[:4], data[4:-4], data[-4:]
         if int.from_bytes(before, "little") != place[1] or after != data[-4:]:
-            cause = "what stands before and behind it to guard it does not fit it"
+            cause = "the guard bytes before and after it do not match"
     if cause is None and codec.endswith("JPEG"):
         cause = _jpeg(dataset, data, band)
     elif cause is None and codec in CODECS:
@@ -159,7 +159,7 @@ def _lzw(data: bytes, least: int, most: int) -> str | None:
 
 def _packed(data: bytes, least: int, most: int) -> str | None:
     made = packed_length(np.frombuffer(data, np.uint8), most)
-    return None if made in (least, most) else "its PackBits runs do not fill it"
+    return None if made in (least, most) else "its PackBits runs do not fill the block"
 
 
 def _zstandard(data: bytes, least: int, most: int) -> str | None:

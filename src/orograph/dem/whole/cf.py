@@ -34,7 +34,7 @@ def refuse_uneven(dataset: Any) -> None:
         except ValueError as error:
             raise ReadError(
                 f"Its coordinates {axis.name!r} are not evenly spaced: {error}.", path=dataset.name,
-                remedy="Resample it to an even grid first (in Python: xarray's interp).",
+                remedy="Resample it to a regular grid first (in Python: xarray's interp).",
             ) from None  # fmt: skip
 
 
@@ -67,8 +67,8 @@ def _metres(dataset: Any, axes: list[_Axis]) -> float:
         return metres_of_axes({axis.name: axis.unit for axis in axes})
     except ValueError as error:
         raise ReadError(
-            f"It names no CRS that says what its coordinates are: {error}.", path=dataset.name,
-            remedy="Write it with a CRS, or with coordinates in metres or degrees.",
+            f"It declares no CRS for its coordinates: {error}.", path=dataset.name,
+            remedy="Add a CRS, or use coordinates in metres or degrees.",
         ) from None  # fmt: skip
 
 

@@ -27,7 +27,7 @@ def database(dataset: Any, path: str) -> str | None:
     with Path(path).open("rb") as file:
         head = file.read(100)
     if len(head) < 100 or head[:15] != b"SQLite format 3":
-        return "It is no database."
+        return "It is not a database."
     page = struct.unpack_from(">H", head, 16)[0]
     (pages,) = struct.unpack_from(">I", head, 28)
     wanted = (65536 if page == 1 else page) * pages
@@ -68,7 +68,7 @@ def _lost_tile(connection: sqlite3.Connection) -> str | None:
                 else data[:3] == b"\xff\xd8\xff" or data[:4] == b"RIFF" or data[:2] == b"\x1f\x8b"
             )  # fmt: skip
             if not whole:
-                return f"Its tile {zoom}/{col}/{row} does not decode, and would be read as 0."
+                return f"Its tile {zoom}/{col}/{row} cannot be decoded, and would be read as 0."
     return None
 
 
@@ -91,5 +91,5 @@ def hdf5(dataset: Any, path: str) -> str | None:
             return f"It ends after {size:,} of the {end:,} bytes that its header promises."
         file.seek(max(end, size - 65536))
         if any(file.read()):
-            return f"It has {size:,} bytes where its header promises {end:,}: the one or the other is damaged."
+            return f"It has {size:,} bytes where its header promises {end:,}: one of the two is damaged."
     return None

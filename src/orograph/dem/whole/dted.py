@@ -35,13 +35,13 @@ def _headers_fault(path: str) -> str | None:
     at = head.find(b"UHL")
     west, south = _angle(head[at + 4 : at + 12]), _angle(head[at + 12 : at + 20])
     if west is None or south is None:
-        return "Its first header (UHL) does not say where it lies."
+        return "Its first header (UHL) has no position."
     data = at + 80
     for what, here, there in (
         ("begins at longitude", west, _angle(head[data + 194 : data + 204])),
         ("begins at latitude", south, _angle(head[data + 185 : data + 194])),
-        ("has a step eastwards of", _tenths(head[at + 20 : at + 24]), _tenths(head[data + 277 : data + 281])),
-        ("has a step northwards of", _tenths(head[at + 24 : at + 28]), _tenths(head[data + 273 : data + 277])),
+        ("has an eastward step of", _tenths(head[at + 20 : at + 24]), _tenths(head[data + 277 : data + 281])),
+        ("has a northward step of", _tenths(head[at + 24 : at + 28]), _tenths(head[data + 273 : data + 277])),
     ):
         limit = 1.0 if "begins" in what else 1e-9  # the data of a partial cell begin within its degree
         if here is not None and there is not None and abs(here - there) > limit:
@@ -79,5 +79,5 @@ def hgt(dataset: Any, path: str) -> str | None:
     """What is wrong with the name of a tile of SRTM, which alone says where it lies; None: nothing."""
     found = re.match(r"[NS](\d\d)[EW](\d{3})", Path(str(dataset.name)).name.upper())
     if found is not None and (int(found[1]) > 90 or int(found[2]) > 180):
-        return f"Its name places it at {found[0]}, which is nowhere."
+        return f"Its name places it at {found[0]}, which is not a valid position."
     return None

@@ -18,7 +18,7 @@ from typing import IO, Any
 from orograph.errors import ReadError
 from orograph.folders import temporary
 
-DAMAGED = "The file is damaged or was cut short: fetch it again, or restore it from a copy."
+DAMAGED = "The file is damaged or truncated: fetch it again, or restore it from a copy."
 
 
 class _Opening:
@@ -187,7 +187,7 @@ def _tar_member(name: str) -> Iterator[IO[bytes]]:
             member = next((one for one in packed if _plain(packed, one) == wanted), None) or packed.getmember(wanted)
         inside = packed.extractfile(member)
         if inside is None:
-            raise tarfile.TarError(f"{_member(name)} is no file")
+            raise tarfile.TarError(f"{_member(name)} is not a file")
         with inside:
             yield inside
         if packed.fileobj is not None:  # the checksum of a compressed one stands at its end
@@ -232,7 +232,7 @@ def check_packed(dataset: Any) -> None:
             and on_disk(name).suffix.lower() == ".tar"
             and on_disk(name).stat().st_size % 512
         ):
-            raise ReadError("It is not made of whole blocks, as a tar is.", path=name, remedy=DAMAGED)
+            raise ReadError("It does not consist of whole blocks, as a tar does.", path=name, remedy=DAMAGED)
         with stream(name) as inside:
             while inside.read(1 << 20):
                 pass

@@ -31,7 +31,9 @@ def fault(dataset: Any, path: str) -> str | None:
             head = file.read(16)
             if head[:4] != b"GRIB":
                 rest = head + file.read(1 << 16)
-                return f"It has bytes behind message {number} that are none." if any(rest.strip(b"\r\n")) else None
+                return (
+                    f"It has bytes after message {number} that are not a message." if any(rest.strip(b"\r\n")) else None
+                )
             if len(head) < 16 or head[7] != 2:
                 return None
             (length,) = struct.unpack(">Q", head[8:])
@@ -52,7 +54,7 @@ def _message_fault(file: IO[bytes], at: int, end: int, packed: bool) -> str | No
         head = file.read(11)
         length, section = struct.unpack(">IB", head[:5])
         if length < 5 or at + length > end - 4 or not 1 <= section <= 7:
-            return f"its sections do not fit one another, at byte {at:,}."
+            return f"its sections are inconsistent at byte {at:,}."
         if section == 5:
             (template,) = struct.unpack(">H", head[9:11])
         elif section == 7 and packed and length > 5 and template in (*_JPEG2000, *_PNG):
@@ -63,4 +65,4 @@ def _message_fault(file: IO[bytes], at: int, end: int, packed: bool) -> str | No
                 return said
         at += length
     file.seek(end - 4)
-    return None if file.read(4) == b"7777" else "it does not end with its mark (7777)."
+    return None if file.read(4) == b"7777" else "it lacks its end marker (7777)."

@@ -189,11 +189,11 @@ def braces_fault(text: str) -> str | None:
             if what == "Begin":
                 open_parts.append(name)
             elif not open_parts or open_parts.pop() != name:
-                return f"The parts of its header do not fit one another ({name})."
+                return f"The parts of its header are inconsistent ({name})."
         if open_parts:
-            return f"The part {open_parts[-1]!r} of its header does not end: it is damaged or was cut short."
+            return f"The part {open_parts[-1]!r} of its header does not end: it is damaged or truncated."
     if text.lstrip().startswith("ENVI") and text.count("{") != text.count("}"):
-        return "A brace of its header is not closed: it is damaged or was cut short."
+        return "A brace in its header is not closed: it is damaged or truncated."
     return None
 
 
@@ -215,7 +215,7 @@ def form_fault(form: Form, said: list[tuple[str, str]]) -> str | None:
                 return f"Its header says {written!r}, which is {meant!r} damaged."
             continue
         if key in (*form.whole, *form.numbers, *form.words) and values.get(key, value) != value:
-            return f"Its header says twice what its {key!r} is: {values[key]!r} and {value!r}."
+            return f"Its header gives twice what its {key!r} is: {values[key]!r} and {value!r}."
         values[key] = value
     return _value_fault(form, values) or _lack(form, values)
 
@@ -233,7 +233,7 @@ def _value_fault(form: Form, values: dict[str, str]) -> str | None:
             or (key in form.words and value.upper() not in form.words[key])
         )
         if wrong:
-            return f"Its header says {key!r} is {value[:40]!r}, which cannot be."
+            return f"Its header says {key!r} is {value[:40]!r}, which is impossible."
     for less, more in form.ordered:
         if less in values and more in values and not float(values[less]) < float(values[more]):
             return f"Its header says {less!r} is {values[less]} and {more!r} {values[more]}: one of them is wrong."
@@ -268,18 +268,18 @@ def kind_fault(dataset: Any, said: dict[str, str]) -> str | None:
     """A header of numbers of 32 bits that does not call them floating, which they clearly are; one of a corner and no
     step, for which GDAL takes 1."""
     if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
-        return "Its header does not say what its 'CELLSIZE' is."
+        return "Its header lacks 'CELLSIZE'."
     if np.dtype(dataset.dtypes[0]).itemsize != 4:
         return None
     first = dataset.read(1, window=((0, min(_ROWS, dataset.height)), (0, dataset.width)))
     words = np.ascontiguousarray(first).view(np.uint32).reshape(-1)  # (as GDAL reads them)
     if first.dtype.kind == "f":
         turned = not _floating(words) and _floating(words.byteswap())
-        return "Its numbers are in the other order of bytes than its header says ('BYTEORDER')." if turned else None
+        return "Its numbers are in the opposite byte order from its header ('BYTEORDER')." if turned else None
     large = words[words > 0]
     if "PIXELTYPE" in said or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
         return None
-    return "Its header does not say that its numbers are floating ('PIXELTYPE FLOAT'), which they look like."
+    return "Its numbers look like floats, but its header does not declare them so ('PIXELTYPE FLOAT')."
 
 
 def _floating(words: NDArray[np.uint32]) -> bool:

@@ -39,7 +39,7 @@ def fault(dataset: Any, path: str) -> str | None:
                     files = [Path(path).with_name(Path(f).name) for f in dataset.files if f.lower().endswith(".ige")]
                     sizes = [f.stat().st_size for f in files if f.exists()]
                     if not sizes:
-                        return "The file that holds its samples (.ige) is not there."
+                        return "The file of its samples (.ige) is missing."
                     spills = sizes[0]
                     if sizes[0] < wanted:
                         return f"Its .ige file ends after {sizes[0]:,} of at least {wanted:,} bytes."
@@ -50,9 +50,9 @@ def fault(dataset: Any, path: str) -> str | None:
                 if end > size:
                     return f"It ends after {size:,} of at least {end:,} bytes that its blocks need."
                 if blocks.size == count and any(not _fills(file, b, high * wide) for b in blocks if b["packed"]):
-                    return "A compressed block of it does not decode."
+                    return "One of its compressed blocks cannot be decoded."
         except (struct.error, ValueError):
-            return "Its list of blocks is cut short or damaged."
+            return "Its list of blocks is truncated or damaged."
     if layers == 1 and spills > spilled:
         return f"Its .ige file has {spills:,} bytes where its header promises {spilled:,}."
     return None

@@ -53,7 +53,7 @@ def _system_fault(file: Path) -> str | None:
     if fault := form_fault(_SYSTEM, list(said.items())):
         return fault
     if said["type"] == "Projection" and "projection" not in said:
-        return "Its coordinate system (.csy) does not say what its projection is."
+        return "Its coordinate system (.csy) does not declare its projection."
     return None
 
 
@@ -75,11 +75,11 @@ def fault(dataset: Any, path: str) -> str | None:
     kind = said.get(("mapstore", "type"), "Byte").lower()
     item = {"byte": 1, "int": 2, "long": 4, "float": 4, "real": 8}.get(kind)
     if item is None:
-        return f"Its header calls its numbers {kind!r}, which are of no type that there is."
+        return f"Its header calls its numbers {kind!r}, which is not a known type."
     span = _SPAN.fullmatch(said.get(("basemap", "range"), ""))
     of_values = said.get(("basemap", "domain"), "").lower().startswith("value.dom")
     if of_values and (span is None or not float(span[1]) <= float(span[2])):
-        return "Its header does not say what its numbers mean ('Range')."
+        return "Its header does not declare what its numbers mean ('Range')."
     step = 0.0 if span is None else float(span[3] or 0)
     if np.dtype(dataset.dtypes[0]).itemsize < item and (kind in ("float", "real") or step == 0):
         return f"Its header says that its numbers are {kind!r} and {dataset.dtypes[0]}, which contradict each other."

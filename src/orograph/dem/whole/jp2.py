@@ -39,7 +39,7 @@ def fault_before(path: str) -> str | None:
                 if length == 0 and outer:
                     break
                 if not outer and not begin <= at + length <= end:
-                    return f"Its box {kind.decode('latin-1')!r} at byte {at:,} has a length that it cannot have."
+                    return f"Its box {kind.decode('latin-1')!r} at byte {at:,} has an impossible length."
                 if not begin <= at + length <= end:
                     break  # it is cut short, which is found when it is open
                 if kind in _NESTS:
@@ -84,7 +84,7 @@ def nitf(dataset: Any, path: str) -> str | None:
 def stream_fault(file: IO[bytes], begin: int, end: int) -> str | None:
     """What is wrong with the codestream between two bytes of a file, a sentence; None: nothing."""
     file.seek(begin + 2)
-    tiles, lost = 0, "Its codestream is cut short or damaged"
+    tiles, lost = 0, "Its codestream is truncated or damaged"
     while True:
         mark = file.read(2)
         if mark == _SOT:
@@ -107,7 +107,7 @@ def stream_fault(file: IO[bytes], begin: int, end: int) -> str | None:
             at += 2
             break
         if head[:2] != _SOT or len(head) < 12:
-            return f"{lost}: at byte {at:,} there is no tile, nor its end."
+            return f"{lost}: at byte {at:,} there is neither a tile nor the end."
         _, tile, length, part, count = struct.unpack(">HHIBB", head[2:])
         following = end - 2 if length == 0 else at + length
         if tile >= tiles or following > end or following < at + 12:
@@ -117,5 +117,5 @@ def stream_fault(file: IO[bytes], begin: int, end: int) -> str | None:
         at = following
     lacking = next((t for t in range(tiles) if len(parts.get(t, ())) < max(1, promised.get(t, 0))), None)
     if lacking is not None:
-        return f"{lost}: tile {lacking} of {tiles} is not all there."
+        return f"{lost}: tile {lacking} of {tiles} is incomplete."
     return None

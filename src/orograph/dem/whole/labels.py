@@ -38,7 +38,7 @@ def isis(dataset: Any, path: str) -> str | None:
     except (KeyError, ValueError, ZeroDivisionError):
         good = False
     if not good:
-        return "Its label does not say what its samples are: it is damaged."
+        return "Its label does not describe its samples: it is damaged."
     end = begin + shape[0] * shape[1] * shape[2] * item
     beside = said.get("^Core")
     if beside is not None:
@@ -55,7 +55,7 @@ def _parts_fault(path: str, text: str, begin: int, end: int) -> str | None:
             continue
         first = int(said.get("StartByte", 1)) - 1
         if first < end and begin < first + int(said["Bytes"]):
-            return f"Its samples and its part {name!r} lie in one another: its label is damaged."
+            return f"Its samples and its part {name!r} overlap: its label is damaged."
         last = max(last, first + int(said["Bytes"]))
     return exact(path, last)
 
@@ -68,11 +68,11 @@ def vicar(dataset: Any, path: str) -> str | None:
         return None
     wanted = ("LBLSIZE", "RECSIZE", "NLB", "NL", "NB", "NBB", "NS")
     if not all(said.get(key, "").isdigit() for key in wanted):
-        return "Its label does not say how large it is: it is damaged."
+        return "Its label does not declare its size: it is damaged."
     label, record, before, lines, bands, prefix, samples = (int(said[key]) for key in wanted)
     item = np.dtype(dataset.dtypes[0]).itemsize
     if said.get("ORG", "'BSQ'") == "'BSQ'" and record != prefix + samples * item:
-        return f"Its label says that a record has {record:,} bytes, which does not fit {samples:,} samples."
+        return f"Its label says that a record has {record:,} bytes, which does not match {samples:,} samples."
     records = before + lines * bands if said.get("ORG", "'BSQ'") != "'BIP'" else before + lines * samples
     return exact(path, label + records * record)
 

@@ -32,7 +32,7 @@ def fault(dataset: Any, path: str) -> str | None:
     if raster is None:
         return "Its header has no raster."
     if root.find("CachedSource") is not None:
-        return "It keeps parts of another raster, which may be lost."
+        return "It caches parts of another raster, which may be missing."
     codec = (raster.findtext("Compression") or "PNG").strip().upper()
     wide, high, deep = _shape(raster, "PageSize", (512, 512, 1))
     cols, rows, bands = _shape(raster, "Size", (0, 0, 1))
@@ -41,7 +41,7 @@ def fault(dataset: Any, path: str) -> str | None:
     index = _beside(path, raster.findtext("IndexFile"), ".idx")
     tiles = _beside(path, raster.findtext("DataFile"), _ENDINGS.get(codec, ""))
     if index is None or tiles is None:
-        return "Its index or its file of tiles is not there."
+        return "Its index or its tile file is missing."
     count = -(-cols // wide) * -(-rows // high) * -(-bands // deep)
     listed = np.fromfile(index, ">u8").reshape(-1) if index.stat().st_size % 16 == 0 else np.zeros(0, ">u8")
     if listed.size < 2 * count:
@@ -85,19 +85,19 @@ def _tiles_fault(
     there = [(at, length) for at, length in listed if length]
     end = max((at + length for at, length in there), default=0)
     if end > size:
-        return f"Its file of tiles ends after {size:,} of the {end:,} bytes that its index promises."
+        return f"Its tile file ends after {size:,} of the {end:,} bytes that its index promises."
     ordered = sorted(set(there))
     if any(at + length > after for (at, length), (after, _) in pairwise(ordered)):
-        return "Its tiles overlap one another: its index is damaged."
+        return "Its tiles overlap: its index is damaged."
     if len(there) < len(listed) and sum(length for _, length in ordered) < size:
-        return "Its index lacks tiles, and its file of tiles has bytes that belong to none."
+        return "Its index lacks tiles, and its tile file has bytes that belong to none."
     if codec == "NONE" and (size > end or any(length != wanted for _, length in there)):
-        return "Its file of tiles does not have the size that its index says."
+        return "Its tile file does not have the size that its index declares."
     with tiles.open("rb") as file:
         for number, (at, length) in enumerate(listed[:count]):
             file.seek(at)
             if length and not _decodes(file.read(length), codec, wide, high, wanted):
-                return f"Its tile {number} does not decode."
+                return f"Its tile {number} cannot be decoded."
     return None
 
 

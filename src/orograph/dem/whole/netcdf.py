@@ -24,7 +24,7 @@ def fault_before(path: str) -> str | None:
         try:
             end = _Header(file, magic[3], size).end()
         except (struct.error, LookupError, ValueError, OverflowError):
-            return "Its header is cut short or damaged."
+            return "Its header is truncated or damaged."
     return None if end <= size else f"It ends after {size:,} of the {end:,} bytes that its header promises."
 
 
@@ -39,14 +39,14 @@ def fault(dataset: Any, path: str) -> str | None:
             header = _Header(file, magic[3], size)
             end = header.end()
         except (struct.error, LookupError, ValueError, OverflowError):
-            return "Its header is cut short or damaged."
+            return "Its header is truncated or damaged."
         file.seek(max(end, size - 65536))
         padded = size in (end, -(-end // 4) * 4) or (size % 128 == 0 and not any(file.read()))
         behind = not header.streaming and not padded
     if size < max(end, header.filled):
         return f"It ends after {size:,} of the {max(end, header.filled):,} bytes that its header promises."
     if behind:
-        return f"It has {size:,} bytes where its header promises {end:,}: the one or the other is damaged."
+        return f"It has {size:,} bytes where its header promises {end:,}: one of the two is damaged."
     return None
 
 

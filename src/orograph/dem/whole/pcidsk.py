@@ -18,14 +18,14 @@ def fault(dataset: Any, path: str) -> str | None:
         file.seek(0)
         kind = file.read(512)[360:364]
     if not blocks.isdigit():
-        return "Its header does not say how long it is."
+        return "Its header does not declare its length."
     if kind == b"FILE":
         said = _channels_fault(dataset, path)
         if said is not None:
             return said
     wanted = int(blocks) * 512
     if size % 512 and (size > wanted or _whole_blocks(dataset, path)):
-        return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
+        return f"It has {size:,} bytes where its header promises {wanted:,}: one of the two is damaged."
     if size >= wanted or _tiled(path):
         return None
     return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."

@@ -47,7 +47,7 @@ def _fault(file: IO[bytes]) -> str | None:
             try:
                 found += _inflated(inflate, data)
             except zlib.error as error:
-                return f"Its image data do not decode ({error})."
+                return f"Its image data cannot be decoded ({error})."
         elif kind == b"IEND":
             break
     if found < wanted or not inflate.eof:

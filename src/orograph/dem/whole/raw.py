@@ -39,7 +39,7 @@ def pnm(dataset: Any, path: str) -> str | None:
     """PNM: a header of a few words, then all samples."""
     with Path(path).open("rb") as file:
         found = re.match(rb"P[56]((?:\s|#[^\n]*\n)+\d+){3}\s", file.read(_LABEL))
-    return "Its header is not understood." if found is None else exact(path, found.end() + _samples(dataset))
+    return "Its header cannot be parsed." if found is None else exact(path, found.end() + _samples(dataset))
 
 
 def rmf(dataset: Any, path: str) -> str | None:
@@ -79,7 +79,7 @@ def leveller(dataset: Any, path: str) -> str | None:
             name = file.read((file.read(1) or b"\0")[0])
             length = file.read(4)
             if not name.isascii() or not name or len(length) < 4:
-                return f"It has no part at byte {at:,}, where one should begin."
+                return f"There is no part at byte {at:,}, where one should begin."
             at = file.tell() + int.from_bytes(length, "little")
             found = int.from_bytes(length, "little") if name == b"hf_data" else found
     if at != size or found != samples:
@@ -106,12 +106,12 @@ def gif(dataset: Any, path: str) -> str | None:
             elif data[at] == 0x21:
                 at += 2
             else:
-                return f"It has no block at byte {at:,}, where one should begin."
+                return f"There is no block at byte {at:,}, where one should begin."
             while data[at]:
                 at += 1 + data[at]
             at += 1
     except IndexError:
-        return f"It ends after {len(data):,} bytes, before its mark of the end."
+        return f"It ends after {len(data):,} bytes, before its end marker."
     return exact(path, at + 1)
 
 
@@ -122,12 +122,12 @@ def xpm(dataset: Any, path: str) -> str | None:
     """XPM: a text for the size, one for each colour, and one for each row, of as many characters as it has."""
     texts = _QUOTED.findall(Path(path).read_bytes())
     if not texts or len(texts[0].split()) < 4:
-        return "Its header is not understood."
+        return "Its header cannot be parsed."
     cols, rows, colours, letters = map(int, texts[0].split()[:4])
     if len(texts) != 1 + colours + rows:
         return f"It has {len(texts) - 1:,} texts where its header promises {colours + rows:,}."
     if any(len(row) != cols * letters for row in texts[1 + colours :]):
-        return f"A row of it does not have {cols:,} samples."
+        return f"One of its rows does not have {cols:,} samples."
     return None
 
 
@@ -144,7 +144,7 @@ def pds3(dataset: Any, path: str) -> str | None:
     text = _label(path)
     kind = re.search(r"^[ \t]*SAMPLE_TYPE[ \t]*=[ \t]*\"?(\w*)", text, re.M)
     if kind is not None and kind[1].upper() not in _SAMPLE_TYPES:
-        return f"Its label calls its samples {kind[1]!r}, which are of no type that there is."
+        return f"Its label calls its samples {kind[1]!r}, which is not a known type."
     pointer = re.search(r"^\^(?:IMAGE|QUBE)[ \t]*=[ \t]*\(?[ \t]*(?:\"([^\"]*)\"[ \t]*,?)?[ \t]*(\d*)", text, re.M)
     if pointer is None or "<BYTES>" in text[pointer.start() : pointer.end() + 20]:
         return None

@@ -30,13 +30,13 @@ def exact(path: str | Path, wanted: int) -> str | None:
     """What is wrong with the size of a file that should have ``wanted`` bytes, a sentence; None: nothing."""
     file = Path(path)
     if not file.is_file():
-        return f"Its file {file.name} is not there."
+        return f"Its file {file.name} is missing."
     size = file.stat().st_size
     if size < wanted:
         return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
     if size == wanted or (size % _BLOCK == 0 and not _any(file, wanted)):
         return None
-    return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
+    return f"It has {size:,} bytes where its header promises {wanted:,}: one of the two is damaged."
 
 
 def _any(file: Path, begin: int) -> bool:
@@ -73,7 +73,7 @@ def terrain(dataset: Any, path: str) -> str | None:
         head = file.read(256)
     beside_it = Path(path).with_suffix(".prj")
     if head[60:62] == b"\x01\0" and not beside_it.is_file() and not str(dataset.name).startswith("/vsigzip/"):
-        return f"Its CRS lies in {beside_it.name}, which is not there."
+        return f"Its CRS is in {beside_it.name}, which is missing."
     return exact(path, 256 + _samples(dataset))
 
 
@@ -84,7 +84,7 @@ def sigdem(dataset: Any, path: str) -> str | None:
     factor, west, south, low, east, north, high = struct.unpack_from(">7d", head, 52)
     step_x, step_y = struct.unpack_from(">2d", head, 116)
     if not 0 < factor < math.inf:
-        return f"Its header has {factor:g} steps of height in a metre."
+        return f"Its header has {factor:g} height steps per metre."
     if not (step_x > 0 and step_y > 0):
         return f"Its header has samples {step_x:g} × {step_y:g} apart."
     reach = np.array([east - west, north - south]) / (step_x, step_y)
@@ -174,7 +174,7 @@ def paux(dataset: Any, path: str) -> str | None:
     for key, value in pairs(Path(path).with_suffix(".aux").read_text("latin-1"), ":"):
         if key.startswith("ChanDefinition"):
             if not _CHANNEL.fullmatch(value):
-                return f"Its header says {key!r} is {value[:40]!r}, which cannot be."
+                return f"Its header says {key!r} is {value[:40]!r}, which is impossible."
             kind, first, pixel, line = value.split()[:4]
             item = int(re.sub(r"\D", "", kind) or 8) // 8
             last = int(first) + (dataset.height - 1) * int(line) + (dataset.width - 1) * int(pixel) + item
@@ -203,14 +203,14 @@ def surfer7(dataset: Any, path: str) -> str | None:
             file.seek(at)
             head = file.read(8)
             if len(head) < 8 or not head[:4].isalpha():
-                return f"It has no section at byte {at:,}, where one should begin."
+                return f"There is no section at byte {at:,}, where one should begin."
             length = struct.unpack("<i", head[4:])[0]
             if length < 0 or (head[:4] == b"DATA" and length != 8 * dataset.width * dataset.height):
-                return f"Its section {head[:4].decode()} has {length:,} bytes, which its grid does not."
+                return f"Its section {head[:4].decode()} has {length:,} bytes, which does not match its grid."
             found |= head[:4] == b"DATA"
             at += 8 + length
     if at > size:
-        return f"It ends after {size:,} of the {at:,} bytes that its sections have."
+        return f"It ends after {size:,} of the {at:,} bytes of its sections."
     return None if found else "It has no section of samples."
 
 
@@ -226,7 +226,7 @@ def ntv2(dataset: Any, path: str) -> str | None:
             file.seek(at)
             sub = file.read(176)
             if len(sub) < 176 or sub[:8] != b"SUB_NAME":
-                return f"It has no grid at byte {at:,}, where one should begin."
+                return f"There is no grid at byte {at:,}, where one should begin."
             (points,) = struct.unpack_from(order + "i", sub, 168)
             south, north, east, west, lat, lon = struct.unpack_from(order + "d8xd8xd8xd8xd8xd", sub, 72)
             if min(abs(lat), abs(lon)) == 0 or not np.isfinite((south, north, east, west, lat, lon)).all():
@@ -238,7 +238,7 @@ def ntv2(dataset: Any, path: str) -> str | None:
     if size < at:
         return f"It ends after {size:,} of the {at:,} bytes that its header promises."
     if size - at not in (0, 8, 16):
-        return f"It has {size:,} bytes where its header promises {at + 16:,}: the one or the other is damaged."
+        return f"It has {size:,} bytes where its header promises {at + 16:,}: one of the two is damaged."
     return None
 
 
@@ -250,11 +250,11 @@ def pcraster(dataset: Any, path: str) -> str | None:
     order = "<" if head[46:50] == b"\x01\0\0\0" else ">"
     across, down, angle = struct.unpack_from(order + "3d", head, 108)
     if not (0 < across == down < math.inf):
-        return f"Its cells are {across:g} × {down:g}: PCRaster's are squares, and GDAL places others wrong."
+        return f"Its cells are {across:g} × {down:g}: PCRaster's cells are squares, and GDAL misplaces others."
     if angle != 0:
         raise ReadError(
-            f"It is turned by {angle:g} radians, which GDAL passes over.", path=dataset.name,
-            remedy="Resample it to one that is not (PCRaster's resample).",
+            f"It is rotated by {angle:g} radians, which GDAL ignores.", path=dataset.name,
+            remedy="Resample it to an unrotated grid (PCRaster's resample).",
         )  # fmt: skip
     (attributes,) = struct.unpack_from(order + "I", head, 40)
     if attributes:
@@ -272,7 +272,7 @@ def nitf(dataset: Any, path: str) -> str | None:
     if at is None or (head[:9] == b"NITF02.00" and not said.isdigit()) or said == b"9" * 12:
         return None
     if not said.isdigit():
-        return "Its header does not say how long it is."
+        return "Its header does not declare its length."
     return exact(path, int(said))
 
 
@@ -320,7 +320,7 @@ def zarr(dataset: Any, path: str) -> str | None:
         chunk = header.parent / said.get("dimension_separator", ".").join(map(str, index))
         if not chunk.is_file():
             if said.get("fill_value") is None:
-                return f"Its chunk {chunk.name} is not there, and nothing says what it would hold."
+                return f"Its chunk {chunk.name} is missing, and no fill value is declared for it."
         elif said.get("compressor") is None and not said.get("filters") and chunk.stat().st_size != wanted:
             return f"Its chunk {chunk.name} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
     return None

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from orograph.dem.whole.kernels import scan
 
-REMEDY = "Write it again with plain numbers such as -1234.5, and missing heights as its nodata value."
+REMEDY = "Rewrite it with plain numbers such as -1234.5, and missing heights as its nodata value."
 
 _PIECE = 8 << 20
 _HEADER = 16384
@@ -82,14 +82,14 @@ def zmap(dataset: Any, path: str) -> str | None:
     with Path(path).open("rb") as file:
         found = _ZMAP.match(file.read(_HEADER))
         if found is None or not int(found[1]):
-            return "Its header is not understood."
+            return "Its header cannot be parsed."
         wide = int(found[1])
         file.seek(found.end())
         for number, line in enumerate(file):
             said = line.rstrip()
             for field in (said[at : at + wide] for at in range(0, len(said), wide)):
                 if not _is_number(field):
-                    return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is no number."
+                    return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is not a number."
                 count += 1
     wanted = dataset.width * dataset.height
     return None if count == wanted else f"It holds {count:,} numbers where its header promises {wanted:,}."
@@ -105,11 +105,11 @@ def r_numbers(dataset: Any, path: str) -> str | None:
     try:
         begin = lines.index(b"%d" % wanted) + 1
     except ValueError:
-        return "Its header is not understood."
+        return "Its header cannot be parsed."
     odd = next((i for i in range(begin, begin + wanted) if i >= len(lines) or not _is_number(lines[i])), None)
     if odd is None and lines[begin + wanted : begin + wanted + 1] == [b"1026"]:
         return None
-    return f"It does not hold {wanted:,} numbers, one in a line: what differs is line {(odd or begin + wanted) + 3:,}."
+    return f"It does not hold {wanted:,} numbers, one per line: see line {(odd or begin + wanted) + 3:,}."
 
 
 def _is_number(token: bytes) -> bool:
@@ -134,7 +134,7 @@ def points(dataset: Any, path: str) -> str | None:
             return fault
         columns = _scanned(BytesIO(line), 0, 0, parting, True)[1] or 3
         if count % columns or count // columns > _lines(file, start):
-            return f"It holds {count:,} numbers, not {columns} in each line: lines were joined, or cut short."
+            return f"It holds {count:,} numbers, not {columns} in each line: lines were joined or truncated."
         return (
             _gap_fault(dataset, count // columns)
             or _column_fault(dataset, file, start)
@@ -147,7 +147,7 @@ def _gap_fault(dataset: Any, count: int) -> str | None:
     wanted = dataset.width * dataset.height
     if count >= wanted or dataset.nodatavals[0] is not None:
         return None
-    return f"It lacks {wanted - count:,} of {wanted:,} points, which would all be read as 0."
+    return f"It lacks {wanted - count:,} of {wanted:,} points, which would be read as 0."
 
 
 def _column_fault(dataset: Any, file: BinaryIO, start: int) -> str | None:
@@ -161,7 +161,7 @@ def _column_fault(dataset: Any, file: BinaryIO, start: int) -> str | None:
     file.seek(start)
     if not any(_NEGATIVE.match(line) for line in file):
         return None
-    return "Its points run along columns, where negative whole numbers are read as one too high: sort them by rows."
+    return "Its points run along columns, where negative whole numbers are read one too high: sort them by rows."
 
 
 def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
@@ -185,13 +185,13 @@ def _contradiction(path: str, header: re.Pattern[bytes], missing: str) -> str | 
         if said.setdefault(key, value) != value:
             return f"Its header says {key!r} twice: {said[key]} and {value}."
         if key in ("north", "south", "east", "west") and ":" in value:
-            return f"Its header says {key!r} in degrees and minutes ({value}), which GDAL takes for whole degrees."
+            return f"Its header says {key!r} in degrees and minutes ({value}), which GDAL reads as whole degrees."
         if key != "type" and not _is_number(value.replace(",", ".").encode()) and (key, value) != (missing, "*"):
-            return f"Its header says {value!r} for {key!r}, which is no number."
+            return f"Its header says {value!r} for {key!r}, which is not a number."
     if {"xllcorner", "yllcenter"} <= set(said) or {"xllcenter", "yllcorner"} <= set(said):
-        return "Its header says where a corner lies along one axis, and where a centre lies along the other."
+        return "Its header gives a corner along one axis and a centre along the other."
     if {"xllcorner", "xllcenter"} <= set(said) or {"yllcorner", "yllcenter"} <= set(said):
-        return "Its header says both where a corner and where a centre lies."
+        return "Its header gives both a corner and a centre."
     if float(said.get("multiplier", 1)) != 1:
         return f"Its header multiplies heights by {said['multiplier']}, which GDAL does not."
     return None
@@ -206,7 +206,7 @@ def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool)
         head = file.read(_HEADER)
         found = header.match(head)
         if found is None:
-            return "Its header is not understood."
+            return "Its header cannot be parsed."
         start, lines = found.end(), head.count(b"\n", 0, found.end())
         fault, count = _scanned(file, start, lines, b"", comma)
         wanted = dataset.width * dataset.height
@@ -241,7 +241,7 @@ def _shortened(file: BinaryIO, start: int, columns: int = 1) -> str | None:
 
 
 def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool) -> tuple[str | None, int]:
-    """The first thing from byte ``start`` on that is no number, and how many numbers there are before it.
+    """The first thing from byte ``start`` on that is not a number, and how many numbers there are before it.
 
     Args:
         lines: before ``start``.
@@ -261,14 +261,13 @@ def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool
             return fault, int(state[1])
         rest = data[cut:]
         if len(rest) > _PIECE:
-            return f"Line {state[2] + 1} holds {len(rest):,} bytes without a space: these are no numbers.", int(
+            return f"Line {state[2] + 1} holds {len(rest):,} bytes without a space: these are not numbers.", int(
                 state[1]
             )
     fault = _first_fault(rest, parting, comma, state)
     if fault is None and state[4] and not state[5]:
         fault = (
-            f"Line {state[6] + 1}: the commas of its numbers may be decimal commas or part thousands, which cannot "
-            "be told."
+            f"Line {state[6] + 1}: the commas in its numbers may be decimal commas or thousands separators: ambiguous."
         )
     return fault, int(state[1])
 
@@ -284,7 +283,7 @@ def _first_fault(data: bytes, parting: bytes, comma: bool, state: NDArray[np.int
         token = data[first:end]
         if not _KNOWN.match(token):
             shown = token[:_LONGEST].decode("utf-8", "replace")
-            return f"Line {state[2] + 1}, column {first - state[3] + 1}: {shown!r} is no number."
+            return f"Line {state[2] + 1}, column {first - state[3] + 1}: {shown!r} is not a number."
         state[1] += 1
 
 

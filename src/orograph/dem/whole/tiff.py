@@ -53,11 +53,11 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
         return None  # no TIFF that is known here: GDAL judges
     found, broken = tiff.directories()
     if broken:
-        return "Its directories break off: a mask or an overview behind the first is lost."
+        return "Its chain of directories breaks off: a mask or an overview after the first is lost."
     if not found:
         return None
     if found[0].following == 0 and lost_mask(tiff, found, tiff.directory):
-        return "It holds a mask that its directories do not lead to: they are damaged."
+        return "It holds a mask that no directory links to: its directories are damaged."
     return (
         tags_fault(tiff, found)
         or _overlap(dataset, tiff, found[0])
@@ -79,7 +79,7 @@ def first_directory(file: IO[bytes]) -> tuple[TiffFile, Directory] | None:
 
 _LERC = 34887
 _FLOATS = 3
-TURNED = "Write it anew with the byte order that LERC has (gdal_translate -co ENDIANNESS=LITTLE) from its source."
+TURNED = "Rewrite it from its source in LERC's byte order (gdal_translate -co ENDIANNESS=LITTLE)."
 
 
 def turned_floats(file: IO[bytes]) -> bool:
@@ -118,7 +118,7 @@ def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
     except (struct.error, ValueError):
         found, broken = [], True
     if broken or not found:
-        return "It is no TIFF."
+        return "It is not a TIFF."
 
     def one(tag: int, otherwise: int) -> int:
         numbers = tiff.numbers(found[0], tag)
@@ -142,7 +142,7 @@ def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
         check = CODECS.get(_CODEC.get(one(259, 1), "?"))
         short = len(held) < size or (one(259, 1) == 1 and size < least)
         if short or (check is not None and check(held, least, most) is not None):
-            return "A block of it does not decode."
+            return "One of its blocks cannot be decoded."
     return None
 
 
@@ -278,7 +278,7 @@ def _overlap(dataset: Any, tiff: TiffFile, first: Directory) -> str | None:
     at, size = at[order], size[order]
     inside = at[1:] < (at + size)[:-1]
     if np.any(inside & ~((at[1:] == at[:-1]) & (size[1:] == size[:-1]))):
-        return "Its blocks overlap one another: the table of where they lie is damaged."
+        return "Its blocks overlap: the table of their offsets is damaged."
     return None
 
 
@@ -303,7 +303,7 @@ def _behind(dataset: Any, tiff: TiffFile, found: list[Directory], size: int) -> 
     padded = size % _BLOCK == 0 or (size == end + 1 and end % 2)
     if padded and not any(tiff.file.read()):
         return None
-    return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
+    return f"It has {size - end:,} bytes after its last part: bytes were inserted, which shifts its samples."
 
 
 def _cut_fault(dataset: Any, tiff: TiffFile, at: NDArray[np.int64], size: int) -> str | None:
@@ -316,7 +316,7 @@ def _cut_fault(dataset: Any, tiff: TiffFile, at: NDArray[np.int64], size: int) -
     end = int(at.max()) + _block_bytes(dataset) // high * (dataset.height % high)
     if size <= end + 1:
         return None
-    return f"It ends {int(at.max()) + _block_bytes(dataset) - size:,} bytes before its last part does."
+    return f"It ends {int(at.max()) + _block_bytes(dataset) - size:,} bytes before the end of its last part."
 
 
 def _trailed(file: IO[bytes]) -> bool:

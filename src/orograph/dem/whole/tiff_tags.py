@@ -64,17 +64,17 @@ def tags_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
     """What is wrong with the tags of directories, the first of which is the raster's, a sentence; None: nothing."""
     for directory in directories:
         if directory.twice:
-            return f"Its tag {directory.twice} stands twice in a directory: it is damaged."
+            return f"Its tag {directory.twice} occurs twice in a directory: it is damaged."
         wrong = next((tag for tag, (kind, count, _) in directory.tags.items() if not _may_be(tag, kind, count)), None)
         if wrong is not None:
-            return f"Its tag {wrong} has a type or a number of values that it cannot have: it is damaged."
+            return f"Its tag {wrong} has an invalid type or number of values: it is damaged."
     first = directories[0]
     together = _one(tiff, first, 277, 1)
     for tag in (258, 339):
         if tag in first.tags and first.tags[tag][1] not in (1, together):
-            return f"It has {together} samples in a pixel, and {first.tags[tag][1]} values of its tag {tag}."
+            return f"It has {together} samples per pixel, but {first.tags[tag][1]} values in its tag {tag}."
     if not all(map(first.tags.__contains__, (256, 257, 262))):
-        return "A tag that every raster has is lost: its directory is damaged."
+        return "A mandatory tag is missing: its directory is damaged."
     return _mask_fault(tiff, directories) or _tables_fault(tiff, first)
 
 
@@ -98,12 +98,12 @@ def _mask_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
     masks = [bool(_one(tiff, directory, 254, 0) & _MASK) for directory in directories]
     for directory, shape, mask in zip(directories[1:], shapes[1:], masks[1:], strict=True):
         if mask != (_one(tiff, directory, 262, -1) == _MASK):
-            return "One of its directories is a mask by one tag and none by another."
+            return "One of its directories is a mask by one tag but not by another."
         alike = any(one == shape and not other for one, other in zip(shapes, masks, strict=True))
         bands = _one(tiff, directory, 277, 1)
         odd = bands not in (1, _one(tiff, directories[0], 277, 1)) or _one(tiff, directory, 258, 1) not in (1, 8)
         if mask and (odd or not alike):
-            return "Its mask has another size than what it masks, or is none."
+            return "Its mask differs in size from what it masks, or is not a mask."
     return None
 
 
@@ -120,16 +120,16 @@ def _tables_fault(tiff: Tiff, first: Directory) -> str | None:
         for tag, read in ((places, at), (sizes, size)):
             kind, count, _ = first.tags.get(tag, (0, 0, 0))
             if kind in _WHOLE and 0 < count < LARGEST and not read.size:
-                return "The table of its blocks lies beyond its end: it was cut short."
+                return "The table of its blocks lies beyond its end: it is truncated."
         if not at.size or at.size != size.size:
             continue
         if ((at == 0) & (size > 0)).any():
-            return "A block of it has a size and no place: the table of its blocks is damaged."
+            return "One of its blocks has a size but no offset: the table of its blocks is damaged."
         if at.size > 1 and any(_holds(tiff, first, int(place)) for place in at[(at > 0) & (size == 0)][:_LOOKED_AT]):
-            return "A block of it has a place and no size: the table of its blocks is damaged."
+            return "One of its blocks has an offset but no size: the table of its blocks is damaged."
         more = (size[wanted:] > 0) & (at[wanted:] > 0) & (at[wanted:] + size[wanted:] <= tiff.size)
         if wanted and (at.size < wanted or more.any()):
-            return f"It lists {at.size:,} blocks, and its size asks for {wanted:,}: the one or the other is damaged."
+            return f"It lists {at.size:,} blocks, but its size requires {wanted:,}: one of the two is damaged."
     return None
 
 
@@ -168,13 +168,13 @@ def blocks_fault(
         ordered: whether they lie in the order of the raster, as the file says of itself.
     """
     if ordered and (np.diff(at) <= 0).any():
-        return "Its blocks do not lie in the order that it says: the table of where they lie is damaged."
+        return "Its blocks are not in the declared order: the table of their offsets is damaged."
     ends = at + size
     for directory in directories:
         if ((at < directory.end) & (ends > directory.begin) & (ends <= tiff.size)).any():
-            return "A block of it and one of its directories lie in one another."
+            return "One of its blocks overlaps one of its directories."
     if plain and at.size > 1 and (size[ends <= tiff.size] > plain + 1).any():
-        return f"A block of it has {int(size.max()):,} bytes, and its samples need {plain:,}."
+        return f"One of its blocks has {int(size.max()):,} bytes, but its samples need {plain:,}."
     at, size = at[ends <= tiff.size], size[ends <= tiff.size]
     order = np.argsort(at, kind="stable")
     twice = size[order][1:][np.diff(at[order]) == 0]

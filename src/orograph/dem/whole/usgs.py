@@ -30,7 +30,7 @@ def fault(dataset: Any, path: str) -> str | None:
         return None
     data = _without_line_ends(Path(path).read_bytes())
     if not all(_NUMBER.match(data[at : at + 12]) for at in (816, 828)):
-        return "Its first record does not say how far its samples lie apart."
+        return "Its first record does not declare its sample spacing."
     count, misplaced, contradicted = _profiles(data)
     few = (1 - _SHARE) * count
     if min(misplaced, default=count) < _CERTAIN and len(misplaced) > few:
@@ -40,7 +40,7 @@ def fault(dataset: Any, path: str) -> str | None:
     first = min((*contradicted, *misplaced), default=None)
     if first is None:
         return None
-    return f"Its profile {first + 1} of {count} contradicts what it says of itself: its number, least or greatest."
+    return f"Its profile {first + 1} of {count} contradicts its own number, minimum or maximum."
 
 
 def _without_line_ends(data: bytes) -> bytes:

@@ -106,7 +106,7 @@ def check_parts(
         if not on_disk(part.location).is_file():
             if _named_here(part.location):
                 raise ReadError(
-                    "A part of it is not there, and would be read as missing or 0.", path=part.location,
+                    "One of its parts is missing, and would be read as missing or 0.", path=part.location,
                     remedy="Restore it, or make the VRT again (gdalbuildvrt).",
                 )  # fmt: skip
             continue
@@ -123,10 +123,12 @@ def _check_length(part: Part, needs: int, dataset: Any) -> None:
     bands, of which a VRT says nothing.)"""
     behind = Path(part.location).stat().st_size - needs
     if behind < 0:
-        raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
+        raise ReadError("It has fewer samples than the VRT declares.", path=part.location, remedy=DAMAGED)
     if 0 < behind < dataset.width:
         raise ReadError(
-            f"It has {behind:,} bytes more than the samples need that the VRT says.", path=part.location, remedy=DAMAGED
+            f"It has {behind:,} bytes more than the samples that the VRT declares need.",
+            path=part.location,
+            remedy=DAMAGED,
         )
 
 
@@ -158,8 +160,8 @@ def _check_place(dataset: Any, parts: list[Part], part: Part, place: Callable[[P
     for other in others[:_COMPARED]:
         if on_disk(other.location).is_file() and _shifted(dataset, other, place) is False:
             raise ReadError(
-                f"It lays {part.location} elsewhere than that file says of itself.", path=str(dataset.name),
-                remedy="Make the VRT again (gdalbuildvrt), or restore what was exchanged from a copy.",
+                f"It places {part.location} elsewhere than that file's own georeferencing.", path=str(dataset.name),
+                remedy="Make the VRT again (gdalbuildvrt), or restore the replaced file from a copy.",
             )  # fmt: skip
 
 
@@ -188,7 +190,7 @@ def parts_of(dataset: Any, key: object) -> list[Part]:
         try:
             found = list(_read(ET.fromstring(_text(dataset, name)), name))
         except (ValueError, TypeError, SyntaxError) as error:
-            raise ReadError(f"Its parts cannot be understood ({error}).", path=name, remedy=DAMAGED) from None
+            raise ReadError(f"Its parts cannot be parsed ({error}).", path=name, remedy=DAMAGED) from None
         with _lock:
             _parts[key] = found
             while len(_parts) > _KNOWN:
@@ -248,7 +250,7 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         if taken is not None and min(round(taken[0]), round(taken[1])) < 0:
             raise ValueError(f"it takes samples of {location} from beyond its edge, which would be 0")
         if target is not None and not _meets(target, shape):
-            raise ValueError(f"{location} lies outside of it")
+            raise ValueError(f"{location} lies outside it")
         yield part
         if use_mask:
             yield part._replace(by_mask=True)
@@ -259,10 +261,10 @@ def _rect(element: ET.Element | None) -> Rect | None:
         return None
     said = [element.get(side) for side in ("xOff", "yOff", "xSize", "ySize")]
     if None in said:
-        raise ValueError(f"a {element.tag} does not say where it lies")
+        raise ValueError(f"a {element.tag} has no position")
     left, top, width, height = (float(side or 0) for side in said)
     if not (math.isfinite(left + top) and 0 < width < math.inf and 0 < height < math.inf):
-        raise ValueError(f"a {element.tag} lies nowhere")
+        raise ValueError(f"a {element.tag} has an invalid position")
     return left, top, width, height
 
 

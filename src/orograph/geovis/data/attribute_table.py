@@ -1,4 +1,5 @@
-"""Names and colours of classes that GDAL keeps beside a raster or in a VRT: raster attribute tables, category names.
+"""Names and colours of classes beside a raster or in a VRT, as GDAL stores them: raster attribute tables, category
+names.
 
 The file is ``NAME.aux.xml`` (GDAL's PAM) or the VRT itself. A table's columns say what they are for by their usage
 (``GDALRATFieldUsage``): 2 names, 3 to 5 the least and the greatest value or both, 6 to 8 red, green and blue; without
@@ -17,10 +18,10 @@ from orograph.errors import ReadError
 NAME, LOW, HIGH, BOTH, COLORS = 2, 3, 4, 5, (6, 7, 8)
 
 CALLED = ("name", "class", "class_name", "classname", "label", "category", "landcover", "land cover", "description")
-"""What a column of names is called where no usage says it."""
+"""Usual names of a column of names, if no usage is declared."""
 
 MOST = 4096
-"""Values of one row that a range may name."""
+"""Maximum values of a row's range."""
 
 
 class Named(NamedTuple):
@@ -31,10 +32,10 @@ class Named(NamedTuple):
 
 
 def named_beside(location: str, band: int) -> Named | None:
-    """What a file beside a raster, or a VRT, says of a band's classes; None: nothing.
+    """A band's classes from the file beside a raster, or from a VRT; None: nothing.
 
     Raises:
-        ReadError: the file is no XML, or a row of its table no numbers.
+        ReadError: the file is not XML, or a row of its table has no numbers.
     """
     path = Path(location)
     own = path if path.suffix.lower() == ".vrt" else Path(f"{location}.aux.xml")
@@ -43,7 +44,7 @@ def named_beside(location: str, band: int) -> Named | None:
     try:
         root = ElementTree.parse(own).getroot()
     except (ElementTree.ParseError, OSError) as error:
-        raise ReadError(f"It cannot be read: {error}.", path=str(own), remedy="Remove or mend it.") from error
+        raise ReadError(f"It cannot be read: {error}.", path=str(own), remedy="Remove or correct it.") from error
     bands = [one for tag in ("PAMRasterBand", "VRTRasterBand") for one in root.iter(tag)]
     for one in bands:
         if int(one.get("band", "1")) != band:
@@ -87,7 +88,7 @@ def _of_table(table: ElementTree.Element, path: str) -> Named:
                 colors |= dict.fromkeys(codes, "#{:02x}{:02x}{:02x}".format(*rgb))
     except (ValueError, IndexError) as error:
         raise ReadError(
-            f"Row {len(names) + 1} of its attribute table has no number where one belongs.", path=path,
-            remedy="Mend or remove the table.",
+            f"Row {len(names) + 1} of its attribute table lacks a number.", path=path,
+            remedy="Correct or remove the table.",
         ) from error  # fmt: skip
     return Named(names, colors)

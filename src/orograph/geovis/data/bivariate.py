@@ -1,8 +1,7 @@
-"""Two things in one colour: classes of one across, classes of the other upwards, in a square of colours.
+"""Two variables in one colour: classes of one across, classes of the other upwards, in a square of colours.
 
 The colours go from light grey to blue with the one, to amber with the other, and to nearly black where both are high
-(after Brewer 1994, *Color use guidelines for mapping and visualization*): readers who see no red or no green tell them
-apart.
+(after Brewer 1994, *Color use guidelines for mapping and visualization*): colour-blind readers can tell them apart.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ CORNERS = ("#f3f3f3", "#509dc2", "#f3b300", "#2b2b2b")
 """Low and low, only the first high, only the second high, both high."""
 
 USUAL, MOST = 3, 4
-"""Classes of each, where ``classes`` is more than can be told apart, and at most."""
+"""Classes of each if ``classes`` is too many to distinguish, and the maximum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ class _One:
 
 
 def pairs(data: tuple[Dataset, ...]) -> list[Dataset | tuple[Dataset, Dataset]]:
-    """Datasets in their order; two whose style is bivariate, or one with two variables or bands, as pairs.
+    """Datasets in order; two with style bivariate, or one with two variables or bands, become pairs.
 
     Raises:
         UsageError: one of them is alone.
@@ -69,22 +68,22 @@ def pairs(data: tuple[Dataset, ...]) -> list[Dataset | tuple[Dataset, Dataset]]:
             waiting = None
     if waiting is not None:
         raise UsageError(
-            "A bivariate picture shows two things, and there is one.", path=str(waiting.source),
+            "A bivariate picture needs two variables, but there is one.", path=str(waiting.source),
             remedy="Give two data with style=bivariate, or two variables of one: variable=t+q, or band=1+2.",
         )  # fmt: skip
     return found
 
 
 def shown_pair(first: Dataset, second: Dataset, grid: Grid, texels: int) -> Shown:
-    """Say how two datasets are shown in one image.
+    """Prepare two datasets for one image.
 
     Raises:
         UsageError: an uncertainty is given, which this style does not show. Others: as ``reading.read``.
     """
     if first.uncertainty is not None or second.uncertainty is not None:
         raise UsageError(
-            "A bivariate picture has no sign left for uncertainty.", path=str(first.source),
-            remedy="Show the uncertainty as the second of the two.",
+            "A bivariate picture cannot also show uncertainty.", path=str(first.source),
+            remedy="Show the uncertainty as the second variable.",
         )  # fmt: skip
     count = first.classes if first.classes <= MOST else USUAL
     fields = [read_data(one, grid) for one in (first, second)]

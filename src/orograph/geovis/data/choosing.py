@@ -27,12 +27,12 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
     if given.time is not None:
         times = times_of(file)
         if not any(times):
-            raise UsageError("Its bands say no times.", path=str(given.source), remedy="Choose by band=.")
+            raise UsageError("Its bands have no times.", path=str(given.source), remedy="Choose by band=.")
         bands = [band for band in bands if matches(times[band - 1], given.time)]
         if not bands:
             raise UsageError(
                 f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
-                path=str(given.source), remedy="Give the beginning of one, or an hour of all days: T12.",
+                path=str(given.source), remedy="Give the beginning of a time, or an hour of all days: T12.",
             )  # fmt: skip
         words.append(time_words(given.time, [times[band - 1] for band in bands]))
     if given.level is not None:
@@ -75,7 +75,7 @@ def is_level(value: float, asked: str | float) -> bool:
     try:
         return math.isclose(value, float(asked), rel_tol=1e-5)
     except ValueError:
-        raise UsageError(f"A level is a number, not {asked!r}.") from None
+        raise UsageError(f"A level must be a number, not {asked!r}.") from None
 
 
 def wants_members(given: Dataset | Uncertainty) -> bool:
@@ -93,8 +93,8 @@ def picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
         return list(bands)
     found = re.fullmatch(r"(\d+)(?:-(\d+))?", asked.strip())
     if found is None:
-        raise UsageError(f"Bands are 3, 1-13 or all, not {asked!r}.", path=name)
+        raise UsageError(f"Bands must be like 3, 1-13 or all, not {asked!r}.", path=name)
     first, last = int(found[1]), int(found[2] or found[1])
     if not 1 <= first <= last <= len(bands):
-        raise UsageError(f"Bands are counted from 1 to {len(bands)} here; there is no {asked}.", path=name)
+        raise UsageError(f"Bands are numbered from 1 to {len(bands)} here; there is no {asked}.", path=name)
     return list(bands[first - 1 : last])

@@ -1,4 +1,4 @@
-"""Rasters of classes (land cover): whole numbers that name things, between which nothing lies.
+"""Rasters of classes (land cover): integers that stand for names, without values in between.
 
 Each texel of an image has the class of the sample nearest to it; where samples are smaller than texels, the class that
 most of a lattice of places in it have (the mode). Names and colours are those of a raster attribute table or of
@@ -23,7 +23,7 @@ from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import DISTINCT
 
 MOST = 64
-"""Classes of one picture: more are no classes that a legend can name."""
+"""Maximum classes of a picture: more do not fit into a legend."""
 
 FINEST = 4
 """Places along a texel's side whose classes are counted."""
@@ -96,12 +96,12 @@ def numbered(
         colors: the user's own, by name, where it is a mapping.
 
     Raises:
-        ReadError: the values are no classes: not whole, or too many.
+        ReadError: the values are not classes: not integers, or too many.
     """
     known = np.unique(values[np.isfinite(values)])
     if (known != np.rint(known)).any() or len(known) > MOST:
         what = "whole numbers" if (known != np.rint(known)).any() else f"at most {MOST}, not {len(known)}"
-        raise ReadError(f"Classes are {what}.", path=name, remedy="Choose another style, such as segmented.")
+        raise ReadError(f"Classes must be {what}.", path=name, remedy="Choose another style, such as segmented.")
     codes = [int(v) for v in known]
     names = [table.names.get(code, str(code)) for code in codes]
     names = [word if names.count(word) == 1 else f"{word} ({code})" for word, code in zip(names, codes)]

@@ -217,16 +217,16 @@ class Dataset:
         else:
             _check_colors(self.colormap)
         if not 2 <= self.classes <= 12:
-            raise UsageError(f"There are 2 to 12 classes, not {self.classes}.")
+            raise UsageError(f"The number of classes must be 2 to 12, not {self.classes}.")
         if isinstance(self.breaks, str):
             _check_choice("way of finding breaks", self.breaks, get_args(Breaks))
         elif len(self.breaks) < 3 or any(not a < b for a, b in zip(self.breaks, self.breaks[1:])):
-            raise UsageError(f"Breaks are at least three values, each above the last, not {self.breaks}.")
+            raise UsageError(f"Breaks must be at least three increasing values, not {self.breaks}.")
         if self.size is not None and not 0 < self.size < math.inf:
-            raise UsageError(f"A size is in metres, above 0, not {self.size}.")
+            raise UsageError(f"A size must be in metres, above 0, not {self.size}.")
         for opacity in (self.opacity, 0.0 if self.hidden is None else self.hidden):
             if not 0 <= opacity <= 1:
-                raise UsageError(f"An opacity is a number from 0 to 1, not {opacity:g}.")
+                raise UsageError(f"The opacity must be a number from 0 to 1, not {opacity:g}.")
         _check_choice("vertical dimension", self.vertical, get_args(Vertical))
         _check_choice("kind of geometry", self.geometry, get_args(Geometry))
         if self.width is not None:
@@ -234,7 +234,7 @@ class Dataset:
         self._check_derived()
         given = [f"{name}=" for name in LEVELS if getattr(self, name) is not None]
         if len(given) > 1:
-            raise UsageError(f"{' and '.join(given)} all say how high points are.", remedy="Give one of them.")
+            raise UsageError(f"{' and '.join(given)} all give the height of points.", remedy="Give one of them.")
         doubt: Any = self.uncertainty
         if doubt is not None and not isinstance(doubt, Uncertainty):
             object.__setattr__(self, "uncertainty", Uncertainty(doubt))
@@ -258,9 +258,9 @@ class Dataset:
         if self.exceeds is None:
             return
         if not math.isfinite(self.exceeds):
-            raise UsageError(f"A value to exceed is a number, not {self.exceeds}.")
+            raise UsageError(f"A value to exceed must be a number, not {self.exceeds}.")
         if self.value is not None:
-            raise UsageError("value= and exceeds= say two different things to show.", remedy="Give one of the two.")
+            raise UsageError("value= and exceeds= exclude each other.", remedy="Give one of the two.")
 
     @property
     def leveled(self) -> str | None:
@@ -286,7 +286,7 @@ class Dataset:
         """
         if isinstance(self.colormap, str):
             return self.colormap
-        raise UsageError("Colours by name are for classes, and these values are numbers.", remedy="Name a colormap.")
+        raise UsageError("Colours by name are for classes, but these values are numbers.", remedy="Name a colormap.")
 
     def but(self, **changes: Any) -> Dataset:
         """The same with other attributes."""
@@ -321,14 +321,14 @@ def _number(text: str) -> float:
     except ValueError:
         found = math.nan
     if not math.isfinite(found):
-        raise UsageError(f"{text!r} is no number.")
+        raise UsageError(f"{text!r} is not a number.")
     return found
 
 
 def _whole(text: str) -> int:
     found = _number(text)
     if found != int(found):
-        raise UsageError(f"{text!r} is no whole number.")
+        raise UsageError(f"{text!r} is not an integer.")
     return int(found)
 
 
@@ -347,14 +347,14 @@ def _width(given: float | str) -> float | str:
     text = str(given).strip()
     number = _number(text.removesuffix("m"))
     if number < 0:
-        raise UsageError(f"A width is in pixels, or in metres (30m), not below 0: {text}.")
+        raise UsageError(f"A width must be in pixels, or in metres (30m), 0 or more: {text}.")
     return text if text.endswith("m") else number
 
 
 def _range(text: str) -> tuple[float, float]:
     parts = [_number(part) for part in text.split(":")]
     if len(parts) != 2:
-        raise UsageError(f"A range is LOW:HIGH, not {text!r}.")
+        raise UsageError(f"A range must be LOW:HIGH, not {text!r}.")
     return parts[0], parts[1]
 
 
@@ -369,4 +369,4 @@ def _check_choice(what: str, value: Any, known: tuple[str, ...]) -> None:
 
 def _check_range(given: tuple[float, float] | None, what: str) -> None:
     if given is not None and not -math.inf < given[0] < given[1] < math.inf:
-        raise UsageError(f"A range of {what} goes from a lower to a higher one, not {given}.")
+        raise UsageError(f"A range of {what} must go from a lower to a higher value, not {given}.")

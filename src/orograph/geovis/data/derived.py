@@ -1,4 +1,4 @@
-"""Data as they are shown: what was read, or a statistic of its members, or how probably it exceeds a value.
+"""Data for display: the values read, a statistic of their members, or the probability of exceeding a value.
 
 Of data with standard deviations instead of members a probability is 1 − Φ((value − datum) / σ).
 """
@@ -43,8 +43,8 @@ def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values]
     found = other.mean
     if (found < 0).any():
         raise ReadError(
-            f"An uncertainty is a standard deviation, never negative; its lowest is {float(np.nanmin(found)):g}.",
-            path=str(doubt.source), remedy="Name another band, or mend it.",
+            f"A standard deviation cannot be negative, but the lowest is {float(np.nanmin(found)):g}.",
+            path=str(doubt.source), remedy="Choose another band, or correct it.",
         )  # fmt: skip
     return other, found
 
@@ -70,9 +70,9 @@ def _derived(field: Field, given: Dataset, grid: Grid) -> Field:
 def _several(count: int, name: str, key: str) -> None:
     if count < 2:
         raise UsageError(
-            f"{key}= is of several members or times, and {name} has one.",
+            f"{key}= needs several members or times, but {name} has one.",
             remedy="Choose several: band=all, time=T12, or member=all"
-            + ("; or say how uncertain it is: `uncertainty`." if key == "exceeds" else "."),
+            + ("; or give its uncertainty: `uncertainty`." if key == "exceeds" else "."),
         )
 
 

@@ -1,4 +1,4 @@
-"""Features with attributes: points, lines and polygons of GeoJSON, of what OGR reads, of objects in memory.
+"""Features with attributes: points, lines and polygons from GeoJSON, from what OGR reads, from objects in memory.
 
 GeoJSON is longitude and latitude (RFC 7946) unless an old-style ``crs`` says otherwise; an object's ``crs`` (GeoPandas)
 is its own. Of files that OGR reads only what meets the terrain is read.
@@ -29,7 +29,7 @@ VECTORS = (".gpkg", ".shp", ".fgb", ".kml", ".gml", ".parquet", ".gdb", ".geojso
            ".mif", ".dxf", ".sqlite", ".shz")  # fmt: skip
 
 MOST_CLASSES = 12
-"""Classes of texts that can be told apart."""
+"""Maximum distinguishable classes of texts."""
 
 SIMPLE: dict[str, Kind] = {"Point": "points", "LineString": "lines", "Polygon": "polygons"}
 
@@ -81,11 +81,11 @@ def read_features(given: Dataset, grid: Grid) -> Features:
     if not there:
         raise ReadError(
             "It holds no point, line or polygon" + (" near the terrain." if len(found) == 0 else "."), path=name,
-            remedy="Name a file with geometries of the terrain's area.",
+            remedy="Give a file with geometries in the terrain's area.",
         )  # fmt: skip
     if given.geometry is None and len(there) > 1:
         raise UsageError(
-            f"It mixes {' and '.join(f'{kinds[kind]} {kind}' for kind in there)}, which look different.", path=name,
+            f"It mixes {' and '.join(f'{kinds[kind]} {kind}' for kind in there)}, drawn differently.", path=name,
             remedy=f"Choose one kind: geometry={there[-1]}; several data show several.",
         )  # fmt: skip
     kind = given.geometry or there[0]
@@ -115,8 +115,9 @@ def classes_in(values: NDArray[Any], asked: str, name: str) -> tuple[Array, tupl
     classes = sorted({str(text) for text in values if text})
     if len(classes) > MOST_CLASSES:
         raise UsageError(
-            f"{asked} has {len(classes)} classes ({', '.join(classes[:3])}, …), and {MOST_CLASSES} can be told apart.",
-            path=name, remedy="Choose an attribute with fewer, or one of numbers.",
+            f"{asked} has {len(classes)} classes ({', '.join(classes[:3])}, …), but only {MOST_CLASSES} can be "
+            "distinguished.",
+            path=name, remedy="Choose an attribute with fewer classes, or one with numbers.",
         )  # fmt: skip
     numbered = {text: k for k, text in enumerate(classes)}
     return np.array([numbered.get(str(text), np.nan) for text in values], np.float64), tuple(classes)
@@ -145,7 +146,7 @@ def _of_geojson(source: Any, called: Any) -> tuple[str, list[list[Part]], dict[s
             found.append([part for one in geojson.geometries(geometry or {}) for part in _simple(one)])
         except (ValueError, TypeError, IndexError, KeyError) as error:
             raise ReadError(
-                f"Feature {len(found) + 1} has no list of coordinates.", path=name, remedy="Mend or remove it."
+                f"Feature {len(found) + 1} has no list of coordinates.", path=name, remedy="Correct or remove it."
             ) from error
         about.append(feature.get("properties") or {} if feature.get("type") == "Feature" else {})
     keys = dict.fromkeys(key for one in about for key in one)
@@ -206,7 +207,7 @@ def _of_vectors(given: Dataset, grid: Grid) -> tuple[str, list[list[Part]], dict
             box = Reach.of(grid, own, source).plain
         meta, _, shapes, values = read(location, layer=given.layer, bbox=box)
     except (DataSourceError, DataLayerError) as error:
-        raise ReadError(f"Its features cannot be read: {error}", path=source, remedy="See what it holds.") from error
+        raise ReadError(f"Its features cannot be read: {error}", path=source, remedy="Check what it holds.") from error
     try:
         found = [parse(shape) for shape in (shapes if shapes is not None else [])]
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Focus and context: where a picture has another priority than elsewhere, and how much of it shows at each place.
+"""Focus and context: where a picture has a different priority, and its weight at each place.
 
 A focus is a lens (a disc of the picture), a region (polygons), a corridor along a route (lines of a width), or all that
 is nearer to the eye than a distance. At its border the two pictures are blended over ``blend`` metres (of a lens:
@@ -33,7 +33,7 @@ KEYS = ("priority", "at", "radius", "width", "distance", "blend", "layer", "geom
 
 @dataclass(frozen=True, slots=True)
 class Focus:
-    """Where another priority holds.
+    """Where a different priority applies.
 
     Attributes:
         source: "lens", "near", or polygons or lines: a file, GeoJSON, or what has ``__geo_interface__``.
@@ -65,16 +65,16 @@ class Focus:
         for name in ("radius", "width", "distance"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
-                raise UsageError(f"The {name} of a focus is above 0, not {value}.")
+                raise UsageError(f"The {name} of a focus must be more than 0, not {value}.")
         if self.blend is not None and not 0 <= self.blend < math.inf:
-            raise UsageError(f"A focus is blended over 0 or more, not {self.blend}.")
+            raise UsageError(f"The blend of a focus must be 0 or more, not {self.blend}.")
         at = np.asarray(self.at, object)
         if at.shape != (2,) or not all(isinstance(v, int | float | np.number) and 0 <= v <= 1 for v in at):
-            raise UsageError(f"A lens lies at two parts of the picture, from 0 to 1 each, not {self.at}.")
+            raise UsageError(f"The place of a lens must be two parts of the picture, from 0 to 1 each, not {self.at}.")
         if self.source == NEAR and self.distance is None:
-            raise UsageError("What is near needs a distance, metres from the eye.")
+            raise UsageError("The focus near needs a distance, metres from the eye.")
         if self.source != NEAR and self.distance is not None:
-            raise UsageError("A distance is that of what is near.")
+            raise UsageError("A distance applies only to the focus near.")
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -88,8 +88,8 @@ class Focus:
         for key, value in told.items():
             if key not in KEYS:
                 close = difflib.get_close_matches(key, KEYS, 1)
-                hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(KEYS)}."
-                raise UsageError(f"There is no {key!r} of a focus.", path=source, remedy=hint)
+                hint = f"Did you mean {close[0]}?" if close else f"The keys are {', '.join(KEYS)}."
+                raise UsageError(f"A focus has no key {key!r}.", path=source, remedy=hint)
             made[key] = value if key in ("priority", "layer", "geometry") else _numbers(value, key)
         return cls(source, **made)
 
@@ -184,17 +184,19 @@ def _region(focus: Focus, grid: Grid) -> _Region:
     made = Dataset(focus.source, layer=focus.layer, geometry=focus.geometry, style="continuous", name="focus")
     if not has_features(made.source):
         raise UsageError(
-            "A focus is lens, near, or a file of polygons or lines.", path=str(focus.source),
-            remedy="Name a GeoJSON file, or what OGR reads.",
+            "A focus must be lens, near, or a file of polygons or lines.", path=str(focus.source),
+            remedy="Give a GeoJSON file, or one that OGR reads.",
         )  # fmt: skip
     found = read_features(made, grid)
     found = replace(found, columns={})  # (what they are does not matter)
     if found.kind == "points":
-        raise UsageError("Points have no inside.", path=found.name, remedy="Name polygons, or lines with a width.")
+        raise UsageError("Points have no area.", path=found.name, remedy="Give polygons, or lines with a width.")
     if found.kind == "lines" and focus.width is None:
-        raise UsageError("A corridor along lines needs a width, metres.", path=found.name, remedy="Say width=2000.")
+        raise UsageError(
+            "A corridor along lines needs a width in metres.", path=found.name, remedy="Give width=2000, for example."
+        )
     if found.kind == "polygons" and focus.width is not None:
-        raise UsageError("A width is that of a corridor along lines.", path=found.name)
+        raise UsageError("A width applies only to a corridor along lines.", path=found.name)
     longer = max(grid.rows * grid.spacing[1], grid.cols * grid.spacing[0])
     blend = focus.blend
     if blend is None:
@@ -224,5 +226,5 @@ def _numbers(text: str, key: str) -> Any:
     except ValueError:
         found = ()
     if len(found) != (2 if key == "at" else 1) or not all(map(math.isfinite, found)):
-        raise UsageError(f"{key} is {'X:Y' if key == 'at' else 'a number'}, not {text!r}.")
+        raise UsageError(f"{key} must be {'X:Y' if key == 'at' else 'a number'}, not {text!r}.")
     return found if key == "at" else found[0]

@@ -1,4 +1,4 @@
-"""What a source of data holds: variables, levels of a vertical dimension, times."""
+"""The content of a data source: variables, levels of a vertical dimension, times."""
 
 from __future__ import annotations
 

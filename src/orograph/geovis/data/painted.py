@@ -1,4 +1,4 @@
-"""The layer that painted data are, with the key of its colours and signs: swatches are painted as the data are."""
+"""The layer of painted data, with its legend: swatches are painted like the data."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ class Shown:
 def shown(
     dataset: Dataset, grid: Grid, texels: int, priority: Priority, surface: Callable[[Grid], Array] | None = None
 ) -> Shown:  # fmt: skip
-    """Read data and say how they are shown.
+    """Read data and prepare them for display.
 
     Args:
         grid: the terrain's. texels: along the longer side of the image. surface: heights (rows, cols) at the samples of
@@ -130,7 +130,7 @@ def shown(
     if style == "classes":
         return _shown_classes(dataset, grid, texels, priority)
     if dataset.derived and style in FLOWS:
-        raise UsageError(f"{style} shows two components, of which there is no value= or exceeds=.")
+        raise UsageError(f"{style} shows two components, which have no value= or exceeds=.")
     components: list[Values] = []
     if style in FLOWS:
         field, *components = once("vectors", (dataset, grid), lambda: read_vectors(dataset, grid))
@@ -205,8 +205,8 @@ def as_shown(dataset: Dataset) -> Dataset:
         return dataset
     if dataset.uncertainty is not None and dataset.uncertainty.of_members:
         raise UsageError(
-            "A probability of exceeding says how certain the members are; it has no spread of its own.",
-            path=str(dataset.source), remedy="Leave the uncertainty away.",
+            "A probability of exceeding already expresses the members' uncertainty; it has no spread of its own.",
+            path=str(dataset.source), remedy="Leave out the uncertainty.",
         )  # fmt: skip
     even = "equal" if dataset.breaks == "quantiles" else dataset.breaks
     return dataset.but(range=dataset.range or (0.0, 1.0), breaks=even, uncertainty=None)

@@ -82,7 +82,7 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     group = None
     if given.group is not None:
         if given.group not in texts:
-            raise UsageError(f"There is no attribute {given.group!r}.", path=name, remedy="Name one: group=NAME.")
+            raise UsageError(f"There is no attribute {given.group!r}.", path=name, remedy="Choose one: group=NAME.")
         group = np.unique(texts[given.group].astype(str), return_inverse=True)[1]
         used |= {given.group}
     if given.variable is None and given.uncertainty is None and not used >= set(numbers):
@@ -97,7 +97,9 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     doubt = given.uncertainty
     sigma = None if doubt is None else attribute_of(doubt.source, numbers, name)
     if sigma is not None and (numbers[sigma] < 0).any():
-        raise ReadError(f"{sigma} is a standard deviation, never negative.", path=name, remedy="Name another.")
+        raise ReadError(
+            f"{sigma} is a standard deviation, which cannot be negative.", path=name, remedy="Choose another."
+        )
     x, y = columns[east], columns[north]
     if crs is not None and grid.crs is not None:
         from orograph.geo.transform import transformer
@@ -112,7 +114,7 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
     if not here.any():
         raise ReadError(
             f"None of its {len(x)} points lies on the terrain and has a {value}.", path=name,
-            remedy="Name data of the same area.",
+            remedy="Give data of the same area.",
         )  # fmt: skip
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
     alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
@@ -127,7 +129,9 @@ def level_of(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[A
         return None, set()
     told, _, unit = str(getattr(given, option)).partition(":")
     if unit not in LENGTHS:
-        raise UsageError(f"{unit!r} is no unit of {option}=; there are {', '.join(filter(None, LENGTHS))}.", path=name)
+        raise UsageError(
+            f"{unit!r} is not a unit of {option}=; the units are {', '.join(filter(None, LENGTHS))}.", path=name
+        )
     names = [attribute_of(part, numbers, name, option) for part in told.split("+")]
     if len(names) > 2:
         raise UsageError(f"{option}= names one attribute, or the two ends of an interval (from+to).", path=name)
@@ -152,7 +156,7 @@ def columns_of(source: Any) -> tuple[dict[str, Array], dict[str, Texts], Any, st
         keys = list(source) if isinstance(source, Mapping) else list(source.columns)
         written = {str(k): np.atleast_1d(np.asarray(source[k])).tolist() for k in keys}
         if len({len(column) for column in written.values()}) > 1:
-            raise UsageError("The columns of a table of points are equally long.")
+            raise UsageError("The columns of a table of points must be equally long.")
     columns = {k: np.array([number(v) for v in values]) for k, values in written.items()}
     texts = {k: np.array(["" if v is None or v != v else str(v) for v in values], object)
              for k, values in written.items()}  # fmt: skip

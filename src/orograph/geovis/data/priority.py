@@ -1,4 +1,4 @@
-"""What of terrain, data and uncertainty comes first: Dübel, Röhlig, Tominski & Schumann 2017, *Visualizing 3D terrain,
+"""Priorities of terrain, data and uncertainty: Dübel, Röhlig, Tominski & Schumann 2017, *Visualizing 3D terrain,
 geo-spatial data, and uncertainty*, section 3.
 
 Each of the three is prioritised (+) or not (−), independent of the others:
@@ -47,8 +47,8 @@ class Priority:
             letters
         ):  # fmt: skip
             raise UsageError(
-                f"A priority is T, D and U, each with + or -, such as T+D-U-, or one of {', '.join(SCENARIOS)}; not "
-                f"{text!r}."
+                f"A priority must be T, D and U, each with + or -, such as T+D-U-, or one of {', '.join(SCENARIOS)}; "
+                f"not {text!r}."
             )
         said = {letter: sign == "+" for letter, sign in marks}
         return cls(said.get("T", False), said.get("D", False), said.get("U", False))

@@ -1,4 +1,4 @@
-"""Where a terrain lies in another CRS, so that what is far away is neither read nor projected."""
+"""A terrain's place in another CRS, so that distant data are neither read nor projected."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Reach:
         except UsageError as error:
             raise UsageError(
                 f"The data cannot be laid over this terrain: {error.what}", path=name,
-                remedy="Name data of the same body and with a known CRS.",
+                remedy="Give data of the same body and with a known CRS.",
             ) from error  # fmt: skip
         t = np.linspace(0, 1, ALONG)
         col, row = np.meshgrid(t * grid.cols - 0.5, t * grid.rows - 0.5)
@@ -64,7 +64,7 @@ class Reach:
             x = x - turn * np.round((x - (middle if np.isfinite(middle) else 0.0)) / turn)
         known = np.isfinite(x) & np.isfinite(y)
         if not known.any():
-            raise UsageError("The terrain lies nowhere in the data's projection.", path=name)
+            raise UsageError("The terrain lies outside the data's projection.", path=name)
         low = np.array([x[known].min(), y[known].min()])
         high = np.array([x[known].max(), y[known].max()])
         margin = BEYOND * (high - low)

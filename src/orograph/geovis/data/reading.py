@@ -85,7 +85,7 @@ class Field:
         """
         if len(self.values) < 2:
             raise UsageError(
-                f"The {measure} is that of members, and {self.name} has one.",
+                f"The {measure} is of members, but {self.name} has only one.",
                 remedy="Choose several: band=all, time=T12, or member=all.",
             )
         few = np.isfinite(self.values).sum(0) < 2
@@ -224,7 +224,7 @@ def _window(placement: Placement, name: str) -> tuple[int, int, int, int]:
         f"The data do not overlap the terrain: they cover {extent(placement.image)}, and the terrain "
         f"{extent(placement.grid)}.",
         path=name,
-        remedy="Name data of the same area, or mend their georeference (gdal_edit.py).",
+        remedy="Name data of the same area, or fix their georeference (gdal_edit.py).",
     )
 
 
@@ -250,12 +250,12 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
         return _of_dataarray(replace(given, source=one), grid)
     array = np.ma.asarray(given.source)
     if array.dtype.kind not in "biuf":
-        raise UsageError(f"Data are real numbers, not {array.dtype}.")
+        raise UsageError(f"Data must be real numbers, not {array.dtype}.")
     raw = np.ma.filled(array.astype(np.float32), np.nan)
     if raw.ndim == 2:
         raw = raw[None]
     if raw.ndim != 3:
-        raise UsageError(f"Data are (rows, cols) or (members, rows, cols), not {raw.shape}.")
+        raise UsageError(f"Data must have the shape (rows, cols) or (members, rows, cols), not {raw.shape}.")
     fit = Affine.scale(grid.cols / raw.shape[2], grid.rows / raw.shape[1])
     values, words = _members(raw, given, "the array")
     return Field(values, Grid(raw.shape[1:], compose(grid.transform, fit), grid.crs), "data", "", words)
@@ -283,7 +283,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     words: list[str] = []
     if given.time is not None:
         if "time" not in array.coords:
-            raise UsageError("The DataArray has no coordinate time.", remedy="Leave time away.")
+            raise UsageError("The DataArray has no coordinate time.", remedy="Omit time.")
         times = np.atleast_1d(array.coords["time"].values).astype("datetime64[m]").astype(str)
         keep = [i for i, time in enumerate(times) if matches(time, given.time)]
         if not keep:
@@ -303,7 +303,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     axes = [d for d in array.dims if d not in lead]
     if len(axes) != 2:
         raise UsageError(
-            f"A DataArray has rows, columns, and if it likes time and member, not {dict(array.sizes)}.",
+            f"A DataArray must have rows and columns, and optionally time and member, not {dict(array.sizes)}.",
             remedy="Choose one level: level=; style curtains or walls shows all.",
         )
     stacked = array.transpose(*lead, *axes)

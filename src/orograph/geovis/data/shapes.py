@@ -1,4 +1,4 @@
-"""Lines and polygons over a terrain: cut to what is near it, brought to its CRS, with a value for each feature.
+"""Lines and polygons over a terrain: cut to its surroundings, transformed to its CRS, with a value for each feature.
 
 An edge that is straight in the data's CRS is bent in the terrain's: it is halved until what lies between is off by less
 than a tolerance. Longitudes go on across the antimeridian.
@@ -83,7 +83,7 @@ def read_shapes(given: Dataset, found: Features, grid: Grid, tolerance: float) -
     if not (on.any() or around):
         raise ReadError(
             f"None of its {len(found)} {found.kind} lies on the terrain.", path=found.name,
-            remedy="Name data of the same area, and see whether their CRS is told.",
+            remedy="Give data of the same area, and check that they declare their CRS.",
         )  # fmt: skip
     values, classes, name = _values(given, found)
     here = np.unique(np.asarray(owner))
@@ -151,7 +151,9 @@ def _sigma(given: Dataset, found: Features) -> Array | None:
             f"{', '.join(known) or 'none'}.", path=found.name,
         )  # fmt: skip
     if (column < 0).any():
-        raise ReadError(f"{asked} is a standard deviation, never negative.", path=found.name, remedy="Name another.")
+        raise ReadError(
+            f"{asked} is a standard deviation, which cannot be negative.", path=found.name, remedy="Choose another."
+        )
     return np.asarray(column, np.float64)
 
 

@@ -190,7 +190,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     if points.level is not None and style not in FLOATING:
         raise UsageError(
             f"{style.capitalize()} stand on the ground and do not float.", path=str(dataset.source),
-            remedy=f"Leave out height=, above= and depth=, or choose {' or '.join(FLOATING)}.",
+            remedy=f"Omit height=, above= and depth=, or choose {' or '.join(FLOATING)}.",
         )  # fmt: skip
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
     x, y, values = points.x[order], points.y[order], points.values[order]

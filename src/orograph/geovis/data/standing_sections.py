@@ -143,6 +143,6 @@ def _typed(text: str) -> dict[str, object]:
     """A line of numbers, as GeoJSON."""
     numbers = [float(part) for part in text.split(":")]
     if len(numbers) < 4 or len(numbers) % 2:
-        raise UsageError(f"A line is lon:lat:lon:lat…, not {text!r}.", remedy="Give two places at least: along=.")
+        raise UsageError(f"A line must be lon:lat:lon:lat…, not {text!r}.", remedy="Give at least two points: along=.")
     places = [list(pair) for pair in zip(numbers[::2], numbers[1::2])]
     return {"type": "LineString", "coordinates": places}

@@ -1,4 +1,4 @@
-"""What is shown of several members or times: their mean, a quantile, an extreme, or how probably they exceed a value.
+"""Statistics of several members or times: their mean, a quantile, an extreme, or the probability of exceeding a value.
 
 Quantiles are linear between members (type 7 of Hyndman & Fan 1996); a probability is the part of the members that are
 known and above the value.
@@ -26,8 +26,8 @@ def check_statistic(text: str) -> None:
     """Raise UsageError unless it names a statistic: mean, median, min, max, spread, p0 to p100."""
     if text not in ("mean", "spread") and _percent(text) is None:
         raise UsageError(
-            f"There is no value {text!r} of several members.",
-            remedy="There are mean, median, min, max, spread, and quantiles p0 to p100, such as p90.",
+            f"There is no statistic {text!r} of several members.",
+            remedy="The statistics are mean, median, min, max, spread, and quantiles p0 to p100, such as p90.",
         )
 
 

@@ -78,7 +78,7 @@ def times_of(file: Any) -> list[str]:
 
 def neighbours(times: Sequence[str], asked: str) -> tuple[str, str, float] | None:
     """The times (ISO 8601, in order) before and after a moment between two of them, and how far it is from the one to
-    the other, 0 to 1; None where one of them is meant, or it lies outside, or is no moment.
+    the other, 0 to 1; None where one of them is meant, or it lies outside, or is not a time.
     """
     if len(times) < 2 or asked.startswith("T") or is_span(asked) or any(matches(time, asked) for time in times):
         return None
@@ -108,7 +108,7 @@ def seconds_of(told: Iterable[Any], name: str, attribute: str) -> NDArray[np.flo
     seconds or milliseconds since 1970.
 
     Raises:
-        ReadError: something is no moment.
+        ReadError: something is not a time.
     """
     found = []
     for value in told:
@@ -132,7 +132,7 @@ def _moment(text: str, name: str, attribute: str) -> float:
             continue
         return (moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)).timestamp()
     raise ReadError(
-        f"{text!r} in its {attribute} is no moment.", path=name,
+        f"{text!r} in its {attribute} is not a time.", path=name,
         remedy="Write them as 2019-03-01T12:00:00Z, or as seconds since 1970.",
     )  # fmt: skip
 

@@ -102,13 +102,13 @@ def read_tracks(given: Dataset, rows: Rows, grid: Grid) -> Tracks:
     elif level is None:
         level = numbers.get("z", np.full(len(rows.columns[east]), np.nan))
     if level.ndim != 1:
-        raise UsageError("A track has one height at a time, no interval.", path=rows.name)
+        raise UsageError("A track has one height at a time, not an interval.", path=rows.name)
     when = given.when or next((k for k in rows.texts if k.lower() in WHEN), None)
     if when is not None and when not in rows.texts:
-        raise UsageError(f"There is no attribute {when!r}.", path=rows.name, remedy="Name one: when=NAME.")
+        raise UsageError(f"There is no attribute {when!r}.", path=rows.name, remedy="Choose one: when=NAME.")
     seconds = np.full(len(level), np.nan) if when is None else seconds_of(rows.texts[when], rows.name, when)
     if given.group is not None and given.group not in rows.texts:
-        raise UsageError(f"There is no attribute {given.group!r}.", path=rows.name, remedy="Name one: group=NAME.")
+        raise UsageError(f"There is no attribute {given.group!r}.", path=rows.name, remedy="Choose one: group=NAME.")
     names = rows.texts[given.group] if given.group is not None else rows.track
     track = np.zeros(len(level), np.int64) if names is None else np.unique(names.astype(str), return_inverse=True)[1]
     part = track if rows.part is None or given.group is not None else rows.part
@@ -131,13 +131,13 @@ def read_tracks(given: Dataset, rows: Rows, grid: Grid) -> Tracks:
     if given.uncertainty is not None:
         sigma = numbers[attribute_of(given.uncertainty.source, numbers, rows.name)][order]
         if (sigma < 0).any():
-            raise ReadError("A standard deviation is never negative.", path=rows.name, remedy="Name another.")
+            raise ReadError("A standard deviation cannot be negative.", path=rows.name, remedy="Choose another.")
     col, row = grid.index(at[:, 0], at[:, 1])
     here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1)
     if not (here[1:] & here[:-1] & (np.diff(part) == 0)).any():
         raise ReadError(
-            "No two samples of a track, one after the other, lie on the terrain.", path=rows.name,
-            remedy="Name data of the same area, and which track each belongs to: group=NAME.",
+            "No two consecutive samples of a track lie on the terrain.", path=rows.name,
+            remedy="Give data of the same area, and say which track each belongs to: group=NAME.",
         )  # fmt: skip
     return Tracks(at, seconds, part, values, sigma, len(np.unique(track[here])), name, unit, classes)
 
@@ -186,7 +186,9 @@ def _values(
     if asked in numbers:
         return numbers[asked], asked.replace("_", " "), "", None
     if asked in ("speed", "time") and not np.isfinite(seconds).any():
-        raise UsageError(f"Nothing says when, and so there is no {asked}.", path=rows.name, remedy="Name it: when=.")
+        raise UsageError(
+            f"There are no times, so there is no {asked}.", path=rows.name, remedy="Name the attribute: when=."
+        )
     if asked == "speed":
         return _speed(at, seconds, part), "speed", "m/s", None
     if asked == "time":
@@ -216,7 +218,7 @@ def _of_gpx(source: str) -> Rows:
     try:
         root = ElementTree.parse(locate(source)).getroot()
     except (ElementTree.ParseError, OSError) as error:
-        raise ReadError(f"It is no GPX: {error}", path=source, remedy="Export it anew.") from error
+        raise ReadError(f"It is not GPX: {error}", path=source, remedy="Export it again.") from error
     found: list[tuple[float, float, float, str, int, str]] = []
     part = 0
     for number, track in enumerate(one for one in root if _tag(one) in ("trk", "rte")):
@@ -231,7 +233,7 @@ def _of_gpx(source: str) -> Rows:
                 found.append((*where, inside.get("time", ""), part, name))
             part += 1
     if not found:
-        raise ReadError("It holds no track and no route.", path=source, remedy="Name a file with tracks.")
+        raise ReadError("It holds neither a track nor a route.", path=source, remedy="Give a file with tracks.")
     lon, lat, ele, time, parts, names = zip(*found)
     texts = {"time": np.array(time, object), "track": np.array(names, object)}
     columns = {"longitude": np.array(lon), "latitude": np.array(lat), "ele": np.array(ele)}
@@ -262,7 +264,7 @@ def _of_lines(source: Any) -> Rows | None:
             if len(line) != len(moments):
                 raise ReadError(
                     f"Feature {number + 1} has {len(line)} places and {len(moments)} times.", path=name,
-                    remedy="Write a time for each place.",
+                    remedy="Give a time for each place.",
                 )  # fmt: skip
             places += [[*place[:3], *[np.nan] * (3 - len(place))] for place in line]
             times += [str(moment) for moment in moments]

@@ -36,7 +36,7 @@ def read_vectors(dataset: Dataset, grid: Grid) -> tuple[Field, Values, Values]:
     names = str(getattr(dataset, key) or "").split("+")
     if len(names) != 2:
         raise UsageError(
-            "A flow needs the components to the east and to the north.", path=str(dataset.source),
+            "A flow needs components to the east and to the north.", path=str(dataset.source),
             remedy="Name both: variable=u10+v10, or band=1+2.",
         )  # fmt: skip
     one, other = (read(dataset.but(**{key: name.strip(), "uncertainty": None}), grid) for name in names)

@@ -70,13 +70,13 @@ def read_volume(given: Dataset, grid: Grid) -> Volume:
         UsageError: it has no vertical dimension, or one level. Others: as ``reading.read``.
     """
     if given.level is not None:
-        raise UsageError(f"{given.style} shows all levels.", path=_name(given), remedy="Leave level= away.")
+        raise UsageError(f"{given.style} shows all levels.", path=_name(given), remedy="Leave out level=.")
     levels = levels_in(given)
     if levels is None or len(levels.values) < 2:
-        what = "no vertical dimension that is known" if levels is None else "one level"
+        what = "no known vertical dimension" if levels is None else "one level"
         raise UsageError(
-            f"It has {what}, and {given.style} shows a volume.", path=_name(given),
-            remedy="Say what its levels are: vertical=height, above, depth or pressure; or choose another style.",
+            f"It has {what}, but {given.style} shows a volume.", path=_name(given),
+            remedy="Declare its levels: vertical=height, above, depth or pressure; or choose another style.",
         )  # fmt: skip
     kind = levels.axis.kind
     each = [given.but(level=float(value), uncertainty=_at_level(given, float(value))) for value in levels.values]

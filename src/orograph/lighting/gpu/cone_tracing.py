@@ -56,7 +56,7 @@ FIT = 1 / math.sqrt(3)
 FIRST = 2.0
 """Where voxels are read first: where cones are this many cells wide; nearer it is the ground itself."""
 CONES = 64
-"""How many there are if nothing is said."""
+"""Default number of cones."""
 DENSE = 3
 """Voxels of level l are made out of samples of level l − ``DENSE``."""
 _FRAME = np.dtype(
@@ -263,7 +263,7 @@ class Tracer:
         if max(row1 - row0, col1 - col0) < 2:
             raise UsageError(
                 "Voxels as tall as this ground do not fit on the GPU.",
-                remedy='Use `method="horizon"` or `method="rays"`, which have none.',
+                remedy='Use `method="horizon"` or `method="rays"`, which need no voxels.',
             )
         if row1 - row0 >= col1 - col0:
             half = (row0 + row1) // 2
@@ -276,7 +276,7 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     """The product ``ambient-occlusion`` with ``method`` "cone-tracing": about ``cones`` of them (64) per sample.
 
     Raises:
-        NoAdapterError: there is no GPU to do it. DeviceLimitError: its memory does not hold a tile.
+        NoAdapterError: there is no GPU. DeviceLimitError: its memory is too small for a tile.
         UsageError: too few cones, or as for rays.
     """
     options = context.options

@@ -1,4 +1,4 @@
-"""The ground around a tile of samples: at full resolution near by, coarser the farther away it lies.
+"""The ground around a tile of samples: at full resolution nearby, coarser with distance.
 
 Ring k holds every 2^k-th sample (the terrain's nested level k) as far as ``REACH`` of its own samples beyond the tile,
 and R, where there is one; what finer rings hold is its hole. So rings are a few MB each whatever the raster, and there

@@ -1,9 +1,9 @@
-"""The method ``cbt``: a mesh that goes on from view to view by updates in which all triangles decide at once.
+"""The method ``cbt``: a mesh that continues from view to view by updates in which all triangles decide at once.
 
-On the CPU, ``select`` updates the pool (``pool``) until nothing changes; what it ends at is, with the sphere metrics,
-which are monotonic, the coarsest conforming mesh that keeps the tolerance, whatever was before: that of ``stateless``
-with the same metric. On the GPU the tree lives there, updated frame by frame, and no one selects
-(``rendering.gpu.surface.tree``): this is what its shaders are tested against.
+On the CPU, ``select`` updates the pool (``pool``) until nothing changes; with the sphere metrics, which are monotonic,
+the result is the coarsest conforming mesh that keeps the tolerance, whatever came before: that of ``stateless`` with
+the same metric. On the GPU the tree lives there and is updated frame by frame, without ``select``
+(``rendering.gpu.surface.tree``): its shaders are tested against this.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ METRICS = ("anisotropic", "isotropic")
 class CbtOptions(RightTriangleOptions):
     """Options of ``cbt``. See ``RightTriangleOptions``."""
 
-    metric: str | None = option(None, "How errors become pixels; none: anisotropic.", choices=METRICS)
+    metric: str | None = option(None, "How errors are converted to pixels; none: anisotropic.", choices=METRICS)
     updates: int = option(2, "On the GPU: updates of the tree in a frame.", unit="updates", least=1, most=32)
-    slots: int = option(1 << 19, "On the GPU: triangles that there is room for; rounded up to a power of two.",
+    slots: int = option(1 << 19, "On the GPU: maximum triangles; rounded up to a power of two.",
                         unit="triangles", least=1 << 14, most=1 << 21)  # fmt: skip
 
 
@@ -76,7 +76,7 @@ class Cbt(RightTriangleMeshes):
         slots = pool.leaves
         level = pool.level[slots]
         inner = level < 2 * self.field.n
-        states = np.ones(len(slots), np.uint8)  # a finest triangle is drawn
+        states = np.ones(len(slots), np.uint8)  # finest triangles are drawn
         states[inner], heights = self._weighed(criterion, pool.diamonds(slots[inner]))
         pool.heights[slots[inner], 3] = heights
         below = slots[level > 0]
@@ -85,7 +85,7 @@ class Cbt(RightTriangleMeshes):
         return slots, states, below[above[place] != SPLIT]
 
     def _weighed(self, criterion: Criterion, keys: Slots) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """What becomes of the triangles over diamonds, and the heights of their vertices; pages are read for it."""
+        """What becomes of the triangles over diamonds, and the heights of their vertices; reads the pages for it."""
         states, heights = np.zeros(len(keys), np.uint8), np.zeros(len(keys), np.float32)
         spread = (keys >> 32) | (keys & 0xFFFFFFFF)
         octaves = floor_log2(spread & -spread)

@@ -1,4 +1,4 @@
-"""What the method ``triangle-patches`` is made of.
+"""The parts of the method ``triangle-patches``.
 
 shape      a patch: its lattice, its triangles, and the row of numbers that says where one lies
 tables     what decides about patches: errors over whole patches, saturated so that geomorphs follow each other

@@ -1,4 +1,4 @@
-"""Patches as triangles, the slow way that needs no GPU: for the referee, for files, and to say what is to be drawn."""
+"""Patches as triangles, the slow way without a GPU: for the referee, for files, and as the reference for drawing."""
 
 from __future__ import annotations
 

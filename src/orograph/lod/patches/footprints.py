@@ -1,4 +1,4 @@
-"""Which blocks of the screen patches may lie over, by the prisms that hold them: no vertex lies outside of its patch's.
+"""Which blocks of the screen patches may cover, from their prisms, which contain all of their vertices.
 
 A prism is the patch's triangle (where it is squeezed onto the raster's last row or column, the rectangle around what is
 left of it) between two heights. Its corners are projected in float64; what reaches the plane of the eye may lie

@@ -1,10 +1,10 @@
-"""Pages of patch diamonds that come while the picture goes on: asked for in one frame, there in a later one.
+"""Pages of patch diamonds, read in the background: requested in one frame, present in a later one.
 
-``Field`` reads what a refinement lacks and has it begin again. An interactive view must not wait for a disk or a
-network: here threads read pages into slots that no kernel knows yet, and the next selection begins by entering those
-that have come. Until then diamonds of absent pages pass for accurate, and their patches are drawn as they are.
+``Field`` reads what a refinement lacks and restarts it. An interactive view must not wait for a disk or a network: here
+threads read pages into slots that kernels do not know yet, and the next selection first enters those that have arrived.
+Until then diamonds of absent pages count as accurate, and their patches are drawn as they are.
 
-A page that cannot be read is asked for again after a while; what went wrong is kept in ``failure``.
+A page that cannot be read is requested again after a while; ``failure`` keeps the error.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from orograph.errors import OrographError
 from orograph.lod.field import Field
 
 AGAIN = 2.0
-"""Seconds after which a page that could not be read is asked for again."""
+"""Seconds after which an unreadable page is requested again."""
 
 READERS, REMOTE_READERS = 2, 8
 """Threads that read from a disk, and over a network."""
@@ -48,7 +48,7 @@ class Pager(Field):
         return len(self._under_way)
 
     def enter(self) -> int:
-        """Let kernels know the pages that have come; how many."""
+        """Enter the pages that have arrived; returns how many."""
         count = 0
         while not self._answers.empty():
             page, slot, failure = self._answers.get()
@@ -66,7 +66,7 @@ class Pager(Field):
         return count
 
     def fetch_later(self) -> int:
-        """Have the pages that were missed since ``begin`` read in the background; how many are under way."""
+        """Read the pages missed since ``begin`` in the background; returns how many are under way."""
         wanted = [int(page) for page in self._asked() if int(page) not in self._under_way]
         self.slots.touch(np.flatnonzero(self.pages.used == 1), self._round)
         now = time.monotonic()
@@ -83,7 +83,7 @@ class Pager(Field):
         return self.under_way
 
     def finish(self) -> None:
-        """Wait for what is under way (before pages are read at once: a page must not come twice)."""
+        """Wait for running reads (before pages are read at once: a page must not arrive twice)."""
         while self._under_way:
             answer = self._answers.get()
             self._answers.put(answer)

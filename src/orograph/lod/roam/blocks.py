@@ -1,4 +1,4 @@
-"""What lies under blocks of cells, and the pyramid above them: boxes of gradients, and lowest heights.
+"""Blocks of cells and the pyramid above them: boxes of gradients, and lowest heights.
 
 A block is 2^shift cells a side, ground on its border included; a block of the next level four of those below. The
 blocks are as small as the memory they may take allows. Heights in metres, gradients in metres a cell.
@@ -15,7 +15,7 @@ from orograph.store.terrain import Terrain
 
 BYTES = 20
 BAND = 512
-"""Rows of samples that are read at once, about."""
+"""About how many rows of samples are read at a time."""
 
 
 class Blocks(NamedTuple):

@@ -1,6 +1,7 @@
-"""The program that compiles the kernels of light and colour while a first picture's ray caster is compiled.
+"""The program that compiles the kernels of light and colour while a first picture's ray caster compiles.
 
-``python -m orograph.rendering.cpu.ahead LIGHT`` colours a small hill by depths that need no caster (see ``compiling``).
+``python -m orograph.rendering.cpu.ahead LIGHT`` colours a small hill from depths that need no caster (see
+``compiling``).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ SIDE = 33
 
 
 def color_a_hill(light: str) -> None:
-    """Light and colour a small hill, seen where no ray was cast."""
+    """Light and colour a small hill without casting rays."""
     import numpy as np
     from affine import Affine
 
@@ -27,7 +28,7 @@ def color_a_hill(light: str) -> None:
 
     x = np.linspace(-2, 2, SIDE)
     heights = (300 * np.exp(-np.add.outer(x * x, x * x))).astype(np.float32)
-    heights[20:28, 20:28] = heights[20:28, 20:28].min()  # a lake, that water is looked for
+    heights[20:28, 20:28] = heights[20:28, 20:28].min()  # a lake, so that the search for water is compiled
     terrain = MemoryTerrain(heights, Grid(heights.shape, Affine.scale(30, -30)), "hill")
     view = whole(terrain, (SIDE, SIDE))
     scene = Scene.of(terrain, view, light=light)

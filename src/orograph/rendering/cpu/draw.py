@@ -1,8 +1,8 @@
-"""The CPU backend: a scene becomes a picture with no graphics stack at all.
+"""The CPU backend: draws a scene without any graphics stack.
 
-First one ray through each pixel's centre (depth, and most of the picture), in blocks over threads; then, only where the
-picture has edges (silhouettes, shadows, shores), ``samples`` rays per pixel in a fixed low-discrepancy pattern. All
-colour is linear light until the last step.
+First it casts one ray through each pixel's centre (depth, and most of the picture), in blocks over threads; then, only
+where the picture has edges (silhouettes, shadows, shores), ``samples`` rays per pixel in a fixed low-discrepancy
+pattern. All colour is linear light until the last step.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ EDGE = 11
 """Difference of neighbouring pixels (sRGB bytes, largest channel) from which both are antialiased."""
 
 BREAK = 6.0
-"""Widths of a pixel from one pixel's ground to the next one's, along the ray, from which on there is an edge: ground
+"""Distance along the ray between the ground of adjacent pixels, in pixel widths, from which there is an edge: ground
 seen at less than 10°, or a silhouette."""
 
 BLOCK = 1 << 15
-"""Samples shaded at a time by a thread."""
+"""Samples that a thread shades at a time."""
 EDGES = 1 << 12
-"""The same of edges: where a picture has few, all threads have some."""
+"""The same for edges; smaller, so that all threads get some."""
 
 
 def draw(
@@ -68,22 +68,22 @@ def draw(
     Args:
         scene: what is drawn.
         progress: hears of it.
-        mesh: a tessellation of the scene's terrain to draw, instead of having the scene's method make one.
-        memo: what earlier pictures left: give the same for all frames of a movie and all tiles of a picture.
-        cast: makes the surface that is seen, if that is not done here (``sort_last``).
+        mesh: a tessellation of the scene's terrain to draw, instead of one made by the scene's method.
+        memo: results of earlier pictures; pass the same one for all frames of a movie and all tiles of a picture.
+        cast: makes the visible surface, if that is not done here (``sort_last``).
 
     Raises:
         NothingInViewError: no valid terrain is in view; the message says what to change.
-        UsageError: the picture's own arrays do not fit into memory, or a tile is to have what only wholes can have:
-            furniture, or a mesh's edges.
+        UsageError: the picture's own arrays do not fit into memory, or furniture or a mesh's edges are requested for a
+            tile.
         DamagedChunkError: a chunk that is needed fails its checksum.
     """
     clock, view = _Clock(), scene.view
-    methods = memo  # of a single picture, the method's tiles need not stay
+    methods = memo  # for a single picture, the method's tiles need not stay
     memo = Memo() if memo is None else memo
     if view.part is not None and (scene.annotations.furniture or scene.surface.wireframe):
         what = "furniture" if scene.annotations.furniture else "a wireframe"
-        raise UsageError(f"A tile has no {what}: that belongs to the whole picture.")
+        raise UsageError(f"A tile cannot have {what}: that belongs to the whole picture.")
     check_memory((view.width, view.height))
     facts: dict[str, Any] = {"warnings": diagnose(scene), "description": describe(scene)}
     for warning in facts["warnings"]:
@@ -97,7 +97,7 @@ def draw(
     usual = "faces" if meshed and not scene.surface.wireframe else "computed"
     if scene.surface.normals not in ("auto", usual):
         raise UsageError(
-            f"The CPU draws this with normals {usual!r}; `normals={scene.surface.normals!r}` are the GPU's.",
+            f"The CPU draws this with normals {usual!r}; `normals={scene.surface.normals!r}` needs the GPU.",
             remedy='Use `backend="gpu"`.',
         )
     if meshed:
@@ -138,7 +138,7 @@ class _Clock:
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
-        """What was done since the last one is so called."""
+        """Assign the time since the last call to a name."""
         now = time.perf_counter()
         self.seconds[name] = round(now - self._last, 4)
         self._last = now
@@ -146,7 +146,7 @@ class _Clock:
 
 @dataclass(frozen=True, slots=True)
 class _Subject:
-    """What a picture is of.
+    """The subject of a picture.
 
     Attributes:
         scene: as it is drawn. surface: a mesh's heights, if a mesh is drawn; bare: the scene of the terrain itself.
@@ -161,7 +161,7 @@ class _Subject:
 def _meshed(
     scene: Scene, mesh: Tessellation | None, memo: Memo, methods: Memo | None, progress: Progress
 ) -> _Subject:  # fmt: skip
-    """The subject where a mesh is drawn: the one that is given, or the one that the scene's method makes."""
+    """The subject when a mesh is drawn: the given mesh, or the one that the scene's method makes."""
     from orograph.rendering.cpu.mesh_surface import WINDOWS, refined, surface_of
 
     terrain = scene.terrain
@@ -178,10 +178,10 @@ def _meshed(
 
 
 def _ground(subject: _Subject, memo: Memo, progress: Progress, cast: Cast | None = None) -> Ground:
-    """The ground of a picture, within its budget of memory; it is said where that is not enough."""
+    """The ground of a picture, within its memory budget; warns if the budget is too small."""
     scene = subject.scene
     with progress.task("Reading heights" if scene.surface.detail is None else "Making detail"):
-        # Edges of a mesh that was made for another camera are drawn over the ground that it leaves out, too.
+        # Edges of a mesh made for another camera are also drawn over ground that it leaves out.
         elsewhere = scene.surface.wireframe and scene.surface.mesh_view is not None
         ground = Ground.load(scene, subject.surface, memo, subject.bare, None if elsewhere else subject.mesh, cast)
         if ground.tolerance > scene.pixel_tolerance:
@@ -196,13 +196,13 @@ def _ground(subject: _Subject, memo: Memo, progress: Progress, cast: Cast | None
 
 
 class _Canvas:
-    """A picture's pixels while they are drawn: cast, shaded, antialiased, outlined.
+    """A picture's pixels during drawing: cast, shaded, antialiased, outlined.
 
     Raises:
         NothingInViewError: no ground is in view.
 
     Attributes:
-        shader: what gave the colours. facts: of the picture.
+        shader: gave the colours. facts: of the picture.
     """
 
     def __init__(self, subject: _Subject, ground: Ground, memo: Memo, progress: Progress, clock: _Clock) -> None:
@@ -211,7 +211,7 @@ class _Canvas:
         view, inner = scene.view, frame(scene)
         silhouettes = scene.annotations.silhouettes
         self.lines = silhouettes.fitted(view) if silhouettes and view.projection != "plan" else None
-        # What is antialiased depends on the pixels around, and silhouettes do: a tile is drawn with a rim.
+        # Antialiasing and silhouettes depend on surrounding pixels, so a tile is drawn with a rim.
         around = int(scene.surface.samples > 1 or interval_of(scene.annotations.aids, scene.view) is not None)
         rim_ = max(around, 0 if self.lines is None else rim(self.lines))
         self.area = area = _rimmed(inner, view.whole, rim_)
@@ -245,7 +245,7 @@ class _Canvas:
             lay(scene.but(view=drawn), self.linear, self.depth)
 
     def _shade(self, task: Task) -> None:
-        """Colour all pixels by the rays through their centres."""
+        """Colour all pixels with rays through their centres."""
         flat, depth, void_fill = self.linear.reshape(-1, 3), self.depth.ravel(), self.void_fill.ravel()
         shader, rays, area = self.shader, self.ground.rays, self.area
         wide, shores = area[3] - area[2], self.wet.ravel()
@@ -262,7 +262,7 @@ class _Canvas:
         self.clock.lap("color")
 
     def _antialias(self, task: Task) -> None:
-        """Colour the pixels at edges anew, by several rays each."""
+        """Recolour the pixels at edges, with several rays each."""
         scene, shader, rays, area = self.scene, self.shader, self.ground.rays, self.area
         flat, wide, samples = self.linear.reshape(-1, 3), area[3] - area[2], scene.surface.samples
         found = find_edges(encode(self.linear))
@@ -296,7 +296,7 @@ class _Canvas:
         self.clock.lap("silhouettes")
 
     def finished(self) -> tuple[NDArray[np.uint8], Array, NDArray[np.bool_]]:
-        """The view's own pixels with edges of a mesh and furniture: bytes, depths, and where missing ground is."""
+        """The view's own pixels with edges of a mesh and furniture: bytes, depths, and where ground is missing."""
         scene, view = self.scene, self.scene.view
         linear, depth = self.linear[self.own], self.depth[self.own]
         void_filled = np.isfinite(self.void_fill[self.own])
@@ -332,13 +332,13 @@ class _Canvas:
 
 
 def session(cast: Cast | None = None) -> Callable[[Scene], Picture]:
-    """Draws scene after scene, and keeps what they have in common (``memo``). ``cast``: as of ``draw``."""
+    """Draws scene after scene, and keeps what they share (``memo``). ``cast``: as for ``draw``."""
     memo = Memo()
     return lambda scene: draw(scene, memo=memo, cast=cast)
 
 
 def frame(scene: Scene) -> Area:
-    """The pixels that a scene's view is of the whole picture."""
+    """The pixels of the whole picture that a scene's view covers."""
     left, top, _, _ = scene.view.frame
     return top, top + scene.view.height, left, left + scene.view.width
 
@@ -349,7 +349,7 @@ def _rimmed(area: Area, whole: View, by: int) -> Area:
 
 
 def by_squares(pixels: NDArray[np.intp], area: Area, side: int) -> NDArray[np.intp]:
-    """Pixels of an area, by their places in it, in the order of squares of ``side`` pixels: so surfaces like them."""
+    """Pixels of an area by place, in the order of squares of ``side`` pixels, which surfaces prefer."""
     row, col = np.divmod(pixels, area[3] - area[2])
     square = ((row + area[0]) // side) * (area[3] // side + 1) + (col + area[2]) // side
     return pixels[np.argsort(square, kind="stable")]
@@ -381,8 +381,8 @@ def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def find_depth_edges(
     depth: Array, view: View, wet: NDArray[np.bool_], void_filled: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Pixels (height, width) beside which the ground breaks off (by ``BREAK`` widths of a pixel along the ray), water,
-    a void fill or the terrain begins; depths are NaN where no ground is."""
+    """Pixels (height, width) at which the ground breaks off (by ``BREAK`` pixel widths along the ray), or where water,
+    a void fill or the terrain begins; depths are NaN where there is no ground."""
     far = np.where(np.isnan(depth), np.inf, depth)
     pixel = np.full((), view.pixel_metres) if view.projection == "plan" else view.pixel_slope * far
     kind = wet.astype(np.int8) + 2 * void_filled + 4 * np.isinf(far)

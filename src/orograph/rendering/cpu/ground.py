@@ -1,8 +1,8 @@
-"""What is known at the points where rays meet the ground: position, slope at the pixel's scale, light there.
+"""Properties of the points where rays meet the ground: position, slope at the pixel's scale, light.
 
-Everything here is asked by blocks of samples from several threads. Positions are kept twice: in sample coordinates (for
-the caster and the rasters) and in the terrain's CRS (for drapes). Slopes and normals are those of the stretched ground,
-since that is what light falls on in the picture; heights stay true.
+Several threads call everything here with blocks of samples. Positions are kept twice: in sample coordinates (for the
+caster and the rasters) and in the terrain's CRS (for drapes). Slopes and normals are those of the stretched ground,
+since light falls on that in the picture; heights stay true.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ from orograph.viewpoint import Camera
 Array = NDArray[np.float64]
 
 COARSEST = 1000.0
-"""Pixels of tolerance beyond which nothing is left to be gained."""
+"""Tolerance beyond which nothing more is gained, pixels."""
 
 
 FIXED_MEMORY = 300 << 20
-"""Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
+"""Bytes that a picture takes whatever the terrain: the interpreter and its libraries, light maps, blocks of samples."""
 
 MEAN_BYTES = 4 * 4 / 3
-"""Of a sample of means, with the coarser levels around it."""
+"""Bytes per sample of means, including the coarser levels around it."""
 
 Cast = Callable[[Scene, "Sequence[Rectangle] | None", Projection], Surface]
-"""Makes what a camera sees of a scene: of these windows of heights, or (None) of the mesh that its method makes."""
+"""Makes the visible surface of a scene: of these windows of heights, or (None) of the mesh that its method makes."""
 
 LEAST_MEMORY = 24 << 20
-"""Bytes of heights that are loaded even where --max-memory leaves no room for them."""
+"""Bytes of heights that are loaded even if --max-memory leaves no room for them."""
 
 
 def fixed_memory(scene: Scene) -> int:
-    """Bytes that drawing a scene takes besides its heights."""
+    """Bytes that drawing a scene takes in addition to its heights."""
     _, _, width, height = scene.view.frame
     pixels = width * height
     if scene.view.part is not None:  # the same for all tiles, so that all are drawn from the same heights
@@ -67,13 +67,14 @@ def fixed_memory(scene: Scene) -> int:
 
 
 def budget_of(scene: Scene) -> float:
-    """Bytes that there are for heights and means."""
+    """Bytes available for heights and means."""
     most = scene.budget.max_memory
     return math.inf if most is None else max(most - fixed_memory(scene), LEAST_MEMORY)
 
 
 def means_of(scene: Scene, terrain: Terrain) -> ClipStack:
-    """Windows of means about as fine as pixels, outermost first, or as fine as half of the memory for heights holds."""
+    """Windows of means about as fine as pixels, outermost first, or as fine as half of the memory for heights
+    allows."""
     pixels, most = 1.0, budget_of(scene) / 2
     while True:
         found = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, pixels, by="spacing")
@@ -87,10 +88,10 @@ class Ground:
     """The caster and relief a scene needs, loaded within its budget of memory.
 
     Attributes:
-        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: of a mesh with
-            silhouettes, of the terrain itself, whose creases it has; else as relief.
-        bare: the scene; of a mesh, that of the terrain itself, whose tint, water and strength of relief it has, too.
-        under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
+        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: for a mesh with
+            silhouettes, of the terrain itself, whose creases it shows; else as relief.
+        bare: the scene; for a mesh, that of the terrain itself, whose tint, water and strength of relief it shares.
+        under: for a mesh with contour lines, the ground of the terrain itself, to which they belong; else None.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class Ground:
 
     @cached_property
     def caster(self) -> Caster:
-        """Of the windows' heights, which are loaded when something first asks for them."""
+        """Of the windows' heights, loaded on first use."""
         jobs, windows, surface = self.scene.budget.jobs, self.windows, self._surface
         shape = self.scene.terrain.grid.shape
         return self._memo(
@@ -124,13 +125,13 @@ class Ground:
 
     @cached_property
     def single(self) -> Caster:
-        """The same for the calling thread alone."""
+        """The same, but in the calling thread alone."""
         single = copy.copy(self.caster)
         single.jobs = 1
         return single
 
     def _seen(self, scene: Scene, mesh: Tessellation | None, memo: Memo, cast: Cast | None) -> Surface:
-        """What the camera looks at: a mesh's triangles, or the caster's heights, behind patches over missing data."""
+        """What the camera sees: a mesh's triangles, or the caster's heights, behind patches over missing data."""
         view, jobs = scene.view.whole, scene.budget.jobs
         projection = Projection.of(Camera(view, scene.terrain.chart, scene.surface.exaggeration))
         seen: Surface
@@ -156,12 +157,12 @@ class Ground:
         cls, scene: Scene, surface: Terrain | None = None, memo: Memo | None = None, bare: Scene | None = None,
         mesh: Tessellation | None = None, cast: Cast | None = None,
     ) -> Ground:  # fmt: skip
-        """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
+        """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the allowed memory.
 
         Args:
             surface: what light meets, if not the terrain itself (on the same grid): the heights of a mesh.
-            memo: what earlier pictures left.
-            bare: of a mesh, the scene of the terrain itself, which contour lines are of.
+            memo: results of earlier pictures.
+            bare: for a mesh, the scene of the terrain itself, to which contour lines belong.
             mesh: what the camera sees, if not the heights.
             cast: makes the surface that the camera sees, if it is not made here.
         """
@@ -196,11 +197,11 @@ class Ground:
         rows, cols = terrain.grid.shape
         tolerance, by = scene.pixel_tolerance, "error"
         if scene.annotations.contours is not None and tolerance > 0:
-            if scene.view.projection == "plan":  # heights move nothing but lines: samples as fine as pixels
+            if scene.view.projection == "plan":  # in a plan heights only move lines: samples as fine as pixels
                 tolerance, by = 0.7, "spacing"
             else:
                 tolerance *= scene.annotations.contours.finer(terrain, scene.view.whole, memo)
-        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together.
+        # Heights take 4 bytes and their pyramids 5/12 of that, and the same again while they are combined.
         bytes_per_sample = 4 * (1 + 5 / 12) + 4
         budget = budget_of(scene) - MEAN_BYTES * sum(r.samples for r in means_of(scene, terrain))
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
@@ -209,7 +210,7 @@ class Ground:
         while True:
             chosen = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, tolerance, by=by)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
-            # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
+            # Ground around the eye is exact at any tolerance; it is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
                 return cls(scene, terrain, chosen, tolerance, memo, mesh, cast)
             tolerance *= 1.25
@@ -225,7 +226,7 @@ class Ground:
         return cosine, tilt
 
     def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
-        """What pixels cover of the ground (n, 4) and the least width (n,) of that, metres (``kernels.footprints``)."""
+        """The footprint of pixels on the ground (n, 4) and its least width (n,), metres (``kernels.footprints``)."""
         rays, view, n = self.rays, self.rays.view, len(px)
         gradient = self.relief.gradient(hits.points, hits.width)
         slope = np.asarray(gradient, np.float64) @ self.to_world.T
@@ -249,11 +250,11 @@ class Ground:
         return self.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
 
     def skip(self, hits: Hits, which: NDArray[np.int64]) -> Array:
-        """Metres around the hits in ``which`` where their own facet would shade them and the normal decides instead; a
-        pixel limits detail as well."""
+        """Distance around the hits in ``which`` within which their own facet would shade them and the normal decides
+        instead, metres; a pixel also limits detail."""
         x, y = hits.points[which, 0], hits.points[which, 1]
         facet = np.ones(len(which))
-        for r in self.windows:  # the last one that holds a point is the finest there
+        for r in self.windows:  # the last one that contains a point is the finest there
             inside = (x >= r.col0 << r.level) & (x <= (r.col1 - 1) << r.level)
             facet[inside & (y >= r.row0 << r.level) & (y <= (r.row1 - 1) << r.level)] = 1 << r.level
         return np.asarray(np.maximum(facet, np.minimum(hits.width[which], 4.0)) * self.rays.spacing)

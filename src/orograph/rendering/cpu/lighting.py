@@ -1,8 +1,8 @@
-"""Ways of lighting a picture's ground besides the default: ambient occlusion, ambient apertures, rays, or none.
+"""Ways of lighting a picture's ground: ambient occlusion, ambient apertures, rays, or none, besides the default.
 
 A ``Lighting`` says how much light falls on hits (irradiance per colour, 1 being what level ground receives that shows
-the map's own colours). What the ground alone decides comes baked out of the store, in windows about as fine as the
-pixels (``lighting.field``); where it is not baked, or heights are stretched, it is swept for the picture on its working
+the map's own colours). What depends on the ground alone comes baked from the store, in windows about as fine as the
+pixels (``lighting.field``); if it is not baked, or heights are stretched, it is swept for the picture on its working
 grid.
 """
 
@@ -34,13 +34,13 @@ Colors = NDArray[np.float32]
 Window = tuple[int, int, int, int, int]
 
 AZIMUTHS = 32
-"""Horizons of what is swept for a picture."""
+"""Number of horizon directions swept for a picture."""
 
 SKIES = ("ambient-occlusion", "sky-view-factor")
-"""Layers that tell how much of the sky's light falls on the ground, the best first."""
+"""Layers that give the share of the sky's light on the ground, the best first."""
 
 BAKED: dict[str, tuple[str, ...]] = {"ao": SKIES, "aperture": ("aperture",)}
-"""The layers that a light is made of, the best first."""
+"""The layers that a light uses, the best first."""
 
 Ahead = Callable[[], "LightField"]
 """Waits for a field that is being read."""
@@ -48,11 +48,11 @@ Ahead = Callable[[], "LightField"]
 
 @dataclass(frozen=True, slots=True)
 class Shine:
-    """What shines on a scene.
+    """The light sources of a scene.
 
     Attributes:
         to_sun: (3,) unit vector. sunlight, skylight: (3,) colours of the sun's light and of the sky's.
-        bounce: (3,) what ground gives in place of hidden sky.
+        bounce: (3,) light from ground in place of hidden sky.
     """
 
     to_sun: Array
@@ -62,11 +62,11 @@ class Shine:
 
 
 class Lighting(Protocol):
-    """How light falls; asked from several threads.
+    """A way of lighting; called from several threads.
 
     Attributes:
-        told: what it is, for the picture's facts.
-        smooth: whether it is as smooth as the ground's slope at the scale of a pixel: no edges of shadows.
+        told: its description, for the picture's facts.
+        smooth: whether it is as smooth as the ground's slope at the scale of a pixel (no shadow edges).
     """
 
     told: str
@@ -84,7 +84,7 @@ def lighting_of(
 
     Args:
         window: the working grid (``mapgrid.working_window``). strength: factor on slopes for shading.
-        ahead: what ``field_ahead`` began.
+        ahead: the result of ``field_ahead``.
     """
     if scene.lighting.light == "none":
         return Bare()
@@ -98,7 +98,7 @@ def lighting_of(
 
 
 def field_ahead(scene: Scene, memo: Memo) -> Ahead | None:
-    """Begin to read the baked layer that the scene's light wants, in a thread aside; None if there is nothing to do."""
+    """Start reading the baked layer for the scene's light in a background thread; None if there is nothing to read."""
     from orograph.lighting.field import PIXELS, LightField
 
     terrain = scene.terrain
@@ -119,13 +119,13 @@ def field_of(
     scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], memo: Memo, progress: Progress,
     ahead: Ahead | None = None,
 ) -> tuple[LightField, str]:  # fmt: skip
-    """The first of the layers that is baked; else the first of the products, swept."""
+    """The first of the layers that is baked; otherwise the first of the products, swept."""
     from orograph.lighting.field import PIXELS, LightField
 
     terrain = scene.terrain
     baked = [name for name in names if name in terrain.layers]
     if baked and scene.surface.exaggeration != 1:
-        progress.warn(f"{baked[0]} is baked for true heights: for stretched ones it is swept for the picture.")
+        progress.warn(f"{baked[0]} is baked for true heights; for stretched heights it is swept for the picture.")
     elif baked:
         layer = terrain.layer(baked[0])
         chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
@@ -160,7 +160,7 @@ class Bare:
 
 
 class Occlusion:
-    """The sun, cut by the skyline, and the light of all around by ambient occlusion or a sky-view factor."""
+    """The sun, cut off by the skyline, and ambient light by ambient occlusion or a sky-view factor."""
 
     smooth = False
 
@@ -216,7 +216,7 @@ class Apertures:
 
 
 class Raytraced:
-    """Suns by rays to their discs, the sky by cosine-weighted rays, lamps by a ray each."""
+    """Suns by rays to their discs, the sky by cosine-weighted rays, lamps by one ray each."""
 
     smooth = False
 
@@ -269,7 +269,7 @@ def _color(color: Any) -> tuple[float, float, float]:
 
 
 def _unhidden(scene: Scene, ground: Ground, shine: Shine, gradient: Array, strength: float) -> Colors:
-    """Light of all discs where nothing casts shadows: Lambert's cosine."""
+    """Light of all discs without shadows: Lambert's cosine."""
     from orograph.rendering.cpu.kernels import incidence
 
     out = np.zeros((len(gradient), 3), np.float32)

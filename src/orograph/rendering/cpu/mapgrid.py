@@ -1,7 +1,7 @@
-"""Maps of light and water over the ground in view, made once for a picture and looked up by its pixels.
+"""Maps of light and water over the ground in view, made once per picture and looked up by its pixels.
 
-A sky-view factor is smooth: it is swept on a grid of at most ``WORKING`` samples over what is seen, of the level whose
-samples are about a pixel large, with the whole terrain around it at that level or coarser as horizon.
+A sky-view factor is smooth: it is swept on a grid of at most ``WORKING`` samples over the visible ground, at the level
+whose samples are about a pixel large, with the whole surrounding terrain at that level or coarser as horizon.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 WORKING = 1_500_000
-"""Samples of a map of light."""
+"""Maximum samples of a map of light."""
 
 AZIMUTHS = 16
 
 TYPICAL_SLOPE = 0.42
-"""Slope (rise over run) that four fifths of the ground should not exceed once strengthened."""
+"""Slope (rise over run) that four fifths of the ground should not exceed after strengthening."""
 
 MOST_STRENGTH = 6.0
 
@@ -40,7 +40,7 @@ class MapGrid:
         window: the grid, of a level of box means.
         sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
             Water is where the water field, interpolated, is above 0.5. The sky is swept for the light "relief" only.
-        strength: by how much slopes are strengthened for shading unless the scene says.
+        strength: factor on slopes for shading unless the scene sets one.
         water_fraction: of the working grid.
     """
 
@@ -71,9 +71,9 @@ class MapGrid:
 def working_window(terrain: Terrain, points: Array) -> Rectangle:
     """The working grid for ground in view.
 
-    It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, since what stands there
-    hides the sky too. Its borders lie at multiples of an eighth of its size: from frame to frame of a movie it mostly
-    stays what it is.
+    It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, since ground there hides
+    the sky too. Its borders lie at multiples of an eighth of its size, so that it mostly stays the same from frame to
+    frame of a movie.
     """
     west, north = np.maximum(points[:, :2].min(0) - 8, 0)
     east, south = points[:, :2].max(0) + 8
@@ -94,7 +94,7 @@ def working_window(terrain: Terrain, points: Array) -> Rectangle:
 
 
 def water_map(scene: Scene, ground: Ground, window: Rectangle, memo: Memo) -> tuple[NDArray[np.float32], float]:
-    """``_water``, once for a window."""
+    """``_water``, computed once per window."""
     return memo(
         "water", (window, scene.data.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
     )  # fmt: skip
@@ -113,18 +113,18 @@ def _water(scene: Scene, ground: Ground, window: Rectangle) -> tuple[NDArray[np.
     else:
         assert scene.data.water is not None
         found = heights <= np.float32(scene.data.water)
-        # Linear in height, so that its contour is that of the ground; what has just this height is water.
+        # Linear in height, so that its contour is that of the ground; ground at exactly this height is water.
         if found.any():
             field = np.where(np.isfinite(heights), np.float32(scene.data.water + 0.5 + SHORE) - heights, 0)
     return field.astype(np.float32), float(found.mean()) if found.any() else 0.0
 
 
 def strength_of(scene: Scene, window: Rectangle) -> float:
-    """How much slopes are strengthened for shading: 1 for rugged ground, more where a small scale or a gentle land
-    leaves little to see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
+    """The factor on slopes for shading: 1 for rugged ground, more where a small scale or gentle land leaves little to
+    see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
 
     Args:
-        window: the ground, as ``working_window`` has it.
+        window: the ground, from ``working_window``.
     """
     heights = scene.terrain.read_mean(*window)
     linear = scene.terrain.chart.linear * 2.0**window.level
@@ -136,7 +136,7 @@ def strength_of(scene: Scene, window: Rectangle) -> float:
     gx = to_world[0, 0] * across + to_world[0, 1] * down
     gy = to_world[1, 0] * across + to_world[1, 1] * down
     slope = np.sqrt(gx * gx + gy * gy)
-    slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and has no say
+    slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and does not count
     if slope.size == 0:
         return 1.0
     typical = float(np.percentile(slope, 80)) * scene.surface.exaggeration

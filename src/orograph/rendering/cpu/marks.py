@@ -1,7 +1,7 @@
-"""What is drawn on the ground besides its colour: contour lines and their labels (``scene.annotations.contours``).
+"""Marks on the ground: contour lines and their labels (``scene.annotations.contours``).
 
-Lines and labels lie on the ground: haze comes before them, and ground before them hides them. On a mesh of the terrain
-they are the terrain's own, laid over the mesh: its heights' would be as coarse as it is.
+Lines and labels lie on the ground: haze covers them, and nearer ground hides them. On a mesh they are the terrain's
+own, laid over the mesh, since those of its heights would be as coarse as the mesh.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ Colors = NDArray[np.float32]
 
 
 RIM = 8
-"""Pixels around a tile that its sheet of labels has, too: antialiasing looks there."""
+"""Margin in pixels of a tile's sheet of labels, which antialiasing reads."""
 
 GLOW, STRONGER = 0.16, 0.3
-"""How much lighter the ground is under a label, and by how much a label is more opaque than lines."""
+"""How much lighter the ground is under a label, and how much more opaque a label is than lines."""
 
 
 class Lines:
     """The contour lines of one picture.
 
     Attributes:
-        contours: with an interval. facts: what the picture tells of them.
+        contours: with an interval. facts: about them, for the picture.
     """
 
     def __init__(self, scene: Scene, ground: Ground, maps: MapGrid, memo: Memo) -> None:
@@ -109,7 +109,7 @@ class Lines:
     def _thinned(
         self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colors
     ) -> Colors:
-        """``cover`` (m,) of the hits ``lines``, less where lines run together around."""
+        """``cover`` (m,) of the hits ``lines``, reduced where lines around run together."""
         points, width = hits.points[lines], hits.width[lines]
         away = np.zeros((4, *points.shape))
         away[0, :, 0], away[1, :, 1] = AROUND * width, AROUND * width

@@ -1,15 +1,15 @@
-"""A tessellation as ground: the terrain that a mesh shows, so that all that draws terrain can draw it.
+"""A tessellation as ground: the terrain that a mesh represents, so that all terrain drawing can draw it.
 
 The triangles of a hierarchy of right triangles are unions of the cells' own halves (``hierarchy``): a coarse triangle
 interpolated at every sample it covers, and drawn by the finest triangulation, is that coarse triangle again, exactly.
-So the surface of a mesh is a raster of the terrain's own size, and light, shadows and antialiasing need to know nothing
-of meshes. (Where the raster is not 2^n + 1 samples a side, triangles squeezed onto its last row and column have slanted
-edges, and these are true to a cell.)
+So the surface of a mesh is a raster of the terrain's own size, and light, shadows and antialiasing need not know about
+meshes. (If the raster is not 2^n + 1 samples a side, triangles squeezed onto its last row and column have slanted
+edges, which are exact only to a cell.)
 
-A large terrain's mesh is read by windows instead (``mesh_terrain``), each as coarse as the picture allows.
+A large terrain's mesh is instead read by windows (``mesh_terrain``), each as coarse as the picture allows.
 
-What no triangle covers keeps the terrain's heights: that is ground out of view, left out by the method, which still
-casts its shadow into the picture; and holes stay holes.
+Samples that no triangle covers keep the terrain's heights: they are out of view and left out by the method, but still
+cast shadows into the picture; holes stay holes.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
 BYTES_PER_SAMPLE = 4 * (1 + 5 / 12) + 4
-"""Of a mesh's surface while it is drawn: heights and their pyramids."""
+"""Bytes per sample of a mesh's surface during drawing: heights and their pyramids."""
 
 
 WINDOWS = 0.25
-"""Pixels within which a large mesh is drawn as it is."""
+"""Tolerance within which a large mesh is drawn exactly, pixels."""
 
 
 def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None) -> Tessellation:
-    """What the scene's method makes of its terrain for its view, or for its ``mesh_view``.
+    """The mesh that the scene's method makes for its view, or for its ``mesh_view``.
 
     Raises:
         UsageError: there is no such method, it has no such option, or one view needs more tiles than fit into memory.
@@ -49,7 +49,7 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
     memo = Memo() if memo is None else memo
     view = scene.view.whole if asked.mesh_view is None else asked.mesh_view
     if view.projection == "plan":
-        progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
+        progress.warn("in a plan heights do not move pixels: the coarsest mesh is as good as any.")
     memory = MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
     with progress.task(f"Selecting ({choice})"):
         method = memo(
@@ -69,11 +69,11 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
 
 
 def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> Terrain:
-    """The terrain as a tessellation of it shows it: at full resolution in memory, or, where that is large, by windows.
+    """The terrain as its tessellation shows it: at full resolution in memory, or, if that is large, by windows.
 
     Args:
         tessellation: triangles between samples of ``terrain``.
-        max_memory: bytes; None: whatever the machine has free.
+        max_memory: bytes; None: the machine's free memory.
 
     Raises:
         DamagedChunkError: as ``terrain.read``.

@@ -1,8 +1,8 @@
-"""A mesh as a camera sees it: a triangle rasteriser, so that a hole, a crack or a T-junction of a mesh is seen.
+"""A triangle rasteriser: shows a mesh as a camera sees it, including holes, cracks and T-junctions.
 
 Vertices may lie anywhere, on samples of the terrain or between, triangles may overlap and face either way. The mesh is
 projected and sorted by tiles of the picture once (``raster_setup``); then any area and any position is drawn from its
-tiles alone (``raster_scan``), tiles over threads. Which triangle a sample shows depends on nothing but the mesh and the
+tiles alone (``raster_scan``), tiles over threads. Which triangle a sample shows depends only on the mesh and the
 camera: areas, tiles and threads change no bit.
 """
 
@@ -109,7 +109,7 @@ class MeshSurface:
         return self._numbers[self._starts[tile] : self._starts[tile + 1]]
 
     def _projected(self, vertices: Array, triangles: Triangles) -> Mesh:
-        """The mesh in the picture, with the pieces of the triangles that must be cut."""
+        """The projected mesh, with the pieces of the triangles that must be cut."""
         screen, depth = np.empty((len(vertices), 2), np.int32), np.empty(len(vertices))
         mesh = Mesh(vertices, triangles, screen, depth, np.empty((0, 3, 2), np.int32), np.empty(0, np.int32))
         counts = self._by_spans(
@@ -127,11 +127,11 @@ class MeshSurface:
         return mesh._replace(pieces=pieces[:n].copy(), owners=owners[:n].copy())
 
     def _by_spans(self, count: int, work: Callable[[int, int], int]) -> list[int]:
-        """What ``work`` makes of each span of so many items, by all threads."""
+        """The results of ``work`` for each span of ``count`` items, by all threads."""
         return list(map_ordered(lambda span: work(*span), _spans(count), self.jobs))
 
     def _sorted(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-        """The numbers of triangles and pieces tile by tile, and where each tile's begin (tiles + 1,)."""
+        """The numbers of triangles and pieces tile by tile, and the offset of each tile's (tiles + 1,)."""
         tiling, mesh = self._tiling, self._mesh
         spans = _spans(len(mesh.triangles)) + [(-last, -first) for first, last in _spans(len(mesh.pieces))]
 
@@ -143,7 +143,7 @@ class MeshSurface:
 
         counts = np.zeros((len(spans), tiling.rows * tiling.cols), np.int64)
         sort(counts, np.empty(0, np.int32), False)
-        ends = np.cumsum(counts.T.ravel()).reshape(-1, len(spans))  # of each tile's numbers, in the order of the spans
+        ends = np.cumsum(counts.T.ravel()).reshape(-1, len(spans))  # each tile's numbers, in the order of the spans
         numbers = np.empty(int(ends[-1, -1]), np.int32)
         sort(np.ascontiguousarray(ends.T - counts), numbers, True)
         return numbers, np.concatenate([np.zeros(1, np.int64), ends[:, -1]])

@@ -1,1 +1,1 @@
-"""A map's furniture: title, colour bar, north arrow, scale bar, and the lettering of all."""
+"""A map's furniture: title, colour bar, north arrow, scale bar, and their lettering."""

@@ -1,11 +1,11 @@
 """A map's furniture drawn over a finished picture: title, legend of heights, scale bar, north arrow, note.
 
 Every piece has its own corner: title top left, north top right, scale and note bottom left, legend bottom right. A
-camera that keeps ``insets`` leaves these places free, and the pieces stand on the picture's own paper. Where ground (or
-sky) lies under one of them, all stand on framed slips of opaque paper and exchange corners so that they hide the least
-ground. All lengths are multiples of one unit, the size of plain type, which follows the picture's size. Shapes are
-drawn three times too large and averaged; type is drawn at its size. Where pieces would meet or crowd the picture they
-shrink, then go, the last first: title, legend, scale bar, north arrow, note, subtitle. Units: pixels; colours sRGB.
+camera that keeps ``insets`` leaves these places free, and the pieces stand on the picture's own paper. If ground (or
+sky) lies under one of them, all get framed opaque backgrounds and exchange corners so as to hide the least ground. All
+lengths are multiples of one unit, the size of plain type, which follows the picture's size. Shapes are drawn three
+times too large and averaged; type is drawn at its size. Pieces that would meet or crowd the picture shrink, then
+disappear, the last first: title, legend, scale bar, north arrow, note, subtitle. Units: pixels; colours sRGB.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ Corner = Literal["top left", "top right", "bottom left", "bottom right"]
 CORNERS: tuple[Corner, ...] = get_args(Corner)
 
 EDGE: Color = (168, 166, 160)
-"""The line around paper that lies on something else."""
+"""The outline of paper that lies on something else."""
 
 OVERSIZE = 3
 COVER = 0.36
-"""The part of the picture that furniture may cover."""
+"""Maximum part of the picture that furniture may cover."""
 
 TALL = 0.56
-"""The part of the picture's height that the legend may take."""
+"""Maximum part of the picture's height for the legend."""
 
 USUAL = Legend((Scale(-5000.0, 5000.0, np.zeros((2, 3))),), (("Water", (0, 0, 0)), ("No data", (0, 0, 0))))
-"""A legend as wide as they usually are."""
+"""A legend of typical width."""
 
 MOVED = 0.01
-"""The part of the picture of which ground must be saved to move a piece out of its usual corner."""
+"""A piece leaves its usual corner only if that frees this part of the picture's ground."""
 
 MOST_INSET = 0.3
-"""The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
+"""Maximum part of the picture's width or height that one side leaves free: tiny pictures are for the terrain."""
 
 
 def insets(
@@ -65,10 +65,10 @@ def insets(
     """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
 
     Args:
-        own: whom the makers of the heights want to be named. layers: what lies over the ground. keys: what else the
-            legend is known to say.
+        own: the credit that the makers of the heights ask for. layers: over the ground. keys: other known legend
+            entries.
 
-    The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
+    The right side holds the legend and the north arrow; titles and notes run along the top and bottom.
     """
     credit = "; ".join(attributed(own, layers)) or None
     scales = [replace(USUAL.scales[0], label=one.title) for one in drawn(layers) if one.colormap is not None]
@@ -91,7 +91,7 @@ def insets(
 
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """Where in a picture there is ground that should not be hidden, a bit for each pixel.
+    """Which pixels show ground that should not be hidden, one bit per pixel.
 
     Attributes:
         rows: (height, ⌈width / 8⌉) uint8, packed as ``numpy.packbits`` does. width: pixels.
@@ -106,7 +106,7 @@ class Cover:
 
     @property
     def size(self) -> int:
-        """Pixels in all."""
+        """The total number of pixels."""
         return int(self.rows.shape[0]) * self.width
 
     def under(self, box: Box) -> int:
@@ -129,7 +129,7 @@ class Layout:
     framed: bool
 
     def paint(self, sheet: Any, corner: tuple[int, int] = (0, 0), which: int | None = None) -> None:
-        """Paint the pieces onto an image that begins at the picture's pixel ``corner`` (x, y); ``which``: one alone."""
+        """Paint the pieces onto an image that begins at the picture's pixel ``corner`` (x, y); ``which``: only one."""
         for i, (piece, box) in enumerate(self.placed):
             if which in (None, i):
                 x, y = corner
@@ -146,11 +146,11 @@ def furnish(
 
     Args:
         pixels: (height, width, 3) uint8, sRGB; left as it is.
-        ground: (height, width), what should not be hidden; None: everywhere alike.
+        ground: (height, width), what should not be hidden; None: everything equally.
         pieces: for ``lay_out``.
 
     Returns:
-        (height, width, 3) uint8. What does not fit is left out; see the module's text for the order.
+        (height, width, 3) uint8. Pieces that do not fit are left out; see the module's text for the order.
     """
     from PIL import Image
 
@@ -182,14 +182,14 @@ def lay_out(
         title, subtitle: text at the top left.
         legend: what colours mean.
         north: direction of north on the screen, degrees clockwise from up.
-        metres_per_pixel: for the scale bar; None (a perspective has no one scale) leaves it out.
+        metres_per_pixel: for the scale bar; None (a perspective has no single scale) leaves it out.
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
-        credit: whom the makers of the heights want to be named: lines of small type below the note.
-        grid_north: whether the arrow must say that it is the grid's north.
+        credit: the credit that the makers of the heights ask for: lines of small type below the note.
+        grid_north: whether the arrow must be labelled as grid north.
         turned: the view's axes, to show by a cube instead of the arrow.
         inset: a map, to stand below the arrow or the cube.
-        ground: what should not be hidden; None: everywhere alike.
-        paper: whether all the rest is bare paper, on which pieces need none of their own.
+        ground: what should not be hidden; None: everything equally.
+        paper: whether the rest is bare paper, on which pieces need no background.
     """
     words = " ".join(t for t in (title, subtitle, note, credit, legend.words if legend else None) if t)
     style = Style.of(size, words)
@@ -197,7 +197,7 @@ def lay_out(
     chosen: dict[Corner, tuple[Piece, Box]] = {}
 
     def put(corner: Corner, piece: Piece | None) -> bool:
-        """Place a piece, in the stead of what that corner held, if it fits."""
+        """Place a piece, in place of that corner's previous one, if it fits."""
         if piece is None:
             return False
         box = _box(piece, corner, size, style.margin)
@@ -241,8 +241,8 @@ def lay_out(
 
 
 def _arrange(pieces: dict[Corner, Piece], ground: Cover, size: tuple[int, int], style: Style) -> list[Box]:
-    """A box for each piece: the corners, each for one, where they hide the least ground. What is at the top or at the
-    foot because one reads it first or last stays there: titles and notes change sides only."""
+    """A box for each piece: one corner each, chosen to hide the least ground. Pieces that are read first or last stay
+    at the top or the bottom: titles and notes change sides only."""
     usual = list(pieces)
     best, least = [_box(pieces[c], c, size, style.margin) for c in usual], math.inf
     for corners in permutations(CORNERS, len(usual)):

@@ -1,4 +1,4 @@
-"""What the furniture of a scene says: title, colours, north, scale and light, from what was drawn."""
+"""The content of a scene's furniture: title, colours, north, scale and light, from what was drawn."""
 
 from __future__ import annotations
 
@@ -24,27 +24,28 @@ from orograph.scene.scene import Scene
 Array = NDArray[np.float64]
 
 DRAPED = 0.98
-"""The part of the ground in the picture under an image from which on the colours of heights are not explained."""
+"""If images cover at least this part of the visible ground, the colours of heights are not explained."""
 
 ONE_SCALE = 3.0
-"""A perspective whose ground is up to this many times farther here than there has a scale bar, for its middle."""
+"""A perspective has a scale bar, for its middle, if its ground's distance varies by at most this factor."""
 
 CONVERGENCE = 3.0
-"""Degrees between grid north and true north from which on the arrow, which shows the grid's, says so."""
+"""Degrees between grid north and true north from which the arrow, which shows grid north, says so."""
 
 MOST_SCALES, MOST_CLASSES = 3, 12
-"""Of a legend."""
+"""Maximum entries of a legend."""
 
 NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
-"""How the names of CRS begin that are none."""
+"""Prefixes of CRS names that are placeholders."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What furniture must know of a picture besides its scene.
+    """What furniture needs from a picture besides its scene.
 
     Attributes:
-        tint: the colours of heights. shown: how many pixels show "ground", of it "water" and "draped", and "missing".
+        tint: the colours of heights. shown: number of pixels that show "ground" (of these "water" and "draped") and
+        "missing".
         draped: whether an image lies over the ground.
         depths: (n,) view-space depths of ground, evenly from all of the picture (``sampled``), none NaN.
         column: (height,) depths in the picture's middle column, NaN where no ground is.
@@ -58,14 +59,14 @@ class Drawn:
 
 
 def sampled(depth: NDArray[np.floating], height: int, width: int, top: int = 0, left: int = 0) -> Array:
-    """Of a part of a picture's depth, beginning at (top, left), what ``Drawn.depths`` takes of it."""
+    """A sample, for ``Drawn.depths``, of the depths of a part of a picture that begins at (top, left)."""
     step = stride(height, width)
     some = depth[-top % step :: step, -left % step :: step]
     return np.asarray(some[np.isfinite(some)], np.float64)
 
 
 def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
-    """What ``furnish`` is to draw over a scene's picture: its keyword arguments, but for the ground to spare."""
+    """The keyword arguments of ``furnish`` for a scene's picture, except the ground to spare."""
     view, terrain = scene.view, scene.terrain
     metres = _scale(scene, drawn)
     if metres is not None:
@@ -97,8 +98,8 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
 
 
 def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
-    """What the colours mean that were drawn: of layers' values, the uppermost first, of heights unless an image covers
-    (nearly) all, of water, of no data."""
+    """The legend of what was drawn: layers' values, the uppermost first, heights unless an image covers (nearly) all,
+    water, no data."""
     shown, tint = drawn.shown, drawn.tint
     dry = shown["ground"] - shown["water"]
     scales = [scale for key in scene.keys for scale in key.scales]
@@ -125,7 +126,7 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
 
 
 def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
-    """What the colours of a layer's values mean over a terrain: a scale, or a swatch for each class."""
+    """The legend of a layer's values over a terrain: a scale, or a swatch for each class."""
     from orograph.dem.handles import HANDLES
     from orograph.geovis.laying import Laid
 
@@ -142,7 +143,7 @@ def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
 
 
 def _crs_name(crs: Any) -> str | None:
-    """What to call a CRS: its name, else its projection's and where that is true, None if neither is known."""
+    """A label for a CRS: its name, else its projection's and its origin; None if neither is known."""
     if crs is None:
         return None
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
@@ -169,7 +170,7 @@ def _center(crs: Any) -> str:
 
 
 def _factors(scene: Scene) -> Any:
-    """The projection's distortions (``pyproj`` factors) at what the view looks at; None where the CRS does not tell."""
+    """The projection's distortions (``pyproj`` factors) at the target; None if the CRS has none."""
     crs = scene.terrain.grid.crs
     if crs is None or not crs.is_projected:
         return None
@@ -185,14 +186,14 @@ def _factors(scene: Scene) -> Any:
 
 
 def convergence(scene: Scene) -> float:
-    """Degrees between true north and grid north at what the view looks at; 0 where the CRS does not tell."""
+    """Degrees between true north and grid north at the target; 0 if unknown."""
     found = _factors(scene)
     angle = 0.0 if found is None else float(found.meridian_convergence)
     return angle if math.isfinite(angle) else 0.0
 
 
 def stretch(scene: Scene) -> float:
-    """Metres of the grid to a metre on the ground, at what the view looks at: 2 at 60° N in Web Mercator."""
+    """Metres of the grid per metre on the ground at the target: 2 at 60° N in Web Mercator."""
     found = _factors(scene)
     area = 1.0 if found is None else float(found.areal_scale)
     return math.sqrt(area) if math.isfinite(area) and area > 0 else 1.0
@@ -215,7 +216,7 @@ def north_on_screen(scene: Scene) -> float | None:
 
 
 def _turned(scene: Scene) -> Any:
-    """The view's axes, if a cube is to show them."""
+    """The view's axes, if a cube should show them."""
     aids = scene.annotations.aids
     if aids is None or not aids.icon or scene.view.projection != "perspective":
         return None
@@ -223,8 +224,8 @@ def _turned(scene: Scene) -> Any:
 
 
 def _scale(scene: Scene, drawn: Drawn) -> float | None:
-    """Metres across a pixel: anywhere in a plan, at the ground nearest the picture's middle in perspective; None where
-    depths differ so much (see ``ONE_SCALE``) that one scale would mislead."""
+    """Metres per pixel: everywhere in a plan, at the ground nearest the picture's middle in perspective; None if depths
+    differ so much (see ``ONE_SCALE``) that one scale would mislead."""
     view = scene.view
     if view.projection == "plan":
         return view.pixel_metres

@@ -1,7 +1,7 @@
 """The lettering of a sheet: its sizes, a typeface that can show its words, and type set evenly at any size.
 
-Pillow's own typeface (Aileron) serves wherever it has the signs; typographic signs and accents that it lacks are set in
-their plainest form, and where that would lose too much (other scripts) another typeface is looked for. Units: pixels.
+Pillow's own typeface (Aileron) is used if it has the characters; typographic characters and accents that it lacks are
+replaced by plain ones, and if that would lose too much (other scripts) another typeface is searched for. Units: pixels.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PLAIN = {"×": "x", "−": "-", "–": "-", "—": "-", "…": "...", "’": "'"
 PLAIN |= {"²": "2", "³": "3"}
 
 UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn")
-"""Unicode's categories of what has no shape: control codes, surrogates and the like."""
+"""Unicode categories without a shape: control codes, surrogates and the like."""
 
 SMALL = 24
 """Type below this size is drawn four times too large and averaged: hinting, which moves letters to whole pixels, would
@@ -60,7 +60,7 @@ class Style:
         return _font(self.face, round(size * self.unit, 1))
 
     def text(self, words: str) -> str:
-        """Words the typeface can show, in one line: signs and accents it lacks in their plainest form."""
+        """Words that the typeface can show, in one line: missing characters and accents are replaced by plain ones."""
         return " ".join("".join(_plain(self.face, c) for c in words).split())
 
 
@@ -73,7 +73,7 @@ def _font(face: str | None, size: float) -> Any:
 
 @lru_cache(maxsize=512)
 def _shows(face: str | None, sign: str) -> bool:
-    """Whether the typeface has a glyph of its own for a sign."""
+    """Whether the typeface has its own glyph for a character."""
     if sign.isspace() or unicodedata.category(sign) in UNSEEN:
         return True
     font = _font(face, 24.0)
@@ -97,7 +97,7 @@ def _plain(face: str | None, sign: str) -> str:
 
 @lru_cache(maxsize=64)
 def _face(signs: frozenset[str]) -> str | None:
-    """None for Pillow's own typeface if it shows the words (typographic signs in plain form), else one that does."""
+    """None for Pillow's own typeface if it can show the words (with plain characters), else one that can."""
     if all(_shows(None, s) or s in PLAIN for s in signs):
         return None
     best, most = None, sum(_shows(None, s) for s in signs)
@@ -129,13 +129,13 @@ def _large(font: Any) -> tuple[int, Any]:
 
 
 def length(font: Any, words: str) -> float:
-    """How far the words reach when they are set."""
+    """The extent of the words when set."""
     s, large = _large(font)
     return float(large.getlength(words)) / s
 
 
 def cut(words: str, font: Any, widest: float, style: Style) -> str:
-    """The words, or as many of their letters as fit with an ellipsis; "" if not even three do."""
+    """The words, or as many letters as fit with an ellipsis; "" if not even three fit."""
     if length(font, words) <= widest:
         return words
     dots = style.text("…")

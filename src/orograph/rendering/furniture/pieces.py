@@ -1,4 +1,4 @@
-"""The pieces of a map's furniture: what each of them draws, in pixels, before ``furniture`` finds it a place."""
+"""The pieces of a map's furniture: what each draws, in pixels, before ``furnish`` places it."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ INK: Color = (36, 40, 46)
 GREY: Color = (92, 96, 102)
 
 MOST_LINES, MOST_NOTES = 5, 2
-"""Of note and credit, and of the note alone, which is cut where it is longer."""
+"""Maximum lines of note and credit, and of the note alone, which is cut if longer."""
 WIDEST, LEAST = 11.0, 3.5
-"""Units: of words in a legend, and of the height of one of several scales."""
+"""Units: the width of words in a legend, and the height of one of several scales."""
 
 
 @dataclass(slots=True)
@@ -94,7 +94,7 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
 
 
 def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, bar: float, tip: float) -> None:
-    """Add a scale whose bar begins at ``top``: its words, colours, ends and ticks. The piece grows with it."""
+    """Add a scale whose bar begins at ``top``: words, colours, ends and ticks. The piece grows accordingly."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
     unit = f" {style.text(f'({scale.unit})')}" if scale.unit else ""  # (it is never cut off)
     words = cut(style.text(scale.label), small, WIDEST * u - length(small, unit), style) + unit
@@ -118,8 +118,7 @@ def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, ba
 
 
 def _square(piece: Piece, both: Square, style: Style) -> None:
-    """Add a square of colours, what grows upwards written above it and what grows to the right below. The piece grows
-    with it."""
+    """Add a square of colours, labelled above and to the right along its two axes. The piece grows accordingly."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
     rows, cols = both.colors.shape[:2]
     cell, left, top = round(2.4 * u), pad, piece.height + 1.5 * u
@@ -152,8 +151,8 @@ def foot(
     metres_per_pixel: float | None, note: str | None, credit: str | None, style: Style, inner: int, share: float,
     room_for_note: int = 0,
 ) -> Piece | None:  # fmt: skip
-    """Scale bar of at most ``share`` of the width, and note and credit beneath it (in ``inner`` or the room they have);
-    None if the credit does not fit whole."""
+    """A scale bar of at most ``share`` of the width, with note and credit below (within ``inner`` or their own width);
+    None if the credit does not fit completely."""
     u, pad, small, tiny = style.unit, style.pad, style.font(0.9), style.font(0.78)
     piece = Piece(0, float(pad))
     if metres_per_pixel is not None:
@@ -196,7 +195,7 @@ def foot(
 
 
 def wrapped(text: str, font: Any, widest: float) -> list[str]:
-    """A text in lines no wider than that; one that is empty, if a word is wider."""
+    """A text in lines no wider than this; one that is empty, if a word is wider."""
     lines: list[str] = []
     for word in text.split():
         if length(font, word) > widest:
@@ -210,7 +209,7 @@ def wrapped(text: str, font: Any, widest: float) -> list[str]:
 
 
 def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
-    """A slim needle, its western half dark, with an N at its tip that stays upright; below it "grid north", if so."""
+    """A slim needle, its western half dark, with an upright N at its tip; below it "grid north", if so."""
     if not math.isfinite(north):
         return None
     u, font = style.unit, style.font(1.05)
@@ -237,7 +236,7 @@ def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
 
 
 def above_map(top: Piece | None, pixels: NDArray[np.uint8], style: Style) -> Piece:
-    """A map whose north is up, with an N at its upper side; another piece above it, if there is one."""
+    """A map with north up and an N at its upper side; above it another piece, if there is one."""
     u, pad, font = style.unit, style.pad, style.font(0.9)
     rows, cols = pixels.shape[:2]
     head = top.height if top is not None else float(pad)
@@ -258,7 +257,7 @@ def above_map(top: Piece | None, pixels: NDArray[np.uint8], style: Style) -> Pie
 
 
 FACES = (("", (0, 0, 1)), ("N", (0, 1, 0)), ("E", (1, 0, 0)), ("S", (0, -1, 0)), ("W", (-1, 0, 0)))
-"""Of a cube: the letter and the direction."""
+"""The letter and the direction of a cube's side."""
 
 PAPERS: tuple[Color, ...] = ((250, 249, 245), (206, 208, 210), (186, 189, 192), (206, 208, 210), (186, 189, 192))
 
@@ -266,14 +265,14 @@ EDGE = 1.1
 """Units: half the edge of the cube."""
 
 LEGIBLE = 0.42
-"""How far a face must be turned to the eye to bear its letter."""
+"""How far a face must be turned towards the eye to get its letter."""
 
 
 def cube(axes: tuple[Any, Any, Any], style: Style, grid: bool = False) -> Piece:
-    """A cube turned as the view is, with letters on its sides and an arrow to the north on its top.
+    """A cube turned like the view, with letters on its sides and an arrow to the north on its top.
 
     Args:
-        axes: the view's, unit vectors to the right, upwards and ahead (east, north, up). grid: as of ``arrow``.
+        axes: the view's, unit vectors to the right, upwards and ahead (east, north, up). grid: as for ``arrow``.
     """
     right, up, ahead = (np.asarray(v, np.float64) for v in axes)
     u, font, side = style.unit, style.font(0.95), 5.4 * style.unit
@@ -299,7 +298,7 @@ def cube(axes: tuple[Any, Any, Any], style: Style, grid: bool = False) -> Piece:
             piece.texts.append((x, y + 0.34 * u, letter, font, INK, "ms"))
         if not letter:
             piece.polygons.append(([at(p) for p in ((0, 0.8, 1), (0.5, -0.6, 1), (0, -0.25, 1), (-0.5, -0.6, 1))], INK))
-            if -float(np.array([0.0, 1.0, 0.0]) @ ahead) <= LEGIBLE:  # (else the northern side bears its letter there)
+            if -float(np.array([0.0, 1.0, 0.0]) @ ahead) <= LEGIBLE:  # (else the northern side has its letter there)
                 x, y = at((0, 1.85, 1))
                 piece.texts.append((x, y + 0.34 * u, "N", font, INK, "ms"))
     if grid:
@@ -309,9 +308,9 @@ def cube(axes: tuple[Any, Any, Any], style: Style, grid: bool = False) -> Piece:
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """At most ``most`` round values from low to high, in steps of 1, 2, 2.5 or 5 × 10ᵏ; two at least, if there may be.
+    """At most ``most`` round values from low to high, in steps of 1, 2, 2.5 or 5 × 10ᵏ; at least two, if allowed.
 
-    One value tells no scale: where the step leaves only one, the outer ones of the next finer step are taken.
+    One value gives no scale: if the step leaves only one, the outer ones of the next finer step are used.
     """
     if not (math.isfinite(low) and math.isfinite(high)):
         return []

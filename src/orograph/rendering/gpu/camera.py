@@ -1,8 +1,8 @@
-"""The camera as shaders see it: axes and focal lengths, the eye split into whole cells and what is left of one.
+"""The camera as shaders see it: axes and focal lengths, and the eye split into whole cells and a remainder.
 
-All differences between large coordinates are taken here in float64; on the GPU every position is relative to the eye.
-A mesh vertex is whole cells away from the eye's cell, exactly, whichever tile it comes from; so meshes have no cracks,
-and a camera moving by a millimetre moves the picture by just that.
+All differences between large coordinates are taken here in float64; on the GPU every position is relative to the eye. A
+mesh vertex is exactly a whole number of cells away from the eye's cell, whichever tile it comes from; so meshes have no
+cracks, and a camera moving by a millimetre moves the picture by exactly that.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ CAMERA = np.dtype(
 """The uniform ``Camera`` of ``shaders/camera.wgsl``."""
 
 _PACKED = Struct("<24f4i6fIf2f8x")
-"""The same, packed in one go and not field by field: a frame has little time."""
+"""The same, packed at once rather than field by field, since a frame has little time."""
 
 
 def nearest(view: View) -> float:
-    """Metres before which nothing is drawn: reversed depth needs no more than that it is not 0."""
+    """Nothing nearer than this is drawn, metres: reversed depth only needs it to be greater than 0."""
     return max(view.near, 0.02)
 
 
@@ -41,7 +41,8 @@ Numbers = tuple[float, ...]
 def axes_of(
     view: View, exaggeration: float, shift: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-    """What of the uniform tells how a view projects: right and up, each with its fourth number, forward, centre."""
+    """The part of the uniform that describes the projection: right and up, each with its fourth number, forward,
+    centre."""
     right, up, forward = view.plain_axes(exaggeration)
     left, top, width, height = view.frame
     pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope

@@ -1,7 +1,7 @@
-"""What draws a window: the terrain, or where a scene asks for detail beyond the data, the terrain that has it.
+"""The renderer of a window: draws the terrain, or the terrain with detail if a scene asks for detail beyond the data.
 
-A thread makes the second renderer; until it is there the terrain itself is drawn. It has as many doublings as the GPU's
-tables hold, so that it serves wherever the eye goes: how many are drawn is a matter of pixels, as with all levels.
+A thread makes the second renderer; until it is ready the terrain itself is drawn. It has as many doublings as the GPU's
+tables hold, so that it works wherever the eye goes: how many are drawn depends on pixels, as with all levels.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class DetailRenderer:
         return self._drawn.draw(target, format, scene, **how)
 
     def _fit(self, scene: Scene, *, wait: bool) -> None:
-        """Have the renderer of the scene's detail, now or later."""
+        """Request the renderer of the scene's detail, now or later."""
         wish = scene.surface.detail
         if wish != self._detail:
             self._let_go()
@@ -118,5 +118,5 @@ class DetailRenderer:
         self.plain.close()
 
     def __getattr__(self, name: str) -> Any:
-        """What else the renderer that drew last says."""
+        """Other attributes come from the renderer that drew last."""
         return getattr(self.__dict__["_drawn"], name)

@@ -1,8 +1,8 @@
-"""The GPU backend of pictures: a scene drawn off screen, every tile there, read back.
+"""The GPU backend of pictures: draw a scene off screen with all tiles, and read it back.
 
 The same scene as the CPU caster's (``rendering.cpu.draw``), the same light and colours (the shader follows it line by
-line): depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. More pixels than a
-device draws at once are drawn by tiles (``rendering.large``), which have what the whole picture has there
+line): depth differs by no more than the tolerance, colours by what docs/gpu.md states. Pictures with more pixels than a
+device draws at once are drawn in tiles (``rendering.large``), which share the whole picture's properties
 (``overview``).
 """
 
@@ -38,25 +38,25 @@ from orograph.scene.scene import Scene
 from orograph.viewpoint import View
 
 TOLERANCE = 1.0
-"""Pixels, where the scene does not say."""
+"""Default tolerance, pixels."""
 LEAST = 64 << 20
-"""Bytes of a method's tables, and of textures for tiles, however little memory is allowed."""
+"""Minimum bytes for a method's tables and for textures of tiles, however little memory is allowed."""
 
 
 def _check(scene: Scene, device: Device, around: View) -> None:
-    """Raise UsageError for what the GPU does not draw.
+    """Raise UsageError for what the GPU cannot draw.
 
     Args:
         around: the view with the rim that is drawn around it.
     """
     view = scene.view
     if view.part is not None and scene.annotations.furniture:
-        raise UsageError("A tile has no furniture: that belongs to the whole picture.")
+        raise UsageError("A tile cannot have furniture: that belongs to the whole picture.")
     most = largest(device)
     if max(around.width, around.height) > most:
         raise UsageError(
-            f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
-            remedy="Draw it by tiles: orograph render, or rendering.large.draw_large.",
+            f"{device.adapter.name} draws at most {most} × {most} pixels at a time, not {view.width} × {view.height}.",
+            remedy="Draw it in tiles: orograph render, or rendering.large.draw_large.",
         )
 
 
@@ -74,9 +74,9 @@ def draw(
     Args:
         scene: what is drawn.
         progress: hears of it.
-        device: where; None: the best there is.
-        renderer: of the scene's terrain, to use again for several pictures; None: one for this picture.
-        overlay: what is drawn besides.
+        device: where to draw; None: the best available.
+        renderer: of the scene's terrain, reusable for several pictures; None: one for this picture.
+        overlay: drawn in addition.
         memo: keeps detail beyond the data; a renderer for it has that terrain (``ground_of``).
 
     Raises:
@@ -84,13 +84,13 @@ def draw(
         NothingInViewError: no ground is in view.
         UsageError: the picture is larger than the device can draw, or the scene's method is unknown.
     """
-    # (One function, though long: a renderer that is its own is closed whatever part of the work fails.)
+    # (One function, though long: its own renderer is closed whatever part of the work fails.)
     begun = time.perf_counter()
     device = device or open_device()
     view, whole = scene.view, scene.view.part is None
     around, own_pixels = rimmed(scene)
     _check(scene, device, around)
-    warnings = diagnose(scene.but(view=around)) if around.frame[:2] == (0, 0) else []  # of tiles, the first
+    warnings = diagnose(scene.but(view=around)) if around.frame[:2] == (0, 0) else []  # for tiles, the first one
     description = describe(scene)
     scene, detail = ground_of(scene, device, Memo() if memo is None else memo, progress)
     scene = scene.but(view=around)
@@ -116,7 +116,7 @@ def draw(
         with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:
             texture = device.texture((around.width, around.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()
-            # What is seen is asked without its light if that takes its time.
+            # If light takes long, find what is visible without it.
             first = scene.but(light="none", lamps=(), discs=()) if by_rays else scene
             stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
             notes = [*stats.notes, *_coarser(scene, stats, renderer)]
@@ -167,7 +167,7 @@ def draw(
 
 
 def ground_of(scene: Scene, device: Device, memo: Memo, progress: Progress = SILENT) -> tuple[Scene, dict[str, Any]]:
-    """A scene over the terrain that is drawn, and what there is to say of its detail beyond the data; {} without.
+    """A scene over the terrain that is drawn, and facts about its detail beyond the data; {} without.
 
     Raises: as ``rendering.detail.detailed``.
     """
@@ -182,7 +182,7 @@ def _adorned(
     scene: Scene, renderer: Renderer, shown: dict[str, int], pixels: NDArray[np.uint8], depth: NDArray[np.float32],
     void_filled: NDArray[np.bool_], progress: Progress,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:  # fmt: skip
-    """Pixels and depth with what stands on the ground, and the furniture around it."""
+    """Pixels and depth with standing things and furniture."""
     if scene.theme.things is not None:
         from orograph.rendering.standing import stand
 
@@ -200,16 +200,20 @@ def _adorned(
 
 
 def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
-    """What is drawn coarser than asked for, because memory holds no more."""
+    """Warnings about what is drawn coarser than requested because memory is too small."""
     found = []
     if renderer.tree is not None and renderer.tree.full:
         slots = renderer.tree.tree.slots
         found.append(
-            f"The ground is coarser than asked for: the tree has room for {slots:,} triangles "
-            f"(more: its option slots={2 * slots})."
+            f"The ground is coarser than requested: the tree has room for {slots:,} triangles (more: its option "
+            f"slots={2 * slots})."
         )
     elif scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
-        off = f"up to {stats.error_px:.2g} pixels off" if stats.error_px < np.inf else "off by any number of pixels"
+        off = (
+            f"up to {stats.error_px:.2g} pixels off"
+            if stats.error_px < np.inf
+            else "off by an unknown number of pixels"
+        )
         found.append(
             f"The ground is {off}, not {scene.surface.tolerance:g}: more tiles do not fit into the GPU's memory."
         )
@@ -219,7 +223,7 @@ def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
 
 
 def renderer_of(device: Device, scene: Scene) -> Renderer:
-    """A renderer of the scene's terrain, within its budget; the memory of a software driver is the process'."""
+    """A renderer of the scene's terrain within its budget; a software driver uses the process's memory."""
     allowed = scene.budget.max_memory
     share: dict[str, int] = {}
     if allowed is not None:

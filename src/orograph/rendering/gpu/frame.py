@@ -1,4 +1,4 @@
-"""What a frame shows besides its scene, and what it took."""
+"""What a frame shows besides its scene, and its statistics."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ if TYPE_CHECKING:
     from orograph.rendering.gpu.surface.ground import Drawn
 
 Normals = Literal["computed", "stored", "sampled", "derivatives", "faces"]
-"""Where the normal of the ground in a pixel comes from: see docs/gpu.md."""
+"""The source of the ground's normal in a pixel: see docs/gpu.md."""
 
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """What is drawn over the ground to look at the mesh.
+    """What is drawn over the ground to inspect the mesh.
 
     Attributes:
-        wireframe: edges of triangles. levels: a colour for every size of patches; grey where rays are
-            cast, of two shades by the level of the window.
+        wireframe: edges of triangles. levels: a colour for every size of patches; where rays are cast, two shades of
+            grey by the level of the window.
         occlusion: strength of ambient occlusion in screen space (``rendering.gpu.shade.ssao``), 0 to 1, 0: none; its
         ``reach``, metres;
             None: a twelfth of the distance to the target.
@@ -40,20 +40,21 @@ PLAIN = Overlay()
 
 @dataclass(frozen=True, slots=True)
 class FrameStats:
-    """What a frame took.
+    """Statistics of a frame.
 
     Attributes:
-        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
-        select_ms: selection. submit_ms: Python until the frame is handed over, for which the GPU waits. cpu_ms: all of
-            the frame's Python, with what is done after that (looking ahead), but for what the driver does when it is
-            given the work (software drivers do all of it then).
-        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of all kinds; wanted: not there yet.
-        samples: how many are averaged in the picture.
+        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles present.
+        select_ms: selection. submit_ms: Python time until the frame is submitted, during which the GPU waits. cpu_ms:
+            all of the frame's Python time, including work after submission (prefetching), but not the driver's work on
+            submission (software drivers do all of it then).
+        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of all kinds; wanted: not present
+        yet.
+        samples: number averaged in the picture.
         failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
-        current: whether the mesh of another method is that of this camera and tolerance; patches always are.
-        notes: what a user should know of layers that were opened, full sentences; each is told once.
-        windows: at which rays were cast, in place of triangles; 0: none were, or nothing is in view.
-        making: what is made aside of layers, and how far it is, a full sentence, or "": a later frame shows more.
+        current: whether the mesh of another method belongs to this camera and tolerance; patches always do.
+        notes: messages about opened layers, full sentences; each appears once.
+        windows: at which rays were cast, in place of triangles; 0: none were cast, or nothing is in view.
+        making: progress of layers being prepared in the background, a full sentence, or ""; a later frame shows more.
     """
 
     patches: int
@@ -79,9 +80,9 @@ class FrameChoice:
     """What a frame draws.
 
     Attributes:
-        ground: what of it. tolerance: that patches were chosen by, pixels. layers: on the ground.
-        lettered: whether contours are labelled. loaded: tiles that came for it, of so many ``bytes``.
-        state: two frames of one camera are one picture while it is the same.
+        ground: its selection. tolerance: used to choose patches, pixels. layers: on the ground.
+        lettered: whether contours are labelled. loaded: tiles loaded for it, and their ``bytes``.
+        state: frames of one camera are the same picture while it is unchanged.
     """
 
     ground: Drawn

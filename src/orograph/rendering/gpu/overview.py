@@ -1,9 +1,9 @@
-"""What all tiles of a picture have in common: which ground the whole of it shows, known from a small picture of it.
+"""What all tiles of a picture share: the ground that the whole picture shows, found from a small picture of it.
 
-A picture too large for a graphics card is drawn tile by tile (``View.tile``). Light and haze of each tile are those of
-the whole picture, or there would be seams: the windows of the maps of light, by how much relief is strengthened and the
-range of depths that haze spans go by this overview; lines that depend on the pixels around them by a rim that is drawn
-with a tile and cut off. Patches are chosen by the whole view's bound (``error.screen``), so neighbours' agree.
+A picture too large for a graphics card is drawn tile by tile (``View.tile``). Each tile must have the light and haze of
+the whole picture, or there would be seams: this overview determines the windows of the light maps, the strengthening of
+relief and the depth range of haze. Lines that depend on surrounding pixels need a rim, which is drawn with a tile and
+cut off. Patches are chosen by the whole view's bound (``error.screen``), so neighbours' agree.
 
 Units: pixels; sample coordinates; metres.
 """
@@ -33,7 +33,7 @@ Seen = tuple[Array, tuple[float, float] | None]
 """Sample coordinates (n, 2) of some of the ground in view, and the range of its depths (None: there is none)."""
 
 SIDE = 1024
-"""Pixels of the larger side of the small picture."""
+"""Pixels on the longer side of the small picture."""
 
 
 def seen_by(terrain: Terrain, view: View, exaggeration: float, depth: NDArray[np.float32]) -> Seen:
@@ -43,7 +43,7 @@ def seen_by(terrain: Terrain, view: View, exaggeration: float, depth: NDArray[np
 
 
 def overview(device: Device, ground: Ground, camera: Any, scene: Scene) -> Seen:
-    """What a scene's whole view shows, by a small picture of it.
+    """What a scene's whole view shows, from a small picture of it.
 
     Args:
         camera: the buffer that ``ground`` looks at; it is written.
@@ -64,7 +64,7 @@ def overview(device: Device, ground: Ground, camera: Any, scene: Scene) -> Seen:
 
 
 def rimmed(scene: Scene) -> tuple[View, tuple[slice, slice]]:
-    """A tile with the pixels around it that its lines depend on, and where it is in that; a whole view as it is."""
+    """A tile with the surrounding pixels that its lines depend on, and its position in that; a whole view unchanged."""
     view, lines = scene.view, scene.annotations.silhouettes
     by = rim(lines.fitted(view.whole)) if lines is not None and view.projection != "plan" else 0
     by = max(by, int(interval_of(scene.annotations.aids, scene.view) is not None))

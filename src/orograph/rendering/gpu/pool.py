@@ -19,7 +19,7 @@ from orograph.raycast.stack import HeightWindow, check_diagonals
 Values = NDArray[np.float32]
 
 WINDOWS, NODES = 16, 256
-"""Windows, and levels of all their pyramids, that the shaders' tables hold."""
+"""Maximum windows, and levels of all their pyramids, in the shaders' tables."""
 
 MISSING = np.float32(-1e30)
 
@@ -105,5 +105,5 @@ class Pool:
 
 
 def samples_in(most: int) -> int:
-    """How many samples so many bytes hold: heights, and a third of that for maxima, 4 bytes each."""
+    """How many samples fit into a number of bytes: heights, and a third of that for maxima, 4 bytes each."""
     return most // 16 * 3

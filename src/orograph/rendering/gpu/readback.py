@@ -1,4 +1,4 @@
-"""What the last frame left on the GPU, brought back: depths in metres, and which pixels show missing ground.
+"""Read back what the last frame left on the GPU: depths in metres, and which pixels show missing ground.
 
 Depth is stored reversed (``camera.wgsl``): near / z in perspective, linear in a plan; 0 where nothing was drawn.
 """
@@ -14,7 +14,7 @@ from orograph.gpu.device import Device
 from orograph.rendering.gpu.targets import Targets
 
 VOID_FILL = 2
-"""The bit of a pixel's marks that says: a patch over missing ground."""
+"""The mark of a pixel that shows a patch over missing ground."""
 
 
 def metres(stored: NDArray[np.float32], camera: NDArray[Any]) -> NDArray[np.float32]:

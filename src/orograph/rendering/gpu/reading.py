@@ -1,4 +1,4 @@
-"""What the last frame of a renderer shows, read back: depths in metres, missing ground, how much there is of what."""
+"""Read back the last frame of a renderer: depths in metres, missing ground, and pixel counts."""
 
 from __future__ import annotations
 
@@ -65,7 +65,8 @@ class Reading:
         return void_filled_of(self.device, t) if self._void_fill.count else np.zeros((t.height, t.width), bool)
 
     def shown(self, scene: Scene, depth: NDArray[np.float32], void_filled: NDArray[np.bool_]) -> dict[str, int]:
-        """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
+        """How many pixels show ground, how many of them water and imagery, and how many missing ground; the middle two
+        estimated from a sample."""
         ground = int(np.isfinite(depth).sum())
         points, share = points_of(self.terrain, scene.view, scene.surface.exaggeration, depth)
         wet, covered = wet_at(self._light.maps, points), 0
@@ -85,7 +86,7 @@ class Reading:
 
     @property
     def resident(self) -> TreeFrame | Resident | None:
-        """What the last frame drew of triangles that only the GPU has, and that can be had; None: something else."""
+        """The last frame's triangles that exist only on the GPU but can be read; None: something else."""
         return self._ground.resident
 
     @property
@@ -101,7 +102,7 @@ class Reading:
 
     @property
     def light(self) -> str:
-        """Where the light of the last frame came from, if it was looked up in a layer or by rays."""
+        """The source of the last frame's light, if it was looked up in a layer or found by rays."""
         scene = self._samples.state and self._samples.state[0]
         if scene and scene.lighting.light == "raytraced":
             return f"{scene.lighting.rays} rays"

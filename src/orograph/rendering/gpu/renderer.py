@@ -1,10 +1,10 @@
 """The terrain renderer: a scene becomes a frame, out of core, at the rate of the screen.
 
-A frame: tiles that were read meanwhile are brought to the atlases; ``triangle-patches`` selects patches among those
-whose tiles are there (coarser ones stand in, so there is neither hole nor crack nor waiting); one instanced draw leaves
-depth and marks; one pass gives every pixel its light. What the frame would have liked to have goes to the streamer,
-largest error first. Maps of light follow the camera from a thread of their own. When nothing changes any more, further
-frames are drawn with samples elsewhere in the pixels and averaged: a picture at rest is smooth everywhere.
+A frame: newly read tiles are uploaded to the atlases; ``triangle-patches`` selects patches whose tiles are present
+(coarser ones stand in, so there are no holes, no cracks and no waiting); one instanced draw leaves depth and marks; one
+pass lights every pixel. Tiles that the frame lacked are requested from the streamer, largest error first. Maps of light
+follow the camera in their own thread. When nothing changes any more, further frames are drawn with jittered samples and
+averaged: a picture at rest is smooth everywhere.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from orograph.rendering.gpu.shade.lettering import Letters
 from orograph.rendering.gpu.shade.look import DRAPE, FIELD, LABELS, SILHOUETTES, SMOOTH, WIREFRAME
 from orograph.rendering.gpu.shade.look_cache import SLOPES, Looks
 from orograph.rendering.gpu.shade.outlines import BreakPass
-from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass
+from orograph.rendering.gpu.shade.passes import ResolvePass, ScreenOcclusion, ShadePass
 from orograph.rendering.gpu.shade.resources import Resources
 from orograph.rendering.gpu.shade.tracing import RAYS, TRACED, Around, Share, casts, parts_of
 from orograph.rendering.gpu.stream.image_tiles import SIDE
@@ -48,19 +48,19 @@ from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
 ATLASES = 1 << 29
-"""Bytes of textures for tiles, where nobody says how many."""
+"""Default bytes of textures for tiles."""
 LATE, PASSED = 0.008, 3
-"""A frame that took so many seconds until it was handed over looks not ahead, nor do the next ones, so many at most."""
+"""A frame that took longer than this, seconds, skips prefetching, as do the next frames up to this number."""
 
 
 class Renderer(Reading):
     """Draws one terrain on one device.
 
     Args:
-        device: where.
-        terrain: what; it is read from several threads.
-        gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any; half as many more hold what rays
-            of light meet, and a quarter what the ground is cast from, if it is.
+        device: where to draw.
+        terrain: the terrain; it is read from several threads.
+        gpu_memory: bytes of the atlases, a quarter of them for layers, if there are any; in addition half as many hold
+            what rays of light meet, and a quarter the windows for ray casting, if used.
         memory: bytes of the method's tables.
         jobs: threads that read tiles.
     """
@@ -114,14 +114,14 @@ class Renderer(Reading):
         """Draw a frame.
 
         Args:
-            target: a texture view of the scene's view's size, to be overwritten. format: its format.
-            scene: what; its terrain must be the renderer's.
-            overlay: what is shown besides.
+            target: a texture view of the size of the scene's view; overwritten. format: its format.
+            scene: the scene; its terrain must be the renderer's.
+            overlay: shown in addition.
             freeze: the camera that patches are selected for, or a mesh refined, if not the scene's view (or, of a mesh,
                 its ``mesh_view``).
-            wait: first wait for all tiles and maps that the picture wants.
-            samples: draw with so many samples per pixel at once; None: one, and one more every further frame at rest.
-            advance: hears how much of a picture by rays was drawn, part by part, when it is waited for.
+            wait: first wait for all tiles and maps that the picture needs.
+            samples: draw this many samples per pixel at once; None: one, and one more with every further frame at rest.
+            advance: gets progress, part by part, when waiting for a ray-traced picture.
 
         Raises:
             OrographError: with ``wait``, a tile, a map or a mesh could not be made.
@@ -132,12 +132,13 @@ class Renderer(Reading):
         begin, count = self._samples.next((scene, overlay, freeze, *chosen.state, maps_key(scene)), samples, self.busy)
         self._light_for(scene, targets, chosen.ground, wait=wait)
         group, flags = self._shaded(scene, overlay, targets, chosen, wait=wait)
-        if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
+        if begin and flags != self._flags:  # compiled meanwhile: the accumulated samples look different
             begin, count = 0, 1
         self._flags, self._samples.gathered = flags, begin + count
         resolve = self._resolve(format)
         encoder = self.device.handle.create_command_encoder()
-        # The first pass is then at all pixels' centres, the others where depth breaks off (unless all need all pixels).
+        # The first pass then covers all pixel centres, the others only depth edges (unless every pixel needs all
+        # samples).
         adaptive = chosen.ground.at_breaks and (samples or 1) > 1
         adaptive = adaptive and not flags & (SILHOUETTES | RAYS) and not overlay.occlusion
         passes = count + adaptive
@@ -151,7 +152,7 @@ class Renderer(Reading):
                 self._ground.find_breaks(encoder, targets, view.projection == "plan")
             if k + 1 < begin + passes:  # the camera is written before the next pass
                 encoder = self._submitted(encoder)
-        if adaptive:  # what others look at has all pixels
+        if adaptive:  # other readers see all pixels
             encoder = self._submitted(encoder)
             write(self.device, self._camera, camera_of(view, self.terrain, scene.surface.exaggeration))
             self._ground.draw(encoder, targets, chosen.ground, self._left)
@@ -181,27 +182,27 @@ class Renderer(Reading):
         return self._told(scene, chosen, to_submit, after)
 
     def overview(self, scene: Scene) -> Seen:
-        """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
+        """What a scene's whole view shows: all its tiles take their light and haze from it."""
         return self.memo(
             "overview", (scene.view.whole, scene.surface.exaggeration),
             lambda: overview(self.device, self._ground, self._camera, scene), self.terrain,
         )  # fmt: skip
 
     def prepare(self, format: str, scene: Scene, *, overlay: Overlay = PLAIN) -> None:
-        """Do what the first frame of a scene would do once and for all, so that it takes no longer than others.
+        """Do the one-time work of a scene's first frame in advance, so that it takes no longer than others.
 
-        Kernels are loaded, shaders compiled, tiles asked for; may be called in a thread, before any frame. Arguments
-        are those of ``draw``.
+        Loads kernels, compiles shaders and requests tiles; may be called in a thread, before any frame. Arguments as
+        for ``draw``.
         """
         self._light.begin()
         look, slopes = self._looks.of(scene, overlay, exact=False), SLOPES[overlay.normals]
         flags = self._looks.features(look, bool(slopes))
 
         def compile() -> None:
-            with contextlib.suppress(Exception):  # the frame says what is wrong
+            with contextlib.suppress(Exception):  # the frame reports what is wrong
                 self._resolve(format)
                 self._ground.compile(bool(flags & WIREFRAME), slopes)
-                for entry in SHOWN:
+                for entry in self._shading.shown:
                     self._shading.pipeline(flags, entry)
 
         beside = threading.Thread(target=compile, daemon=True)
@@ -211,7 +212,7 @@ class Renderer(Reading):
 
     @property
     def busy(self) -> bool:
-        """Whether tiles or maps are on their way: the next frame will be better."""
+        """Whether tiles or maps are still coming, so that the next frame will be better."""
         waiting = self._missing > 0 or self.tiles.waiting > 0 or self.imagery.waiting > 0
         parts = self._light, self._around, self._ground, self._letters, self._shading
         return waiting or any(part.busy for part in parts)
@@ -235,7 +236,7 @@ class Renderer(Reading):
         """What a frame draws: patches or a mesh, layers, letters."""
         view = scene.view
         if wait and view.part is not None:
-            self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
+            self.overview(scene)  # before choosing the tile's own ground, which it may replace
         tolerance = scene.surface.tolerance or 1.0
         if scene.annotations.contours is not None:
             tolerance *= scene.annotations.contours.finer(self.terrain, view, self.memo)
@@ -252,7 +253,7 @@ class Renderer(Reading):
     def _shaded(
         self, scene: Scene, overlay: Overlay, targets: Targets, chosen: FrameChoice, *, wait: bool
     ) -> tuple[Any, int]:  # fmt: skip
-        """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
+        """Upload what the shading looks up: returns its bind group, and the flags of the shader."""
         view, maps, mesh, resident = scene.view, self._light.maps, chosen.ground.mesh, chosen.ground.resident
         assert maps is not None
         slopes = SLOPES[overlay.normals]
@@ -292,7 +293,7 @@ class Renderer(Reading):
         return group, self._shading.at_hand(flags, lambda: self._ground.compile(edges, slopes), wait=wait)
 
     def _go_on(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
-        """Have threads read, also for a moment later if there is time, and make maps; the seconds that took."""
+        """Have threads read tiles, also prefetching if there is time, and make maps; returns the seconds that took."""
         begun = time.perf_counter()
         late = taken > LATE and self._late < PASSED
         self._late = self._late + 1 if late else 0
@@ -301,7 +302,7 @@ class Renderer(Reading):
         return time.perf_counter() - begun
 
     def _told(self, scene: Scene, chosen: FrameChoice, to_submit: float, after: float) -> FrameStats:
-        """What a frame took: seconds of Python until it was handed over, and after that."""
+        """Statistics of a frame: seconds of Python until it was submitted, and after that."""
         patches, mesh, rays = chosen.ground.patches, chosen.ground.mesh, chosen.ground.rays
         there, bound = chosen.ground.drawn, patches.stats["pixels"]
         triangles = there * self.method.legs**2
@@ -325,7 +326,7 @@ class Renderer(Reading):
         )  # fmt: skip
 
     def _submitted(self, encoder: Any) -> Any:
-        """Hand an encoder over; another one."""
+        """Submit an encoder; returns another one."""
         self.device.queue.submit([encoder.finish()])
         return self.device.handle.create_command_encoder()
 
@@ -333,7 +334,7 @@ class Renderer(Reading):
         self, encoder: Any, targets: Targets, scene: Scene, ground: Drawn, group: Any, flags: int,
         shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None], left: Left,
     ) -> Any:  # fmt: skip
-        """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
+        """Add a pass to the mean of the ``k`` before it; returns the encoder to continue with."""
         camera = camera_of(scene.view, self.terrain, scene.surface.exaggeration, shift=shift)
         write(self.device, self._camera, camera)
         self._ground.draw(encoder, targets, ground, left)
@@ -353,7 +354,7 @@ class Renderer(Reading):
             if n + 1 < len(parts):
                 encoder = self._submitted(encoder)
                 if samples is not None:
-                    self.device.wait()  # Ctrl-C is heard in between
+                    self.device.wait()  # so that Ctrl-C is handled in between
                     advance(1 / (len(parts) * samples))
         return encoder
 
@@ -371,7 +372,7 @@ class Renderer(Reading):
     def _light_for(
         self, scene: Scene, targets: Targets, ground: Drawn, *, wait: bool
     ) -> None:  # fmt: skip
-        """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
+        """Provide maps of light for the scene: at once if ``wait``, else in the background while old ones are used."""
         if wait and scene.view.part is not None:
             whole = scene.but(view=scene.view.whole, samples=1)
             if self._lit != whole:

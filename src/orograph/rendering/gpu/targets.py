@@ -1,4 +1,4 @@
-"""What a frame is drawn into on the GPU: the G-buffer's textures and their formats."""
+"""The targets of a frame on the GPU: the G-buffer's textures and their formats."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orograph.gpu.recording import Attachments
 DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
 EMPTY = 0.0, 0.0, 0.0, 0.0
 NEARER = {"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"}
-"""Depth of what hides all that is farther."""
+"""The depth texture's clear value and format."""
 
 
 class Targets:
@@ -24,27 +24,35 @@ class Targets:
         size = (width, height)
         self.depth = device.texture(size, DEPTH, attach, label="depth")
         self.marks = device.texture(size, MARKS, attach, label="marks")
-        self.light = device.texture(size, LIGHT, attach, label="light")
+        self.light = device.texture(size, LIGHT, f"{attach}|STORAGE_BINDING", label="light")
         self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
         self.light_view = self.light.create_view()
+        self._newest: Any = None
         self._given: Any = None
         self._field: Any = None
         self._attached: dict[str, Attachments] = {}
 
     def attached(self, name: str, make: Callable[[], Attachments]) -> Attachments:
-        """What a pass draws into, described when it is first asked for by this name."""
+        """A pass's targets, described on first use of this name."""
         found = self._attached.get(name)
         if found is None:
             found = self._attached[name] = make()
         return found
 
+    def newest_view(self, device: Device) -> Any:
+        """The view of a frame's own light, where it is computed, before it is blended with the frames' before it."""
+        if self._newest is None:
+            usage = "STORAGE_BINDING|TEXTURE_BINDING"
+            self._newest = device.texture((self.width, self.height), LIGHT, usage, label="newest light").create_view()
+        return self._newest
+
     @property
     def has_field(self) -> bool:
-        """Whether heights were asked for; as ``has_given``."""
+        """Whether heights were requested; as ``has_given``."""
         return self._field is not None
 
     def field_view(self, device: Device) -> Any:
-        """The view of the heights, which are made when they are first asked for."""
+        """The view of the heights, which are made on first use."""
         if self._field is None:
             attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
             self._field = device.texture((self.width, self.height), FIELD, attach, label="heights").create_view()
@@ -52,11 +60,11 @@ class Targets:
 
     @property
     def has_given(self) -> bool:
-        """Whether slopes were asked for: a shader that looks at them may serve until another one is compiled."""
+        """Whether slopes were requested: a shader that reads them may serve until another one is compiled."""
         return self._given is not None
 
     def given_view(self, device: Device) -> Any:
-        """The view of the slopes, which are made when they are first asked for."""
+        """The view of the slopes, which are made on first use."""
         if self._given is None:
             attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
             self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()

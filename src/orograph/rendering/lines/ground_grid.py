@@ -1,4 +1,4 @@
-"""Lines of easting and northing laid on the ground, as thin near the eye as far away, with their values at the border.
+"""Lines of easting and northing on the ground, of equal width near and far, with their values at the border.
 
 A pixel's easting follows from its depth, and how fast it changes from pixel to pixel from the depths beside it (of the
 two neighbours the one on the same surface: in perspective 1 / depth is linear over a plane). So no line is traced;
@@ -28,7 +28,7 @@ WIDTH, OPACITY, USUAL = 1.3, 0.6, 1100
 """Of lines; their width grows with pictures whose shorter side has more pixels."""
 
 NONE, ALL = 4.0, 14.0
-"""Pixels from line to line where they are not seen any more, and where they are seen wholly."""
+"""Pixels from line to line at which lines are invisible, and at which they are fully visible."""
 
 COLOR = (0.016, 0.026, 0.055)
 """Linear."""
@@ -44,7 +44,7 @@ HIDDEN = 0.004
 
 
 def coverage(scene: Scene, depth: NDArray[np.floating]) -> Array | None:
-    """(height, width) how much of each pixel grid lines hide; None: there are none.
+    """(height, width) how much of each pixel grid lines cover; None: there are none.
 
     Args:
         depth: (height, width) of the scene's view; pixels at its edge, unless it is the picture's own, are approximate.

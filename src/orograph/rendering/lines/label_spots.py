@@ -41,10 +41,10 @@ SHORT = 22.0
 """Samples: lines around knolls and pits that are shorter bear no height."""
 
 BEND = 0.35
-"""How far a line may go aside within half its reach, as a part of that: more is too bent for a label."""
+"""How far a line may deviate within half its reach, as a share of that: more is too bent for a label."""
 
 MOST_LINES = 200
-"""Heights of index contours in a block: where there are more, lines run together anyway."""
+"""The most heights of index contours in a block: with more, lines merge anyway."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
 
 
 def _straight(line: Array, linear: Array, spacing: float, core: tuple[Array, Array]) -> list[tuple[Array, float]]:
-    """Of every stretch of a line (n, 2; columns, rows) its straightest place within the core: (points, bend)."""
+    """The straightest place within the core of every stretch of a line (n, 2; columns, rows): (points, bend)."""
     if len(line) < SHORT / 2:  # lines cross a cell's edge at least every second sample of their way
         return []
     metres = line @ linear.T / spacing  # lengths in samples, whatever the cells' shape

@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 
 SCALE = 3
 PAD = 0.2
-"""Around a label lines are left out for so much of the type's size."""
+"""The gap in lines around a label, as a share of the type's size."""
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """Labels (n,) of a view, the ones that can be seen at all.
+    """Labels (n,) of a view that are visible at all.
 
     Attributes:
         lines: (n, POINTS, 3) easting, northing, height along the line. heights: what they say, metres.
@@ -44,7 +44,7 @@ NOTHING = Labels(np.zeros((0, POINTS, 3)), np.zeros(0), np.zeros(0))
 
 
 def wording(height: float) -> str:
-    """What a label says: metres, no more digits than the interval needs."""
+    """A label's text: metres, with no more digits than the interval needs."""
     return f"{height:.6g}"
 
 
@@ -73,7 +73,7 @@ def measured(heights: Array, size: float) -> tuple[Array, float]:
 
 @dataclass(frozen=True, slots=True)
 class Lettering:
-    """Labels as they are to be set on a view.
+    """Labels as set on a view.
 
     Attributes:
         places: (n, 3) middle x, y in pixels of the whole picture, angle. opacity: (n,). size: of the type.
@@ -87,7 +87,7 @@ class Lettering:
 
     @classmethod
     def of(cls, labels: Labels, view: View, exaggeration: float, size: float) -> Lettering:
-        """Labels set along their lines as a view shows these; those that the view has bent too much are left out."""
+        """Labels set along their lines as seen in a view; those that the view bends too much are omitted."""
         if labels is NOTHING or not len(labels):
             return cls(np.zeros((0, 3)), np.zeros(0), size, ())
         widths, tall = measured(labels.heights, size)

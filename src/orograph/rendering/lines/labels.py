@@ -1,4 +1,4 @@
-"""Labels of index contours: which spots of the terrain (``label_spots``) bear their height in a view, and how.
+"""Labels of index contours: which spots of the terrain (``label_spots``) carry a height in a view, and how.
 
 A label stands on its line, turned along it, the line left out beneath; its type has a size in pixels. It is never
 upside down, as on the maps of the U.S. Geological Survey; where there is a choice it stands where its head points
@@ -46,13 +46,13 @@ APART, SAME = 70.0, 260.0
 """Pixels between two labels, and between two of the same height."""
 
 BENT = 0.5, 0.75
-"""Parts of a label's height that the line may go aside under it: no matter, too much."""
+"""Shares of a label's height by which the line may deviate under it: harmless, too much."""
 
 CLEAR = 2.0, 5.0
-"""Pixels above the ground that must be seen, too, for ground to be seen well."""
+"""Pixels above the ground that must also be visible for the ground to count as clearly seen."""
 
 COARSE = 2.0
-"""Pixels within which the ground is that sight is tried on."""
+"""Pixels within which visibility is tested on the ground."""
 
 DEEP = 0.15
 """How much deeper or nearer than its middle (as a part of the depth) ground under a label's corners may be."""
@@ -199,8 +199,8 @@ class Placer:
     def _seen(
         self, scene: Scene, lines: Array, depth: Array, places: Array, widths: Array, tall: float, large: float
     ) -> Array:
-        """How well the ground under labels is seen (n,), 0 to 1: rays to points a little above its middle and ends, and
-        through the label's corners, where the same slope has to go on."""
+        """How visible the ground under labels is (n,), 0 to 1: rays to points slightly above its middle and ends, and
+        through the label's corners, where the same slope must continue."""
         view, terrain = scene.view, self.terrain
         chosen = tuple(rectangles(terrain, view, scene.surface.exaggeration, COARSE * large))
         if self._caster[0] != chosen:

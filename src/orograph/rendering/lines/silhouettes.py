@@ -1,4 +1,4 @@
-"""Silhouettes: lines where one ridge stands before another or before the sky, and creases, as in drawn panoramas.
+"""Silhouettes: lines where a ridge stands in front of another or of the sky, and creases, as in drawn panoramas.
 
 Along a row or a column of pixels 1/depth is linear on any plane, however slanted, so its steps are equal there. Where
 the step between two pixels is larger than those beside it account for, ground is hidden between them: the surface has
@@ -50,7 +50,7 @@ def rim(lines: Silhouettes) -> int:
 
 
 def terrain_ends(terrain: Terrain) -> tuple[NDArray[np.float32], int]:
-    """How far it is to where a terrain ends within its raster, as those do that lay askew before they were projected.
+    """The distance to where a terrain ends within its raster, as rotated ones do after projection.
 
     Returns:
         away: (rows, cols), samples from those of the coarsest level to the nearest missing one that is open to the

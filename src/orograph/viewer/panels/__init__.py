@@ -1,4 +1,5 @@
-"""The panels: docked to the right at first, to be moved, stacked or floated; the layout is kept between sessions."""
+"""The panels: first docked to the right; they can be moved, stacked or floated; the layout is saved between
+sessions."""
 
 from __future__ import annotations
 
@@ -23,17 +24,17 @@ PANELS = (
     ("Statistics", statistics.draw, "bottom"),
 )
 RAISED = ("Detail", "Light")
-"""Panels on top of others in the layout of the first time."""
+"""Panels that are on top in the initial layout."""
 DOCK = 0x0609_2A11
-"""The dock space's number in the layout's file."""
+"""The dock space's number in the layout file."""
 
 
 def dock(window: Window) -> Area:
-    """Lay out the dock space; the area that it leaves to the terrain."""
+    """Lay out the dock space; returns the area left for the terrain."""
     viewport = imgui.get_main_viewport()
     whole = (viewport.pos.x, viewport.pos.y, viewport.size.x, viewport.size.y)
     if not window.session.settings.panels:
-        # Without the second flag the space has a ground of its own, which darkens the picture.
+        # Without the second flag the space paints a background, which darkens the picture.
         flags = imgui.DockNodeFlags_.keep_alive_only | imgui.DockNodeFlags_.passthru_central_node
         imgui.dock_space_over_viewport(DOCK, viewport, flags)
         return whole
@@ -51,7 +52,7 @@ def dock(window: Window) -> Area:
 
 
 def _layout(viewport: imgui.Viewport) -> None:
-    """The layout of the first time."""
+    """The initial layout."""
     build = imgui.internal
     build.dock_builder_remove_node(DOCK)
     build.dock_builder_add_node(DOCK, imgui.internal.DockNodeFlagsPrivate_.dock_space)
@@ -73,7 +74,7 @@ def draw(window: Window) -> None:
     for name, content, _ in PANELS:
         imgui.set_next_window_size((WIDTH, 260), imgui.Cond_.first_use_ever)
         beside = imgui.internal.find_window_by_name(PANELS[-2 if name == "Statistics" else -1][0])
-        if beside is not None and beside.dock_id:  # a panel that the kept layout does not know goes beside another
+        if beside is not None and beside.dock_id:  # a panel unknown to the saved layout goes beside another
             imgui.set_next_window_dock_id(beside.dock_id, imgui.Cond_.first_use_ever)
         shown, _ = imgui.begin(name)
         if shown:

@@ -1,4 +1,4 @@
-"""Where the camera is, in the terrain's CRS and in longitude and latitude; views to go to and to keep."""
+"""The camera's position, in the terrain's CRS and in longitude and latitude; preset and kept views."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     session, nav, view = window.session, window.session.nav, window.session.view
     x, y, z = view.eye
     imgui.text(f"E {x:,.1f}   N {y:,.1f}".replace(",", " "))
@@ -48,7 +48,7 @@ def draw(window: Window) -> None:
     imgui.same_line()
     if imgui.small_button("Save picture"):
         window.pictures.ask()
-    imgui.text_disabled("kept views (Ctrl + digit keeps)")
+    imgui.text_disabled("kept views (Ctrl + digit to keep)")
     for slot in "123456789":
         if slot != "1":
             imgui.same_line(0.0, 3.0)

@@ -1,4 +1,4 @@
-"""Data on the terrain: what comes first, which time, and what their colours mean."""
+"""Data on the terrain: priorities, time, and the meaning of their colours."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 SWITCHES = (
     ("terrain", "On: shaded relief. Off: contours and silhouettes, no shading."),
     ("data", "On: a continuous scale. Off: classes."),
-    ("uncertainty", "On: signs of its own. Off: what the colours of the data lose."),
+    ("uncertainty", "On: separate glyphs. Off: shown in the colours of the data."),
 )
 HIGH, STEPS = 14.0, 48
 PLAYED = 20.0
-"""Seconds in which all time of the data passes."""
+"""Seconds in which the data's whole time span is played."""
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     settings = window.session.settings
     shown = settings.shown
     if shown is None:
-        imgui.text_wrapped("There are no data: name some as the window is opened.")
+        imgui.text_wrapped("There are no data: give some when opening the window.")
         return
-    imgui.text_unformatted("what comes first")
+    imgui.text_unformatted("priority")
     if told := settings.variants.told:
         imgui.text_wrapped(f"{told} (as the camera is high and fast)")
     for name, what in () if told else SWITCHES:
@@ -47,7 +47,7 @@ def draw(window: Window) -> None:
 
 
 def change(window: Window, **changes: Any) -> None:
-    """Show data with another priority or time; what is wrong with it is said in the window."""
+    """Show data with another priority or time; errors appear in the window."""
     try:
         window.session.settings.show(window.session.terrain, **changes, finer=window.refresh)
     except (OrographError, OSError) as error:
@@ -56,7 +56,7 @@ def change(window: Window, **changes: Any) -> None:
 
 
 def finish(window: Window) -> None:
-    """Show data as finely as the thread has painted them, if it has; what is wrong with them is said in the window."""
+    """Show the finer data that the thread has painted, if ready; errors appear in the window."""
     try:
         if window.session.settings.finish():
             window.touch()
@@ -66,12 +66,15 @@ def finish(window: Window) -> None:
 
 
 def _exceeding(window: Window) -> None:
-    """Whether values are shown, or how probably they are above one."""
+    """Choose between values and the probability of exceeding one."""
     shown = window.session.settings.shown
     if shown is None or (k := shown.doubtful) is None:
         return
-    moved, on = imgui.checkbox("how probably above##exceeds", shown.exceeds is not None)
-    tip("Of all members or times, or by the normal law; the panel Plot selects where it is 90 %, say.")
+    moved, on = imgui.checkbox("probability above##exceeds", shown.exceeds is not None)
+    tip(
+        "Counted over all members or times, or from the normal distribution; use the panel Plot to select where it "
+        "is, say, 90 %."
+    )
     first = shown.painted[0] if shown.painted else None
     if moved and first is not None:
         exceed(window, float(f"{(first.scale.low + first.scale.high) / 2:.3g}") if on else None)
@@ -87,7 +90,7 @@ def _exceeding(window: Window) -> None:
 
 
 def exceed(window: Window, value: float | None) -> None:
-    """Show how probably the first raster's values are above one; None: the values again."""
+    """Show the probability that the first raster's values exceed one; None: show the values."""
     shown = window.session.settings.shown
     if shown is None:
         return
@@ -101,7 +104,7 @@ def exceed(window: Window, value: float | None) -> None:
 
 
 def _times(window: Window) -> None:
-    """A slider over all time; the data are read when it is let go, or as fast as they can be while time passes."""
+    """A slider over all time; the data are read when it is released, or while playing as fast as they can be read."""
     shown = window.session.settings.shown
     if shown is None or shown.span is None:
         return
@@ -120,13 +123,13 @@ def _times(window: Window) -> None:
         if shown.playing:
             window.touch()
         else:
-            change(window)  # as finely as before
-    tip(f"All of it in {PLAYED:g} seconds, or as fast as the data are read.")
+            change(window)  # finely again
+    tip(f"Plays everything in {PLAYED:g} seconds, or as fast as the data are read.")
     for words, way in (("<##earlier", -1), (">##later", 1)):
         imgui.same_line()
         if imgui.button(words):
             step(window, way)
-        tip("The time before." if way < 0 else "The next time.")
+        tip("The previous time." if way < 0 else "The next time.")
     imgui.same_line()
     if imgui.button("As given##time"):
         shown.playing = False
@@ -136,7 +139,7 @@ def _times(window: Window) -> None:
 
 
 def step(window: Window, way: int) -> None:
-    """Show the data's next time, or the one before; of tracks alone, a fiftieth of all time on."""
+    """Show the data's next or previous time; for tracks alone, step by a fiftieth of all time."""
     shown = window.session.settings.shown
     if shown is None or shown.span is None:
         return
@@ -151,7 +154,7 @@ def step(window: Window, way: int) -> None:
 
 
 def advance(window: Window, seconds: float) -> bool:
-    """Let the data's time pass; whether it does."""
+    """Advance the data's time; returns whether it changed."""
     shown = window.session.settings.shown
     if shown is None or not shown.playing:
         return False

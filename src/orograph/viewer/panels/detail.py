@@ -1,6 +1,5 @@
-"""How the mesh is made: by which method, and how fine, in pixels of tolerance or in triangles; its edges, its levels, a
-mesh that stands still while one flies around it; detail beyond the data; and where the normals come from that light
-falls on."""
+"""How the mesh is made: the method; its fineness, in pixels of tolerance or in triangles; its edges and levels; a
+frozen mesh to fly around; detail beyond the data; and the source of the normals for lighting."""
 
 from __future__ import annotations
 
@@ -21,27 +20,31 @@ if TYPE_CHECKING:
 
 NORMALS: tuple[tuple[Normals, str, str], ...] = (
     ("computed", "from heights", "for every pixel from the heights: finer than the mesh, and filtered"),
-    ("stored", "at vertices", "stored at the mesh's vertices and blended between them: what lies between is not seen"),
-    ("sampled", "by heights around", "from heights half a pixel to every side, blended as a texture unit blends them"),
-    ("derivatives", "by derivatives", "of the position on the screen, as in a shader without normals: facets show"),
+    ("stored", "at vertices", "stored at the mesh's vertices and interpolated between them: detail in between is lost"),
+    ("sampled", "by heights around", "from heights half a pixel to every side, filtered like a texture"),
+    (
+        "derivatives",
+        "by derivatives",
+        "of the position on the screen, as in a shader without normals: facets are visible",
+    ),
     ("faces", "of faces", "of the triangles as they are drawn"),
 )
-"""Where normals come from: value, name, and what that is."""
+"""Sources of normals: value, label, and explanation."""
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     session, settings = window.session, window.session.settings
     _method(window)
     flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
     by_budget = settings.budget is not None
     if imgui.radio_button("tolerance", not by_budget):
         settings.budget = None
-    tip("No sample of the ground in view is farther from the mesh on the screen than that.")
+    tip("On the screen no visible sample is farther from the mesh than this.")
     imgui.same_line()
     if imgui.radio_button("triangles", by_budget):
         settings.budget = settings.budget or 500_000
-    tip("The tolerance is changed until there are about so many triangles.")
+    tip("Adjusts the tolerance to reach about this many triangles.")
     if settings.budget is None:
         _, settings.tolerance = imgui.slider_float("pixels", settings.tolerance, 0.1, 50.0, "%.2f px", flags)
     else:
@@ -53,13 +56,13 @@ def draw(window: Window) -> None:
     imgui.begin_disabled(not settings.leveled)
     _, settings.levels = imgui.checkbox("colours of levels", settings.levels)
     imgui.end_disabled()
-    tip("A colour for every size of patches; meshes of other methods have none.")
+    tip("One colour for each patch size; only patches have levels.")
     moved, frozen = imgui.checkbox("freeze the mesh, fly around it", settings.frozen is not None)
     tip("Key: F")
     if moved:
         session.freeze(frozen)
     moved, invented = imgui.checkbox("detail beyond the data", settings.detail is not None)
-    tip("Invented where samples are coarser than pixels, as rough as the data; nothing that is measured has it.")
+    tip("Invented where samples are coarser than pixels, as rough as the data; measurements ignore it.")
     if moved:
         settings.detail = Detail() if invented else None
     at = next(k for k, (value, _, _) in enumerate(NORMALS) if value == settings.normals)
@@ -96,22 +99,22 @@ def _method(window: Window) -> None:
             if moved:
                 choice = replace_option(choice, one.name, value)
                 settings.method = str(choice)
-        except UsageError as error:  # it makes no sense, or does not go with another option
+        except UsageError as error:  # it is invalid, or conflicts with another option
             window.session.messages.say(str(error))
     imgui.tree_pop()
 
 
 def replace_option(choice: Choice, name: str, value: Any) -> Choice:
-    """A choice with another value of an option.
+    """A choice with a different value of an option.
 
     Raises:
-        UsageError: the option cannot have it.
+        UsageError: the option does not accept it.
     """
     return replace(choice, options=replace(choice.options, **{name: value}))
 
 
 def _widget(one: Described, value: Any) -> tuple[bool, Any]:
-    """An option by its kind: (whether it was changed, its value)."""
+    """A widget for an option by its kind: (whether it was changed, its value)."""
     flags = imgui.SliderFlags_.always_clamp
     label = one.key
     if one.kind is bool:

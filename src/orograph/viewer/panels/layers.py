@@ -1,4 +1,4 @@
-"""What lies on the ground: the tint of heights, layers over it, water; and how far heights are stretched."""
+"""Layers on the ground: the tint of heights, images and rasters over it, water; and the exaggeration."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ COLOURS = (
 )  # fmt: skip
 WATERS = ("auto", "none", "level")
 FLATTEST, STEEPEST = 0.01, 100.0
-"""Exaggerations beyond which nothing is to be seen."""
+"""Exaggerations beyond which nothing useful is visible."""
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     session, settings = window.session, window.session.settings
     moved, factor = imgui.slider_float(
         "exaggeration", settings.exaggeration, 0.2, 10.0, "× %.2f", imgui.SliderFlags_.logarithmic
     )
-    if moved and factor > 0:  # more than the slider has may be typed
+    if moved and factor > 0:  # values beyond the slider can be typed
         session.stretch(1.0 if abs(factor - 1.0) < 0.03 else min(max(factor, FLATTEST), STEEPEST))
     names = ["automatic" if c is None else c for c in COLOURS]
     at = COLOURS.index(settings.colormap) if settings.colormap in COLOURS else 0
@@ -51,7 +51,7 @@ def draw(window: Window) -> None:
     _color_by_name(window)
     _color_range(settings, session.terrain)
     nature = settings.relief is not None
-    moved, nature = imgui.checkbox("slopes shaded as", nature)
+    moved, nature = imgui.checkbox("slope shading", nature)
     if moved:
         settings.relief = 1.0 if nature else None
     if settings.relief is not None:
@@ -86,7 +86,7 @@ def _silhouettes(window: Window) -> None:
 
 
 def _contours(window: Window) -> None:
-    """Lines of equal height: the interval, by itself or by hand, and how they are drawn."""
+    """Contour lines: the interval, automatic or manual, and how they are drawn."""
     settings = window.session.settings
     moved, on = imgui.checkbox("contours", settings.contours is not None)
     if moved:
@@ -107,18 +107,18 @@ def _contours(window: Window) -> None:
     moved, opacity = imgui.slider_float("##lines", lines.opacity, 0.0, 1.0, "opacity %.2f")
     if moved:
         lines = replace(lines, opacity=min(max(opacity, 0.0), 1.0))
-    moved, index = imgui.slider_int("thick ones: every", lines.index, 0, 10)
+    moved, index = imgui.slider_int("thick lines: every", lines.index, 0, 10)
     if moved:
         lines = replace(lines, index=min(max(index, 0), 100))
     if lines.index:
-        moved, labels = imgui.checkbox("heights on them", lines.labels)
+        moved, labels = imgui.checkbox("height labels", lines.labels)
         if moved:
             lines = replace(lines, labels=labels)
     settings.contours = lines
 
 
 def _color_by_name(window: Window) -> None:
-    """Any name of the catalogue."""
+    """Any name from the catalogue."""
     settings = window.session.settings
     entered, text = imgui.input_text_with_hint(
         "##colormap", "any cmap name, Enter", window.texts.get("colormap", ""), imgui.InputTextFlags_.enter_returns_true
@@ -134,9 +134,9 @@ def _color_by_name(window: Window) -> None:
 
 
 def _color_range(settings: Settings, terrain: Terrain) -> None:
-    """The heights at the ends of the colors: the terrain's own, or ones that are given."""
+    """The heights at the ends of the colours: the terrain's own, or given ones."""
     moved, given = imgui.checkbox("from, to (m)", settings.range is not None)
-    tip("The heights at the ends of the colors, so that two terrains share a scale.")
+    tip("The heights at the ends of the colours, so that two terrains can share a scale.")
     if moved:
         tint = tint_of(terrain, settings.colormap)
         settings.range = (round(tint.floor if len(tint.sea) else tint.low), round(tint.high)) if given else None
@@ -149,7 +149,7 @@ def _color_range(settings: Settings, terrain: Terrain) -> None:
 
 
 def _layers(window: Window) -> None:
-    """Images and rasters over the ground, the topmost first as it covers the others."""
+    """Images and rasters over the ground, the topmost first."""
     settings = window.session.settings
     stack = settings.layers
     change: Callable[[], None] | None = None
@@ -205,7 +205,7 @@ def _swap(stack: list[Layer], a: int, b: int) -> None:
 
 
 def _set(window: Window, k: int, **values: Any) -> None:
-    """Change one layer, unless it is too much for a picture."""
+    """Change one layer, unless a picture cannot take it."""
     stack = list(window.session.settings.layers)
     stack[k] = replace(stack[k], **values)
     try:
@@ -217,7 +217,7 @@ def _set(window: Window, k: int, **values: Any) -> None:
 
 
 def _told(layer: Layer) -> str:
-    """All that is said of a layer, for its tooltip."""
+    """The settings of a layer, for its tooltip."""
     parts = [layer.path]
     if layer.colormap is not None:
         span = "" if layer.range is None else f" from {layer.range[0]:g} to {layer.range[1]:g}"
@@ -226,13 +226,13 @@ def _told(layer: Layer) -> str:
 
 
 def add(window: Window, text: str) -> bool:
-    """Lay a file over all others (``Layer.parse``); what is wrong with it is said in the window. Whether it went on."""
+    """Lay a file over all others (``Layer.parse``); errors appear in the window. Returns whether it was added."""
     session = window.session
     try:
         layer = Layer.parse(text.strip().strip("'\""))
         if not layer.path.startswith(PREFIX):
             layer = replace(layer, path=str(path_of(layer.path)))
-        if "://" not in layer.path:  # what is far away is waited for by the threads that draw it
+        if "://" not in layer.path:  # the drawing threads wait for remote files
             Laid.open(layer, session.terrain.grid)
         check_count([*session.settings.layers, layer])
     except OrographError as error:

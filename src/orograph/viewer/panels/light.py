@@ -1,4 +1,4 @@
-"""The sun: by azimuth and altitude, or the real one by date and time at the place; a day can be played."""
+"""The sun: by azimuth and altitude, or the real sun by date and time at the place; a day can be played."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ WAYS: tuple[tuple[str, Light], ...] = (
     ("rays", "raytraced"),
     ("none", "none"),
 )
-"""How light falls (``Scene.light``): baked layers of the store are used where there are some; rays gather at rest."""
+"""Ways of lighting (``Scene.light``): baked layers of the store are used if present; rays accumulate at rest."""
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     light = window.session.settings.sun
     if imgui.radio_button("placed", light.mode == "placed"):
         sun = light.sun(window.session.terrain)
@@ -59,7 +59,7 @@ def draw(window: Window) -> None:
         settings.light = WAYS[chosen][1]
     _, settings.occlusion = imgui.slider_float("dark corners", settings.occlusion, 0.0, 1.0, "%.2f", CLAMPED)
     if imgui.is_item_hovered():
-        imgui.set_tooltip("Ambient occlusion in screen space: quick, and only of what is in the picture.")
+        imgui.set_tooltip("Ambient occlusion in screen space: fast, but only from what is in the picture.")
 
 
 def _moment(window: Window) -> None:

@@ -1,4 +1,4 @@
-"""A histogram or a scatter plot of the data: what is dragged over in it is selected on the ground, too."""
+"""A histogram or a scatter plot of the data; dragging over it selects on the ground too."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 BINS, CELLS = 48, (48, 36)
-"""Of a histogram, and of a scatter plot along x and y."""
+"""Bins of a histogram, and of a scatter plot along x and y."""
 
 TALL, LEAST = 104.0, 3.0
-"""Height of a plot, and how far must be dragged, logical pixels."""
+"""Height of a plot, and the minimum drag, logical pixels."""
 
 NONE = "(histogram)"
 
 
 class Plotted(NamedTuple):
-    """What a plot shows: its rectangle (x, y, width, height), the variables, and their ends."""
+    """A plot's rectangle (x, y, width, height), variables, and ranges."""
 
     box: tuple[float, float, float, float]
     names: tuple[str, ...]
@@ -32,7 +32,7 @@ class Plotted(NamedTuple):
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     session, brush = window.session, window.brush
     terrain, shown = session.terrain, session.settings.shown
     names = brush.names(terrain, shown)
@@ -56,19 +56,19 @@ def draw(window: Window) -> None:
             imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")
     if imgui.button("Select measured area"):
         select(window, area=[point[:2] for point in window.tools.points])
-    tip("The corners that were clicked while measuring an area (M).")
+    tip("The corners clicked while measuring an area (M).")
     imgui.begin_disabled(brush.empty)
     if imgui.button("All again"):
         select(window, ranges={}, area=())
     imgui.same_line()
-    if imgui.button("Best view of it"):
+    if imgui.button("Best view"):
         window.finder.find()
     tip("Fly to the camera that shows most of what is selected.")
     imgui.end_disabled()
 
 
 def select(window: Window, **changes: Any) -> None:
-    """Select by ranges or an area; what is wrong with it is said in the window."""
+    """Select by ranges or an area; errors appear in the window."""
     session = window.session
     try:
         window.brush.choose(**changes)
@@ -80,7 +80,7 @@ def select(window: Window, **changes: Any) -> None:
 
 
 def _typed(window: Window, name: str, ends: tuple[float, float]) -> None:
-    """The range of a variable, to be typed; without one the ends of its values."""
+    """The range of a variable, editable; by default the ends of its values."""
     key = f"range {name}"
     given = [*window.brush.ranges.get(name, ends)]
     typed = window.texts.get(key)
@@ -120,7 +120,7 @@ def _frame(names: tuple[str, ...], at: Sampled, known: Mask) -> Plotted:
 
 
 def _pixels(plot: Plotted, at: Sampled, known: Mask, held: Mask, all_of_it: bool) -> None:
-    """The bars of a histogram, or the cells of a scatter plot; what is selected in colour."""
+    """The bars of a histogram, or the cells of a scatter plot; the selection in colour."""
     pen, (x, y, wide, tall) = imgui.get_window_draw_list(), plot.box
     pen.add_rect_filled((x, y), (x + wide, y + tall), _ink(0.11, 0.12, 0.14))
     values = [at.values[name] for name in plot.names]
@@ -152,7 +152,7 @@ def _counts(values: Array, ends: tuple[float, float]) -> Array:
 
 
 def _dragged(window: Window, plot: Plotted) -> None:
-    """Select what is dragged over; a click alone lets a plot's variables go."""
+    """Select the dragged range; a click alone clears the selection of the plot's variables."""
     x, y, wide, tall = plot.box
     imgui.invisible_button("##plot", (wide, tall))
     window.plotted = plot

@@ -1,4 +1,4 @@
-"""What the last frame took and held."""
+"""Time and memory of the last frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def rows(window: Window) -> list[tuple[str, str]]:
-    """(name, value) of what is known of the last frame."""
+    """(name, value) of what is known about the last frame."""
     stats = window.drawing.stats
 
     def get(name: str) -> Any:
@@ -39,7 +39,7 @@ def rows(window: Window) -> list[tuple[str, str]]:
 
 
 def _mesh(window: Window) -> list[tuple[str, str]]:
-    """What another method says of the mesh that it made: how long that took, and what it changed of the one before."""
+    """Statistics of a mesh from another method: its time, and the change from the previous one."""
     tree = getattr(window.drawing.renderer, "tree", None)
     if tree is not None:
         return [(tree.method, "at rest" if window.drawing.stats.current else f"update {tree.stats['updates']}")]
@@ -59,7 +59,7 @@ def _mesh(window: Window) -> list[tuple[str, str]]:
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     if imgui.begin_table("statistics", 2, imgui.TableFlags_.sizing_stretch_prop):
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_fixed)
         imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch)

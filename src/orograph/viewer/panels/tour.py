@@ -1,4 +1,4 @@
-"""The tour: cameras kept as stops, gone through as a film would, saved as TOUR.json for ``orograph movie``."""
+"""The tour: cameras kept as stops, played like a film, saved as TOUR.json for ``orograph movie``."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ FILE = "tour.json"
 
 
 def draw(window: Window) -> None:
-    """The content of the panel."""
+    """Draw the panel."""
     touring = window.touring
     if imgui.button("Add this camera"):
         touring.add()
-    tip("Keeps the camera, the light and the exaggeration of now as a stop, after the chosen one. Key: K")
+    tip("Adds the current camera, light and exaggeration as a stop after the chosen one. Key: K")
     imgui.same_line()
     imgui.begin_disabled(not touring.stops)
     if imgui.button("Pause" if touring.playing else "Play"):
         touring.play()
     imgui.same_line()
-    if imgui.button("Begin anew"):
+    if imgui.button("Start again"):
         touring.clear()
     imgui.end_disabled()
     if not touring.stops:
@@ -61,7 +61,7 @@ def _scrub(touring: Touring) -> None:
 
 
 def _stops(touring: Touring) -> None:
-    """A row for every stop: its time, what is seen, and what can be done to it."""
+    """A row for every stop: its time, its view, and its actions."""
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit | imgui.TableFlags_.scroll_y
     tall = min(len(touring.stops), 6) * (imgui.get_frame_height() + 4.0) + 4.0
     change: Any = None
@@ -94,7 +94,7 @@ def _stops(touring: Touring) -> None:
                 imgui.same_line(0.0, 2.0)
             if imgui.button("x"):
                 change = touring.remove, (k,)
-            tip("Take this stop out.")
+            tip("Remove this stop.")
             imgui.pop_id()
         imgui.end_table()
     if change is not None:
@@ -102,7 +102,7 @@ def _stops(touring: Touring) -> None:
 
 
 def _told(k: int, key: Key) -> str:
-    """A stop in a few words: which way it looks, and from how far."""
+    """A stop as short text: its direction and distance."""
     e, t = key.view.eye, key.view.target
     heading = math.degrees(math.atan2(t[0] - e[0], t[1] - e[1])) % 360.0
     far = key.view.distance
@@ -111,8 +111,8 @@ def _told(k: int, key: Key) -> str:
 
 
 def _all(key: Key) -> str:
-    """All that a stop says, for its tool tip."""
-    lines = ["Looks to this heading, from so far. A click goes there."]
+    """The details of a stop, for its tool tip."""
+    lines = ["Heading and distance of this stop. Click to go there."]
     if isinstance(key.sun, Placed):
         lines.append(f"Sun: azimuth {key.sun.azimuth:.0f}°, altitude {key.sun.altitude:.0f}°.")
     elif key.sun is not None:
@@ -122,7 +122,7 @@ def _all(key: Key) -> str:
 
 
 def _chosen(touring: Touring, k: int) -> None:
-    """What can be said of the chosen stop."""
+    """Settings of the chosen stop."""
     stop = touring.stops[k]
     key = stop.key
     last = k == len(touring.stops) - 1 and not touring.loop
@@ -143,21 +143,21 @@ def _chosen(touring: Touring, k: int) -> None:
                 touring.change(k, turns=turns)
     if imgui.small_button("Set to this camera"):
         touring.put(k)
-    tip("The chosen stop takes the camera, the light and the exaggeration of now.")
+    tip("The chosen stop takes the current camera, light and exaggeration.")
 
 
 def _whole(touring: Touring) -> None:
-    """What holds for the whole tour."""
+    """Settings of the whole tour."""
     imgui.separator()
     _, touring.loop = imgui.checkbox("loop", touring.loop)
     tip("The last stop leads to the first again.")
     imgui.same_line()
     _, touring.ease = imgui.checkbox("ease", touring.ease)
-    tip("It begins and ends at rest.")
+    tip("The tour begins and ends at rest.")
     imgui.same_line()
     above = touring.above_ground is not None
     moved, above = imgui.checkbox("above ground", above)
-    tip("The camera is lifted, smoothly, where its way comes nearer to the ground than that.")
+    tip("Lifts the camera smoothly wherever its path comes nearer to the ground than this.")
     if moved:
         touring.above_ground = 50.0 if above else None
     if touring.above_ground is not None:

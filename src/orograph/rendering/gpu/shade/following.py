@@ -1,10 +1,10 @@
-"""Maps of light and membranes over holes that follow the camera: made at once for a picture that may take its time, in
-a thread of their own for frames that may not wait; the old ones serve until new ones are there.
+"""Maps of light and membranes over holes that follow the camera: made at once for pictures, or in their own thread for
+frames that must not wait; old ones are used until new ones are ready.
 
-The first that a window gets are quick ones: water, and coarse shadows under an open sky, in a tenth of the time. Before
-these are there level ground is hatched, which may be water, and so are the holes that the coarsest level shows. Where
-the camera comes to rest maps are made for what is seen there; while it moves on and on they are renewed now and then,
-so seldom that the thread leaves three quarters of the time to others.
+A window's first maps are quick ones: water, and coarse shadows under an open sky, in a tenth of the time. Until these
+are ready, level ground that may be water is hatched, and so are the holes that the coarsest level shows. When the
+camera comes to rest, maps are made for what it sees; while it keeps moving they are renewed occasionally, so rarely
+that the thread leaves three quarters of the time to others.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from orograph.viewpoint import View
 Array = NDArray[np.float64]
 
 SETTLED = 0.25
-"""Seconds the camera must have stood still before maps of light are made for where it is."""
+"""Seconds that the camera must rest before maps of light are made for its place."""
 RENEWED = 1.0
-"""Seconds between the maps that a camera is given which never stands still, at least."""
+"""Minimum seconds between maps for a camera that never rests."""
 SHARE = 4.0
-"""How many times as long as making them takes they serve."""
+"""Maps are used at least this many times as long as they took to make."""
 QUICK = "quick"
-"""In place of a camera's place: maps that frames are to be drawn with only until there are others."""
+"""In place of a camera's place: temporary maps, until there are others."""
 DETAIL = 1.5
-"""Pixels that a sample of the sun's finest window may be as large as; of the quick ones: ``COARSE``."""
+"""Pixels per sample of the sun's finest window, at most; for quick maps: ``COARSE``."""
 COARSE = 12.0
 
 
 def maps_key(scene: Scene) -> tuple[Any, ...]:
-    """What of a scene the maps of light depend on besides the camera."""
+    """The properties of a scene that the maps of light depend on, besides the camera."""
     return (
         scene.lighting.sun,
         scene.lighting.shadows,
@@ -55,18 +55,18 @@ def maps_key(scene: Scene) -> tuple[Any, ...]:
 Upload = Callable[[NDArray[Any]], None]
 
 KINDS = 5
-"""Parts of a key that ``maps_key`` gives; the others tell where the camera is."""
+"""Number of parts of a key from ``maps_key``; the rest say where the camera is."""
 
 
 class Following:
-    """What is made for where the camera is.
+    """The maps for the camera's place.
 
     Args:
-        memo: what earlier maps left. void_fill: takes the membranes. legs: segments of a patch's leg.
-        upload: is given the pool of maps made aside, in their thread: frames have no time for so many bytes.
+        memo: results of earlier maps. void_fill: takes the membranes. legs: segments of a patch's leg.
+        upload: uploads the pool of background maps, in their thread, since frames have no time for so many bytes.
 
     Attributes:
-        maps: those to draw with; None before the first frame. range: of the depths in view, metres.
+        maps: the current maps; None before the first frame. range: of the depths in view, metres.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Following:
         self.range = (1.0, 1e5)
         self._aside = BackgroundTask()
         self._own = Memo()
-        """What the thread keeps for the next maps; ``memo`` would have frames wait while it makes something."""
+        """What the thread keeps for the next maps; ``memo`` would make frames wait while it computes."""
         self._begun = self._taken = self._took = 0.0
         self._wish: Any = None
         self._due_now: tuple[Any, Callable[[], Any]] | None = None
@@ -86,11 +86,11 @@ class Following:
 
     @property
     def busy(self) -> bool:
-        """Whether better maps are on their way, or are to be made."""
+        """Whether better maps are being made, or are due."""
         return self._aside.busy or self._aside.done != self._wish
 
     def at_once(self, scene: Scene, seen: Callable[[], tuple[Array, tuple[float, float] | None]]) -> None:
-        """Have maps for the scene; ``seen`` gives the ground in view as ``seen.about`` does."""
+        """Make maps for the scene; ``seen`` returns the ground in view like ``seen.about``."""
         points, found = seen()
         self.range = found or self.range
         self.maps = light_maps(scene, points if found else whole(self.terrain), self.memo)
@@ -99,7 +99,7 @@ class Following:
         self._aside.done = (*self._wish[:KINDS], QUICK) if self.maps.by_rays else self._wish
 
     def begin(self) -> LightMaps:
-        """The maps to draw with: those of an open sky, and coarse membranes, until there are others."""
+        """The current maps: those of an open sky, and coarse membranes, until there are others."""
         if self.maps is None:
             self.maps = plain_maps()
             if self.terrain.valid_fraction < 1:
@@ -107,7 +107,7 @@ class Following:
         return self.maps
 
     def aside(self, scene: Scene, instances: NDArray[Any]) -> None:
-        """Take the maps that were made meanwhile; if the scene wants others, ``go_on`` has them made."""
+        """Take over maps that are ready; if the scene needs others, ``go_on`` starts them."""
         now, self._due_now = time.monotonic(), None
         done = self._aside.take()
         if done is not None:
@@ -123,7 +123,7 @@ class Following:
             self._last_view, self._moved = scene.view, now
         if not self._due(key, now) or not self._aside.wants(key):
             return
-        instances = instances.copy()  # the next frame's take their place
+        instances = instances.copy()  # those of the next frame replace them
         quick = self._aside.done is None
 
         def make() -> tuple[LightMaps, tuple[float, float], Any]:
@@ -136,14 +136,16 @@ class Following:
         self._due_now = (*key[:KINDS], QUICK) if quick else key, make
 
     def go_on(self) -> None:
-        """Begin what ``aside`` found to be due: when a frame was handed over, whose Python would be slowed down."""
+        """Start the work that ``aside`` found due: after a frame was submitted, since it would slow down the frame's
+        Python."""
         if self._due_now is not None:
             begin, self._due_now = self._due_now, None
             self._begun = time.monotonic()
             self._aside.start(*begin)
 
     def _due(self, key: tuple[Any, ...], now: float) -> bool:
-        """Whether it is time to make maps: a new sun, the first maps and those after quick ones are not waited with."""
+        """Whether maps are due: after a change of the sun, for the first maps, and after quick ones there is no
+        waiting."""
         done = self._aside.done
         if done is None or done[:KINDS] != key[:KINDS] or done[KINDS] == QUICK:
             return True

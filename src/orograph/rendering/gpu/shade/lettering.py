@@ -1,8 +1,8 @@
-"""Labels of contour lines on the GPU: placed in a thread of their own, set for every camera, looked up by pixel.
+"""Labels of contour lines on the GPU: placed in their own thread, set for every camera, looked up by pixel.
 
-Labels hold to their places in the terrain: each frame sets those that were found last along their lines as its own
-camera shows them, while a thread finds which may be shown from there (``rendering.lines.labels``). The sheet of set
-type is the CPU's (``rendering.lines.label_type``), brought to a texture when something of it has changed.
+Labels keep their places in the terrain: each frame sets those found last along their lines for its own camera, while a
+thread finds which can be shown from there (``rendering.lines.labels``). The CPU sets the type
+(``rendering.lines.label_type``); the sheet is uploaded when it has changed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Letters:
 
     Attributes:
         view: of a texture, two bytes per pixel: ink, and where lines are left out; None if no label is shown.
-        state: changes whenever what is shown may have changed, but for the camera.
+        state: changes whenever what is shown may have changed, apart from the camera.
     """
 
     def __init__(self, device: Device, terrain: Terrain) -> None:
@@ -44,12 +44,13 @@ class Letters:
 
     @property
     def busy(self) -> bool:
-        """Whether other labels are on their way, or are to be found."""
+        """Whether other labels are being found, or are due."""
         return self._wish is not None and (self._aside.busy or self._aside.done != self._wish)
 
     def prepare(self, scene: Scene, contours: Contours | None, *, wait: bool, mesh: Tessellation | None = None) -> bool:
-        """Have the labels of a scene's contours (``fitted``; None: no lines), on a mesh of the terrain if one is drawn:
-        at once if ``wait``, else those there are while others are found aside. Whether there is any."""
+        """Provide the labels of a scene's contours (``fitted``; None: no lines), on a mesh of the terrain if one is
+        drawn: at once if ``wait``, else the current ones while others are found in the background. Returns whether
+        there are any."""
         if contours is None or not contours.labels or contours.step <= 0:
             self._labels, self._wish, self.view, self.state = NOTHING, None, None, None
             return False

@@ -1,12 +1,12 @@
-"""Maps of light for the GPU: what of the sky and of the sun ground sees, water, over windows of a terrain.
+"""Maps of light for the GPU: visibility of sky and sun, and water, over windows of a terrain.
 
-The sky-view factor and the water are those of the CPU's pictures (``rendering.cpu.mapgrid``). Whether the sun is seen
-is for frames of the window a horizon towards its azimuth, swept over nested windows from the coarsest, which holds the
+The sky-view factor and the water are those of the CPU's pictures (``rendering.cpu.mapgrid``). For frames of the window,
+the sun's visibility is a horizon towards its azimuth, swept over nested windows from the coarsest, which holds the
 whole terrain, to the finest around what is in view (``lighting.nested``): shadows reach as far as the terrain does,
-their resolution is that of the pixels, and they are as soft as the sun's disc is wide. None of it depends on the camera
-but the choice of windows, so it is made aside, when the sun or what is in view has changed, while frames go on being
-drawn with what there is. A picture that is waited for asks rays instead (``shaders/rays.wgsl``), as the CPU does: where
-the sun is low and the ground seen from the side, a horizon interpolated between samples is off by pixels.
+have the resolution of the pixels, and are as soft as the sun's disc is wide. Only the choice of windows depends on the
+camera, so the maps are made in the background when the sun or the view has changed, while frames are drawn with the
+current ones. Pictures cast rays instead (``shaders/rays.wgsl``), like the CPU: where the sun is low and the ground seen
+from the side, a horizon interpolated between samples is off by pixels.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 WINDOW, LARGEST = 3_000_000, 6_000_000
-"""Samples of a window of horizons towards the sun, at most (or an eighth of a very large picture's pixels), and of the
-outermost one, or any."""
+"""Maximum samples of a window of horizons towards the sun (or an eighth of a very large picture's pixels), and of the
+outermost one, or of any."""
 
 FIELDS = {"ao": SKIES, "aperture": ("aperture",)}
 """The layers that a way of lighting looks up, the best first."""
 
 FAR = 64.0
-"""Radii of the sun's disc beyond which it does not matter how far the horizon is from it."""
+"""Radii of the sun's disc beyond which the horizon's distance from it does not matter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +51,16 @@ class LightMaps:
     """Maps ready for a storage buffer.
 
     Attributes:
-        pool: float32: the sky-view factor, water (as large, if there is any), then the windows of the sun.
+        pool: float32: the sky-view factor, water (of the same size, if there is any), then the windows of the sun.
         light: offset, rows, cols, level of the sky-view factor. first: its first block (row, col).
         wet: whether there is water.
         windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
         fields: (n, 8) int32: windows of a share of the sky or of caps (``lighting.field``): offset, rows, cols, level,
-            first row and column, words per sample, unused; outermost first. told: what they are.
+            first row and column, words per sample, unused; outermost first. told: their description.
         by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
-        searched: where it is known what ground is water; None: everywhere.
+        searched: where it is known which ground is water; None: everywhere.
     """
 
     pool: Values
@@ -81,8 +81,8 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
 
     Args:
         points: (n, ≥ 2) sample coordinates of the ground in view.
-        memo: what earlier maps left.
-        detail: pixels that a sample of the sun's finest window may be as large as; None: rays find its shadows.
+        memo: results of earlier maps.
+        detail: maximum pixels per sample of the sun's finest window; None: rays find its shadows.
     """
     grid = MapGrid(scene, _ground(scene), _Seen(points), memo)  # type: ignore[arg-type]
     level, row0, row1, col0, col1 = grid.window
@@ -128,22 +128,22 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
 
 
 def _searched(scene: Scene, window: Rectangle) -> Rectangle | None:
-    """Where a search for water over a window leaves nothing unknown."""
+    """The area in which a search for water over a window is conclusive."""
     if scene.data.water is None or window == Rectangle.whole(window.level, scene.terrain.mean_shape(window.level)):
         return None
     return window
 
 
 def has_sun_maps(scene: Scene) -> bool:
-    """Whether a scene's light is one whose shadows frames look up in maps."""
+    """Whether frames look up the shadows of a scene's light in maps."""
     return scene.lighting.shadows and scene.lighting.light in ("relief", "ao")
 
 
 def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> LightMaps:
-    """Maps for the first moment: water, and the sun's shadows, coarsely, under an open sky.
+    """Quick first maps: water, and coarse shadows of the sun, under an open sky.
 
     Args:
-        points, memo, detail: as ``light_maps`` has them.
+        points, memo, detail: as for ``light_maps``.
     """
     plain = _watered(scene, working_window(scene.terrain, points), memo)
     if not has_sun_maps(scene):
@@ -166,7 +166,7 @@ def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> Lig
 
 
 def plain_maps() -> LightMaps:
-    """Light before any map of it is there: an open sky, no shadows; where water is, is not known."""
+    """Light before any map is ready: an open sky, no shadows; water is unknown."""
     nothing: NDArray[np.int32] = np.zeros((0, 8), np.int32)
     nowhere = Rectangle(0, 0, 0, 0, 0)
     return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0, nowhere)
@@ -189,14 +189,14 @@ def _watered(scene: Scene, window: Rectangle, memo: Memo) -> LightMaps:
 
 def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> ClipStack:
     """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show, or
-    larger where that would be too many: the outermost holds the whole terrain."""
+    larger if there would be too many: the outermost holds the whole terrain."""
     most = min(max(WINDOW, view.width * view.height // 8), LARGEST)
     found = rectangles(terrain, view, exaggeration, detail, by="spacing")
     level = found[0].level
     while math.prod(terrain.mean_shape(level)) > LARGEST and level < terrain.levels - 1:
         level += 1
     inner = [r.cut(terrain.mean_shape(r.level)) for r in found if r.level < level]
-    # What is too large is left to the coarser one around it, until a finer and smaller one comes.
+    # A window that is too large is left to the coarser one around it, until a finer and smaller one comes.
     return ClipStack(
         [Rectangle.whole(level, terrain.mean_shape(level)), *(window for window in inner if window.samples <= most)]
     )
@@ -207,7 +207,7 @@ def sun_maps(
 ) -> list[Values]:
     """How far the horizon stands above the sun's centre, in radii of its disc, for every sample of the windows.
 
-    Beyond ±``FAR`` it is cut. Missing ground is told not to be in the way.
+    It is clamped to ±``FAR``. Missing ground does not block.
     """
 
     def means(r: Rectangle) -> HeightWindow:
@@ -226,7 +226,7 @@ def sun_maps(
 
 
 class _Seen:
-    """What ``MapGrid`` asks of a survey: where the ground in view is."""
+    """The survey that ``MapGrid`` needs: where the ground in view is."""
 
     def __init__(self, points: Array) -> None:
         self.hits = self
@@ -234,7 +234,7 @@ class _Seen:
 
 
 class _ground:
-    """What ``MapGrid`` asks of the ground: what it is, and how far apart samples are."""
+    """The ground that ``MapGrid`` needs: its description and the spacing of samples."""
 
     def __init__(self, scene: Scene) -> None:
         self.rays, self.bare = self, scene
@@ -243,6 +243,6 @@ class _ground:
 
 
 def whole(terrain: Terrain) -> Array:
-    """Points that stand for all of a terrain."""
+    """Points that represent all of a terrain."""
     rows, cols = terrain.grid.shape
     return np.array([[0.0, 0.0], [cols - 1.0, rows - 1.0]])

@@ -1,4 +1,4 @@
-"""What a scene looks like, as the shading shader wants it: colours, light and air in one uniform and one table."""
+"""A scene's appearance for the shading shader: colours, light and air in one uniform and one table."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128, "raytraced": 32 | 
 SKY, CONTOURS, VOIDS, GIVEN, LABELS, SILHOUETTES, FIELD, SMOOTH = 256, 512, 1024, 2048, 4096, 8192, 16384, 32768
 
 LAMPS, SUNS = 1 << 17, 20
-"""A flag, and the bit from which three say how many discs of light there are (7: any number); loops that are not there
-cost nothing."""
+"""A flag, and the bit from which three bits give the number of discs of light (7: any number); absent loops cost
+nothing."""
 
 
 class Look:
     """The numbers of one scene.
 
     Attributes:
-        lights: what shines through apertures or by rays. uniform: of ``SHADE``.
+        lights: sources that shine through apertures or by rays. uniform: of ``SHADE``.
         tables: float32, colours one after the other. tint: how heights become colours.
     """
 
@@ -121,12 +121,13 @@ class Look:
 
 
 def flooded(scene: Scene) -> float:
-    """The height up to which all ground is water, metres; far below all ground where water is found, or not shown."""
+    """The height up to which all ground is water, metres; far below all ground if water is searched for, or not
+    shown."""
     return float(scene.data.water) if isinstance(scene.data.water, int | float) else -3e38
 
 
 def _samples(window: Rectangle | None) -> tuple[int, int, int, int]:
-    """First column and row of a window, and those after its last, in samples of level 0; None: all there can be."""
+    """First column and row of a window, and those after its last, in samples of level 0; None: everything."""
     if window is None:
         return -(2**30), -(2**30), 2**30, 2**30
     level, row0, row1, col0, col1 = window

@@ -1,4 +1,4 @@
-"""How a scene looks to the shading shader: its numbers, made again only if something of it changed, and its flags."""
+"""A scene's numbers for the shading shader, recomputed only after changes, and its flags."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from orograph.store.terrain import Terrain
 SLOPES: dict[Normals, Slopes] = {
     "computed": "", "stored": "stored", "sampled": "sampled", "derivatives": "flat", "faces": "flat",
 }  # fmt: skip
-"""Which slopes the geometry leaves for a choice of normals."""
+"""Which slopes the geometry pass writes for a choice of normals."""
 
 
 class Looks:
     """The looks of scenes on a terrain.
 
     Args:
-        memo: what earlier pictures left. light: the maps of light there are. void_fill: the membranes over holes.
+        memo: results of earlier pictures. light: the current maps of light. void_fill: the membranes over holes.
     """
 
     def __init__(self, terrain: Terrain, memo: Memo, light: Following, void_fill: VoidFillPass) -> None:
         self.terrain, self.memo, self.light, self.void_fill = terrain, memo, light, void_fill
 
     def of(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
-        """The scene's colours and light: made again only if something of it changed.
+        """The scene's colours and light, recomputed only if something changed.
 
-        Unless it is to be ``exact`` the range of depths that haze spans is rounded, so that it does not change always.
+        Unless ``exact``, the depth range of haze is rounded, so that it does not change constantly.
         """
         maps = self.light.maps
         assert maps is not None
@@ -63,14 +63,14 @@ class Looks:
         return self.memo("look", key, make, maps)
 
     def features(self, look: Look, given: bool) -> int:
-        """What the shading shader is compiled for; ``given``: slopes are those that the targets hold."""
+        """The flags of the shading shader; ``given``: slopes come from the targets."""
         return int(look.uniform["flags"]) | (VOIDS if self.void_fill.count else 0) | (GIVEN if given else 0)
 
     def contours(self, scene: Scene) -> Contours | None:
         return scene.annotations.contours and scene.annotations.contours.fitted(self.terrain, scene.view, self.memo)
 
     def beyond_samples(self, scene: Scene) -> bool:
-        """Whether there are contour lines, and pixels somewhere so small that they follow the smooth surface."""
+        """Whether there are contour lines, and some pixels so small that they follow the smooth surface."""
         view = scene.view
         pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * self.light.range[0]
         return scene.annotations.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)

@@ -31,7 +31,7 @@ class BreakPass:
 
     def __init__(self, device: Device, camera: Any, terrain: Terrain, slopes: tuple[Any, Any, Any]) -> None:
         self.device, self.camera, self.terrain, self.slopes = device, camera, terrain, slopes
-        self._away: Any = None  # where the terrain ends (``terrain_ends``), made when first asked for
+        self._away: Any = None  # where the terrain ends (``terrain_ends``), made on first use
         self._step = 1
         self.range = device.buffer(16, "UNIFORM", "depths in view")
         self._programs = {name: Program(device, name) for name in SHADERS}
@@ -61,7 +61,7 @@ class BreakPass:
         return self._views[1], self._views[2]
 
     def aim(self, depths: tuple[float, float], creases: float) -> None:
-        """Say which depths are in view, metres, and how heavy creases are; before ``views``."""
+        """Set the depths in view, metres, and the weight of creases; before ``views``."""
         if self._away is None:
             away, self._step = terrain_ends(self.terrain)
             height, width = away.shape
@@ -72,7 +72,7 @@ class BreakPass:
         self.device.queue.write_buffer(self.range, 0, np.array([*depths, self._step, creases], np.float32))
 
     def draw(self, encoder: Any, targets: Targets) -> None:
-        """Find the breaks of what the targets hold."""
+        """Find the breaks in the targets' depth."""
         self.views(targets)
         for name, view, group in zip(SHADERS, self._views, self._groups, strict=True):
             pass_ = encoder.begin_render_pass(

@@ -1,14 +1,14 @@
-"""The terrain as rays of light meet it on the GPU: nested windows of heights with pyramids of their maxima.
+"""The terrain for rays of light on the GPU: nested windows of heights with pyramids of their maxima.
 
 ``shaders/ray_field.wgsl`` walks them (Tevs, Ihrke & Seidel 2008), ``shaders/rays.wgsl`` lights pictures by it, as
 ``rendering.cpu.lighting.Raytraced`` does on the CPU; ``blocked`` asks about any rays.
 
 *Which heights.* A terrain of up to ``EXACT`` samples is held whole at full resolution: then rays meet the surface
-itself, whatever the camera. Of a larger one there are nested windows: within what is in view each is as fine as the
-tolerance in pixels asks (``raycast.select``, as pictures of the CPU have it), and beyond that every window reaches
-``margin`` of its own samples farther than the finer one inside it. So an occluder d metres away from what is seen is
-drawn from a level whose samples are at most d / margin apart: where that level is off by e, the edge of a shadow is
-turned by e / d at most (``RayField.turn`` says by how much: the largest over all windows).
+itself, whatever the camera. A larger one has nested windows: within the view each is as fine as the tolerance in pixels
+requires (``raycast.select``, as for pictures on the CPU), and beyond that every window extends ``margin`` of its own
+samples farther than the finer one inside it. So an occluder d metres away from visible ground is drawn from a level
+whose samples are at most d / margin apart: if that level is off by e, the edge of a shadow is turned by at most e / d
+(``RayField.turn`` says by how much: the largest over all windows).
 
 Heights lie in one array, as ``rendering.gpu.pool`` has it.
 """
@@ -41,7 +41,7 @@ EXACT = EXACT_SAMPLES
 """Samples up to which a terrain is held whole."""
 
 MARGIN = 256
-"""Samples of its own by which a window reaches beyond the finer one in it."""
+"""How many of its own samples a window extends beyond the finer one in it."""
 
 FRAME = np.dtype(
     [
@@ -56,17 +56,17 @@ _QUERY = np.dtype(
     [("whole", "<i4", 2), ("part", "<f4", 2), ("way", "<f4", 3), ("height", "<f4"), ("skip", "<f4"), ("far", "<f4"),
      ("pad", "<f4", 2)]
 )  # fmt: skip
-_SHARE = 1 << 18  # rays per submission: no watchdog of a driver is kept waiting
+_SHARE = 1 << 18  # rays per submission: does not trigger a driver's watchdog
 
 
 @dataclass(frozen=True, slots=True)
 class RayField:
-    """Windows as the shader takes them.
+    """Windows in the shader's form.
 
     Attributes:
         pool: float32: of each window its heights, then its maxima from level 1 up.
-        frame: ``FRAME`` with what does not change from ray to ray.
-        turn: radians by which the edge of a shadow may be turned by coarse levels; 0 where all is exact.
+        frame: ``FRAME`` with what is the same for all rays.
+        turn: maximum angle by which coarse levels turn the edge of a shadow, radians; 0 if everything is exact.
     """
 
     pool: Values
@@ -100,16 +100,16 @@ class RayField:
 
 
 NOTHING = RayField(np.zeros(4, np.float32), np.zeros((), FRAME))
-"""Nothing that stands in the way."""
+"""Empty space, where nothing blocks."""
 
 
 def field_of(
     terrain: Terrain, view: View, exaggeration: float, tolerance: float, most: int, jobs: int | None = None
 ) -> tuple[ClipStack, Any]:
-    """What rays are to meet in a view: the windows, and a function that reads them.
+    """The terrain that rays meet in a view: the windows, and a function that reads them.
 
     Args:
-        tolerance: pixels. most: bytes that there are for them.
+        tolerance: pixels. most: bytes available for them.
     """
     chosen = choose(terrain, view, exaggeration, tolerance, samples_in(most))
 
@@ -122,7 +122,7 @@ def field_of(
 
 
 def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, samples: int) -> ClipStack:
-    """The windows for a view, outermost first: at most so many samples, which a coarser tolerance makes room for."""
+    """The windows for a view, outermost first, with at most ``most`` samples, for which the tolerance is coarsened."""
     rows, cols = terrain.grid.shape
     if rows * cols <= min(EXACT, samples):
         return ClipStack([Rectangle.whole(0, (rows, cols))])
@@ -131,14 +131,14 @@ def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, 
         found = rectangles(terrain, view.whole, exaggeration, tolerance).filled(terrain.shape, terrain.levels, MARGIN)
         if found.samples <= samples and len(found) <= WINDOWS:
             return found
-        if found[-1].level == terrain.levels - 1:  # nothing coarser is kept
+        if found[-1].level == terrain.levels - 1:  # there is no coarser level
             return ClipStack(found[-1:])
         tolerance *= 1.25
 
 
 def turned(terrain: Terrain, chosen: ClipStack) -> float:
-    """Radians by which coarse levels may turn the edge of a shadow on what the finest window holds: the largest error
-    of a level beyond the window inside it, over the distance to it."""
+    """Maximum angle by which coarse levels turn the edge of a shadow on what the finest window holds, radians: the
+    largest error of a level beyond the window inside it, over the distance to it."""
     spacing = min(terrain.grid.spacing)
     worst = 0.0
     for outer, inner in pairwise(chosen):
@@ -158,7 +158,7 @@ def turned(terrain: Terrain, chosen: ClipStack) -> float:
 
 
 class RayBindings:
-    """The bind group that shaders with ``ray_field.wgsl`` look terrain up in.
+    """The bind group of terrain for shaders with ``ray_field.wgsl``.
 
     Args:
         declared: the group of such a shader.
@@ -172,7 +172,7 @@ class RayBindings:
         self.group: Any = None
 
     def load(self, field: RayField) -> None:
-        """Take other terrain."""
+        """Switch to other terrain."""
         if field is self._field:
             return
         self._pool = self.device.buffer(field.pool, "STORAGE", "heights for rays")
@@ -192,8 +192,8 @@ class RayBindings:
 
 @cache
 def _spread(total: int) -> int:
-    """A factor that runs through all of ``total`` numbers and spreads what follows each other evenly over them: of
-    those near the golden section the one that leaves the smallest gaps."""
+    """A factor that runs through all of ``total`` numbers and spreads consecutive ones evenly over them: of those near
+    the golden section, the one that leaves the smallest gaps."""
     near = round(total * 0.6180339887498949)
     some = [k for k in range(max(near - 32, 1), near + 33) if math.gcd(k, total) == 1] or [1]
 
@@ -212,11 +212,11 @@ def blocked(
     field: RayField, points: ArrayLike, ways: ArrayLike, *, skip: float = 0.0, far: float = math.inf,
     device: Device | None = None,
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Whether terrain stands in the way of rays.
+    """Whether terrain blocks rays.
 
     Args:
         points: (n, 3) columns, rows, metres. ways: (n, 3) unit vectors east, north, up.
-        skip, far: metres between which they look.
+        skip, far: range of the rays, metres.
 
     Returns:
         (n,) bool.

@@ -1,4 +1,4 @@
-"""What the shading pass looks up, brought to the GPU once and kept: tables, maps, windows, lights, layers."""
+"""What the shading pass looks up, uploaded once and kept: tables, maps, windows, lights, layers."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 
 
 LEVELS, WINDOWS = 32, 64
-"""Entries of the tables of levels and windows (``shaders/slopes.wgsl``, ``shade.wgsl``), more than there ever are."""
+"""Entries of the tables of levels and windows (``shaders/slopes.wgsl``, ``shade.wgsl``), more than are ever needed."""
 
 
 class Resources:
-    """Buffers and textures by what they hold.
+    """Buffers and textures by content.
 
     Args:
-        heights, slopes: the atlases of their tiles. imagery: the layers. kept: what earlier pictures left.
+        heights, slopes: the atlases of their tiles. imagery: the layers. kept: results of earlier pictures.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Resources:
         """Buffers and views by the names of ``shade.wgsl``, for ``passes.ShadePass.group``.
 
         Args:
-            given, field: slopes, and heights of contour lines, are those that the targets hold.
+            given, field: slopes, and heights of contour lines, come from the targets.
             marks: the views of the labels' sheet, if there are any, and of where ground breaks off, if silhouettes are
                 drawn.
         """
@@ -98,13 +98,13 @@ class Resources:
         }
 
     def shade_with(self, uniform: NDArray[Any]) -> None:
-        """Write the numbers of a look (``look.SHADE``), if they are others than those there."""
+        """Write the numbers of a look (``look.SHADE``) if they have changed."""
         if uniform is not self._shaded:
             write(self.device, self.shade, uniform)
             self._shaded = uniform
 
     def upload(self, name: str, values: NDArray[Any]) -> None:
-        """Have a buffer of these values ready for ``stored``, from any thread: large ones hold a frame up."""
+        """Prepare a buffer of these values for ``stored``, from any thread: large ones delay a frame."""
         self._uploaded[name] = self.device.buffer(values, "STORAGE", name), values
 
     @property
@@ -114,11 +114,11 @@ class Resources:
 
     @property
     def levels(self) -> Any:
-        """The table of levels: where each one's tiles begin, how many there are, and how many blocks."""
+        """The table of levels: the offset of each one's tiles, their number, and the number of blocks."""
         return self._levels
 
     def stored(self, name: str, values: NDArray[Any], usage: str = "STORAGE") -> Any:
-        """A buffer with these values; written again only if they are other ones."""
+        """A buffer with these values, written only if they have changed."""
         ready = self._uploaded.get(name)
         if ready is not None and ready[1] is values:
             self._buffers[name] = ready
@@ -136,7 +136,8 @@ class Resources:
         return buffer
 
     def _from_eye(self, scene: Scene) -> tuple[Array, Array]:
-        """Metres east and north per column and row, and where the eye is from sample (0, 0), stretched height."""
+        """Metres east and north per column and row, and the eye's position relative to sample (0, 0), stretched
+        height."""
         chart = self.terrain.chart
         view = scene.view
         x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]

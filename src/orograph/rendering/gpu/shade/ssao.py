@@ -2,12 +2,11 @@
 
 Jimenez, Wu, Pesce & Jarabo 2016 ("GTAO"): per pixel, horizons are searched for along lines of the depth buffer and the
 visible arc is integrated in closed form; then a blur that keeps to one surface. The radius is in metres, so occlusion
-stays on the ground when the camera moves. It knows only what the picture shows: ground that is hidden, beyond the
-picture's border or smaller than a pixel does not occlude, and the search skips pixels (``steps`` a side). The ambient
-occlusion that belongs to the ground is baked or made by ``orograph.lighting``; this is for what is moving, or not
-baked.
+stays on the ground when the camera moves. It only uses what the picture shows: ground that is hidden, beyond the
+picture's border or smaller than a pixel does not occlude, and the search skips pixels (``steps`` per side). The ambient
+occlusion of the ground itself is baked or computed by ``orograph.lighting``; this is for moving or unbaked things.
 
-``Ssao`` works on textures that a renderer has; ``screen_occlusion`` on arrays.
+``Ssao`` works on a renderer's textures, ``screen_occlusion`` on arrays.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ Values = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How much is looked at.
+    """Extent of the search.
 
     Attributes:
-        slices: planes through the view vector. steps: pixels looked at on each side of a slice.
+        slices: planes through the view vector. steps: pixels examined on each side of a slice.
         falloff: share of the radius over which occluders fade out, in [0, 1].
         most: pixels that the radius is clamped to, near the eye.
         blur: whether to even out the noise between pixels.
@@ -44,10 +43,10 @@ class Quality:
 
 
 class Ssao:
-    """The passes on a device. Textures are made anew when the size changes.
+    """The passes on a device. Textures are recreated when the size changes.
 
     Args:
-        device: where the depth and the normals are.
+        device: holds the depth and the normals.
     """
 
     def __init__(self, device: Device) -> None:
@@ -78,7 +77,7 @@ class Ssao:
             size: (width, height), pixels.
             slope: metres right and up per pixel, at depth 1 (perspective) or at any (orthographic).
             radius: R, metres.
-            seed: turns the noise, from frame to frame.
+            seed: rotates the noise from frame to frame.
 
         Returns:
             a texture (r32float) of the occlusion, 1 where nothing occludes; valid until the next call.
@@ -121,20 +120,22 @@ def screen_occlusion(
     Args:
         depth: (height, width), metres along the view axis; ≤ 0, NaN or inf: sky.
         normals: (height, width, 3) unit normals in view space: right, up, into the picture.
-        slope: as for ``Ssao.encode``; of a ``View`` it is ``view.pixel_slope``.
+        slope: as for ``Ssao.encode``; for a ``View`` it is ``view.pixel_slope``.
         radius: R, metres.
 
     Returns:
         (height, width) float32 in [0, 1], 1 also for the sky.
 
     Raises:
-        UsageError: wrong shapes or parameters. NoAdapterError: there is no GPU to do it.
+        UsageError: wrong shapes or parameters. NoAdapterError: there is no GPU.
     """
     z = np.array(depth, np.float32)
     z[~np.isfinite(z)] = 0.0
     facing = np.nan_to_num(np.asarray(normals, np.float32))
     if z.ndim != 2 or facing.shape != (*z.shape, 3):
-        raise UsageError(f"Depth (height, width) and normals (height, width, 3), not {z.shape} and {facing.shape}.")
+        raise UsageError(
+            f"Depth must be (height, width) and normals (height, width, 3), not {z.shape} and {facing.shape}."
+        )
     gpu = device or open_device()
     height, width = z.shape
     textures = []

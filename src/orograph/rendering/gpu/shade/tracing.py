@@ -1,8 +1,8 @@
-"""Light by rays, frame by frame: what terrain rays meet around the camera, and how many of them a frame traces.
+"""Light by rays, frame by frame: the terrain that rays meet around the camera, and how many rays a frame traces.
 
-A picture that is waited for traces all its rays, in parts whose work is bounded: no driver's watchdog fires, Ctrl-C is
-heard in between. A frame of the window traces a few per pixel; at rest further frames trace the others of the same
-lattices, and the mean over them is the picture.
+A picture traces all its rays, in parts of bounded work, so that no driver's watchdog fires and Ctrl-C is handled in
+between. A frame of the window traces a few per pixel; at rest further frames trace the other rays of the same lattices,
+and the picture is their mean.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ RAYS, SHADOW_RAYS = 1 << 16, 1 << 18
 TRACED = RAYS | SHADOW_RAYS
 
 SKYLINE = 8
-"""Rays that find the skyline before the sun's disc, at most (``shaders/rays.wgsl``)."""
+"""Maximum rays that find the skyline in front of the sun's disc (``shaders/rays.wgsl``)."""
 
 WORK = {True: 1 << 21, False: 1 << 23}
-"""Rays that one submission traces, and a frame of the window if it can help it, on slow devices (software, GPUs in
-processors) and on others: a second of the one, some hundredths of the other. No driver's watchdog waits for less than
-two."""
+"""Rays per submission, and the target per frame of the window, on slow devices (software, integrated GPUs) and on
+others: a second of work for the former, some hundredths for the latter. No driver's watchdog is shorter than two
+seconds."""
 
 
 def work_of(device: Device) -> int:

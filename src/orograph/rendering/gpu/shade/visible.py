@@ -1,4 +1,4 @@
-"""Which ground a picture shows: by its depths where they may be waited for, else by where its patches lie."""
+"""Which ground a picture shows: from its depths if waiting for them is allowed, otherwise from its patches."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def about(
 ) -> tuple[Array, tuple[float, float] | None]:
     """Sample coordinates (n, 2) of corners of the patches in view, and their range of depths (None: none is in view).
 
-    This asks nothing of the GPU, which would have to be waited for.
+    This needs no reply from the GPU, so nothing waits for it.
 
     Args:
         instances: the patches (``lod.patches.shape.INSTANCE``), at least one. legs: segments of a patch's leg.

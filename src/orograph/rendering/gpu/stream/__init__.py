@@ -1,1 +1,1 @@
-"""What views want of terrain and imagery, read by threads into atlases on the GPU."""
+"""Terrain and imagery that views need, read by threads into atlases on the GPU."""

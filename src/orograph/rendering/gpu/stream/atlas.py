@@ -1,7 +1,7 @@
-"""An atlas of tiles: one texture array of a fixed size, in which new tiles take the place of those not wanted any more.
+"""An atlas of tiles: one texture array of a fixed size, in which new tiles replace those no longer wanted.
 
-A layer of the array holds 4 × 4 tiles. Uploads are the frame's own (``put``); which tiles are wanted is told by
-``touch``, frame by frame. Tiles that are *pinned* never leave, so that something can always be drawn.
+A layer of the array holds 4 × 4 tiles. The frame uploads tiles (``put``) and marks the wanted ones with ``touch``.
+Tiles that are *pinned* never leave, so that something can always be drawn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PER_SIDE = 4
 
 
 class TileAtlas:
-    """Places for tiles of one size in one texture array; the tiles wanted longest ago make room for new ones.
+    """Slots for tiles of one size in one texture array; the least recently wanted tiles make room for new ones.
 
     Args:
         side: of a tile, texels. format, size: of a texel, and its bytes.
@@ -48,9 +48,9 @@ class TileAtlas:
         self._slots: Slots[Any] = Slots(self.capacity)
 
     def _clear(self, layers: int) -> None:
-        """Have the memory cleared by the device at once, beside whatever else is done: a first frame would wait for it.
+        """Let the device clear the memory now, in the background: a first frame would wait for it.
 
-        wgpu clears a layer before its first use, be it that a texel is copied out of it.
+        wgpu clears a layer before its first use, such as copying a texel out of it.
         """
         with contextlib.suppress(Exception):  # what is wrong is told by the next that uses the device
             out = self.device.buffer(256, "COPY_SRC", "cleared")
@@ -65,27 +65,27 @@ class TileAtlas:
                 self.device.queue.submit([commands])
 
     def slot(self, key: Any) -> int:
-        """Where a tile is, −1 if it is not there."""
+        """The slot of a tile, −1 if it is absent."""
         return self._slots.find(key)
 
     def touch(self, slots: NDArray[np.int32], frame: int) -> None:
-        """Note that the tiles in slots are wanted in a frame, so that they stay; −1 is none."""
+        """Mark the tiles in slots as wanted in a frame, so that they stay; −1 is no tile."""
         self._slots.touch(slots[slots >= 0], frame)
 
     @property
     def count(self) -> int:
-        """How many tiles are there."""
+        """The number of tiles held."""
         return len(self._slots)
 
     @property
     def room(self) -> int:
-        """How many tiles fit that are not pinned."""
+        """The number of slots for tiles that are not pinned."""
         return self._slots.room(HELD)
 
     def put(self, key: Any, data: NDArray[Any], frame: int, *, pin: bool = False) -> tuple[int, Any]:
-        """Upload a tile that is not there: its slot, and the key of the tile that had it before, or None.
+        """Upload an absent tile; return its slot and the key of the tile that it replaced, or None.
 
-        The slot is −1 if all hold tiles that this frame wants.
+        The slot is −1 if all slots hold tiles that this frame wants.
         """
         slot, before = self._slots.take(key, frame)
         if slot >= 0:
@@ -94,7 +94,7 @@ class TileAtlas:
         return slot, before
 
     def replace(self, key: Any, data: NDArray[Any]) -> None:
-        """Upload a tile in the place of the one of that key."""
+        """Upload a tile again under the same key."""
         self._write(self._slots.find(key), data)
 
     def _write(self, slot: int, data: NDArray[Any]) -> None:
@@ -109,5 +109,5 @@ class TileAtlas:
             )
 
     def free(self, key: Any) -> None:
-        """Let a tile go."""
+        """Release a tile."""
         self._slots.release(key)

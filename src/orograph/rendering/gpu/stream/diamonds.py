@@ -30,10 +30,10 @@ from orograph.store.terrain import TILE
 from orograph.viewpoint import View
 
 INFINITE = np.float32(3e38)
-"""Metres: the error of a mixed diamond. Shaders may not rely on infinity."""
+"""Metres: the error of a mixed diamond (shaders cannot rely on infinity)."""
 
 UNKNOWN = 1e6
-"""Pixels from which on an error may be of any size."""
+"""Pixels: larger errors are not distinguished."""
 
 
 class DiamondPages:
@@ -70,7 +70,7 @@ class DiamondPages:
         self._load([(top, i, j) for i in range(rows) for j in range(cols)], pin=True)
 
     def choose(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> bool:
-        """Have the pages of a view read, and bring those that were to the GPU; whether there were any.
+        """Request the pages of a view, and upload those already read; return whether there were any.
 
         Args:
             patches: of the view, as fine as the tree is to be.
@@ -92,7 +92,7 @@ class DiamondPages:
         return count > 0
 
     def load(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> None:
-        """Bring the pages of a view to the GPU, as many as there is room for, and wait for it.
+        """Upload the pages of a view to the GPU, as many as fit, and wait for them.
 
         Raises:
             StoreError, DamagedChunkError: a page cannot be read.
@@ -104,7 +104,7 @@ class DiamondPages:
         self._lacking = []
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
-        """Bring the pages that a tree looked for in vain; how many there was room for.
+        """Upload the pages that a tree looked for in vain; return how many fitted.
 
         Args:
             bits: one for each place in the page table.
@@ -114,17 +114,17 @@ class DiamondPages:
 
     @property
     def waiting(self) -> int:
-        """How many pages are on their way."""
+        """The number of pages on their way."""
         return self._streamer.waiting
 
     @property
     def lacking(self) -> int:
-        """How many pages the last view wanted and had not, and that can be read."""
+        """The number of readable pages that the last view wanted but lacked."""
         return len({("diamonds", key) for key in self._lacking} - self._streamer.failed.keys())
 
     @property
     def failure(self) -> str:
-        """What the last view lacks because it could not be read, and why; "" if there is nothing."""
+        """What the last view lacks because it could not be read, and why; "" if nothing."""
         for key in self._lacking:
             if ("diamonds", key) in self._streamer.failed:
                 return f"diamonds of tile {key}: {self._streamer.failed['diamonds', key][1]}"
@@ -137,7 +137,7 @@ class DiamondPages:
     def _lacking_of(
         self, view: View, patches: Patches, tolerance: float, exaggeration: float
     ) -> tuple[list[Key], list[float]]:  # fmt: skip
-        """The pages that a view wants and that are not there, by the error that each takes away, largest first."""
+        """The absent pages that a view wants, by the error that each removes, largest first."""
         pixels = self._wanted(view, patches, tolerance, exaggeration)
         which = np.flatnonzero(pixels)
         lack = which[self.atlas.lacking(which, self._frame)]
@@ -149,7 +149,7 @@ class DiamondPages:
     def _wanted(
         self, view: View, patches: Patches, tolerance: float, exaggeration: float
     ) -> NDArray[np.float64]:  # fmt: skip
-        """What each page of the table takes away, pixels; 0 where it is not wanted."""
+        """The error that each page of the table removes, pixels; 0 where it is not wanted."""
         pixels, tables = np.zeros(self.tables.total), self.tables
         if view.projection != "plan":  # in which heights displace nothing
             level, row, col = patches.tiling.where(patches.tiles)

@@ -1,4 +1,4 @@
-"""What ``shaders/imagery.wgsl`` asks of layers, as words of one buffer.
+"""The data of layers for ``shaders/imagery.wgsl``, as words of one buffer.
 
 Heads (a layer each, in the order they are drawn), then for every layer its levels, its lattice of image positions
 (whole pixels apart from what is left of them: single precision is enough for both) and its pages (``imagery``). Units:

@@ -1,4 +1,4 @@
-"""Where a moving camera will be in a moment, from how it moved in the last ones: what is read ahead is read for there.
+"""Where a moving camera will be shortly, predicted from its last movements: tiles are prefetched for that view.
 
 Eye and target are moved on along straight lines at a speed averaged over ``SMOOTH`` seconds: right for a flight, good
 enough for a turn of the head or an orbit, which curve little in ``HORIZONS``. A camera that jumps has no speed, and one
@@ -15,16 +15,16 @@ from orograph.geo.vectors import Vector
 from orograph.viewpoint import View
 
 HORIZONS = (0.75, 1.5)
-"""How far ahead, in turn."""
+"""How far ahead to predict, in turn; seconds."""
 
 PERIOD = 0.1
-"""Between two looks ahead: they cost as much as selecting a frame's patches."""
+"""Seconds between two predictions: each costs as much as selecting a frame's patches."""
 
 SMOOTH = 0.3
-"""Over how long the speed is averaged."""
+"""Seconds over which the speed is averaged."""
 
 PAUSE = 0.5
-"""Between two frames, after which nothing is known of the speed."""
+"""Seconds between two frames after which the speed is unknown."""
 
 JUMP = 0.3
 """A step between two frames that is longer than this part of the distance to the target is no movement."""
@@ -34,7 +34,7 @@ STILL = 1e-3
 
 
 class Prediction:
-    """The speed of a camera, told frame by frame.
+    """The speed of a camera, updated frame by frame.
 
     Attributes:
         turn: which of the ``HORIZONS`` was looked at last.
@@ -64,14 +64,14 @@ class Prediction:
 
     @property
     def moving(self) -> bool:
-        """Whether there is a speed to speak of."""
+        """Whether the camera moves noticeably."""
         if self._last is None:
             return False
         fastest = max(math.hypot(*self._eye), math.hypot(*self._target))
         return fastest > STILL * self._last.distance
 
     def ahead(self, now: float) -> View | None:
-        """The view in a moment; None if the camera rests, or if that was asked for less than ``PERIOD`` ago."""
+        """The predicted view; None if the camera rests, or if the last prediction is less than ``PERIOD`` old."""
         if self._last is None or not self.moving or now - self._looked < PERIOD:
             return None
         self._looked = now
@@ -79,7 +79,7 @@ class Prediction:
         return self.at(HORIZONS[self.turn])
 
     def at(self, seconds: float) -> View | None:
-        """The view after so many seconds, None where there could be none."""
+        """The view after some seconds; None if it would be invalid."""
         view = self._last
         if view is None:
             return None

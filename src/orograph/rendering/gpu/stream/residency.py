@@ -1,9 +1,9 @@
 """Which patches a frame draws, and the tiles they are drawn from: the method, the atlases and the streamer together.
 
-A frame asks for the patches of its view among those whose tiles are there; what it lacks is asked for, largest error in
-pixels first, and comes when it comes. While the camera moves, so is what it will lack in a moment (``prediction``): a
-tile's error then counts ``AHEAD`` times, added to what it is now. The coarsest tiles are loaded at the beginning and
-stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
+A frame selects the patches of its view among those whose tiles are resident; missing tiles are requested, largest error
+in pixels first, and arrive asynchronously. While the camera moves, so is what it will lack in a moment
+(``prediction``): a tile's error then counts ``AHEAD`` times, added to what it is now. The coarsest tiles are loaded at
+the beginning and stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from orograph.viewpoint import Camera, View
 Array = NDArray[np.float64]
 
 UPLOAD = 16
-"""Tiles brought to the GPU in a frame, at most, …"""
+"""The most tiles uploaded to the GPU in a frame, …"""
 
 UPLOADING = 0.002
-"""… and seconds after which no further one is begun: what does not make it stutter."""
+"""… and seconds after which no further upload starts, so that frames do not stutter."""
 
 AHEAD = 0.5
-"""What a pixel of error counts that will be missing in a moment; one that is missing now counts 1."""
+"""The weight of a pixel of error that will be missing shortly; one that is missing now counts 1."""
 
 RIM, WAITED_RIM = 0.5, 4.0
 """Of a triangle's longest edge, what counts as the error where ground ends: corners whose surroundings are half there
@@ -44,10 +44,10 @@ are filled (``surface.void_fill``). In a picture that is waited for triangles th
 pixel, so that voids end where those of the raster do."""
 
 ASK = 64
-"""Tiles of a kind that a frame asks for, at most: until they are read it will be another frame that asks."""
+"""The most tiles of a kind that a frame requests: later frames request the rest."""
 
 READERS, REMOTE_READERS = 2, 8
-"""Threads that read tiles from a disk, which keep processors busy, and over a network, which mostly wait."""
+"""Threads that read tiles from a disk, which are busy, and over a network, which mostly wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,7 @@ class Chosen:
 
     Attributes:
         patches: with the slots of their tiles. seconds: that it took to select them.
-        missing: tiles and pages of errors that would make it better. loaded: tiles that came for it, of so many
-            ``bytes``.
+        missing: tiles and pages of errors that would improve it. loaded: tiles that came for it, of so many ``bytes``.
     """
 
     patches: Patches
@@ -75,7 +74,7 @@ class Residency:
 
     Attributes:
         heights, slopes: the atlases. method: selects patches.
-        look_ahead: whether tiles are read for where the camera will be.
+        look_ahead: whether tiles are prefetched for the predicted camera.
         came: levels, rows and columns of the tiles that came for the last frame.
     """
 
@@ -110,8 +109,8 @@ class Residency:
         """The patches of a view.
 
         Args:
-            wait: until all tiles that the view wants are there, or the atlases hold no more.
-            later: what is lacking is not asked for before ``prepare``.
+            wait: until all tiles that the view wants are resident, or the atlases are full.
+            later: missing tiles are not requested before ``prepare``.
 
         Raises:
             StoreError: with ``wait``, a tile cannot be read.
@@ -148,19 +147,19 @@ class Residency:
 
     @property
     def waiting(self) -> int:
-        """How many tiles are on their way, or would be asked for again by a frame because it is time to."""
+        """The number of tiles on their way, or due for another attempt."""
         again = time.monotonic() - self.streamer.RETRY
         failed = [self.streamer.failed[key][0] for key in self._asked.keys() & self.streamer.failed.keys()]
         return self.streamer.waiting + sum(when < again for when in failed)
 
     @property
     def count(self) -> int:
-        """How many tiles are there."""
+        """The number of resident tiles."""
         return self.heights.count + self.slopes.count
 
     @property
     def failure(self) -> str:
-        """What this view lacks because it could not be read, and why; "" if there is nothing."""
+        """What this view lacks because it could not be read, and why; "" if nothing."""
         for kind, key in self._asked.keys() & self.streamer.failed.keys():
             return f"{kind} of tile {key}: {self.streamer.failed[kind, key][1]}"
         error = self.method.field.failure
@@ -171,7 +170,7 @@ class Residency:
         self.streamer.close()
 
     def _select(self, view: View, tolerance: float, exaggeration: float, wait: bool) -> tuple[Patches, int, float]:
-        """The patches to draw, how many tiles are missing that can be read, and the seconds that took."""
+        """The patches to draw, the number of missing tiles that can be read, and the seconds it took."""
         begun = time.perf_counter()
         judged, frustum = _judged(view, exaggeration)
         patches = self._patches(
@@ -189,7 +188,7 @@ class Residency:
         return self.method.patches(camera, tolerance, ready, frustum=frustum, rim=WAITED_RIM if ready.wait else RIM)
 
     def _ask(self) -> None:
-        """Have what is lacking read, now and in a moment."""
+        """Request what is missing now and what will be missing shortly."""
         every = self._asked.copy()
         for some in self._ahead.values():
             for p, kind, key in some:
@@ -198,17 +197,17 @@ class Residency:
         self.streamer.want([(p, kind, key) for (kind, key), p in every.items()])
 
     def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
-        """Have what is lacking read: when a frame was handed over, for its Python need not share the interpreter then.
+        """Request what is missing, once a frame is handed over: its Python code no longer needs the interpreter then.
 
         Args:
-            ahead: look for what will be lacking in a moment, too.
+            ahead: also predict what will be missing shortly.
         """
         if ahead:
             self._foresee(view, tolerance, exaggeration)
         self._ask()
 
     def _foresee(self, view: View, tolerance: float, exaggeration: float) -> None:
-        """Find the tiles that will be lacking in a moment."""
+        """Find the tiles that will be missing shortly."""
         now = time.monotonic()
         self._prediction.see(view, now)
         if not self.look_ahead or not self._prediction.moving:
@@ -225,9 +224,9 @@ class Residency:
     def _lacking(
         self, view: View, patches: Patches, exaggeration: float, frame: int
     ) -> tuple[list[tuple[float, Kind, Key]], int]:
-        """The tiles that a view wants and that are not there, those of the largest errors, and how many there are.
+        """The missing tiles of a view, those of the largest errors, and their number.
 
-        Those that are there are noted as wanted in a frame.
+        Resident ones are marked as wanted in a frame.
 
         No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
         all taking each other's place.
@@ -251,7 +250,7 @@ class Residency:
         return wanted, missing
 
     def _upload(self, wait: bool) -> tuple[int, int]:
-        """Bring tiles that have been read to the GPU; how many, and their bytes."""
+        """Upload tiles that have been read to the GPU; return their number and bytes."""
         count = size = 0
         end = math.inf if wait else time.perf_counter() + UPLOADING
         while (wait or count < UPLOAD) and (not count or time.perf_counter() < end):
@@ -269,7 +268,7 @@ class Residency:
 
 
 def _largest(which: NDArray[Any], errors: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Those of the largest errors, ``most`` at most."""
+    """At most ``most`` of them, those of the largest errors."""
     if len(which) <= most:
         return which, errors
     order = np.argsort(-errors, kind="stable")[:most]

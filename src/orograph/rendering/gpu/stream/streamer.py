@@ -1,7 +1,7 @@
-"""Threads that read tiles in the order of their priority, beside the frames that want them.
+"""Threads that read tiles in order of priority, in parallel with the frames that want them.
 
-Every frame tells anew what it wants; what is not wanted any more is not read. A tile that cannot be read is a message,
-never a thread that dies: what stands in for it stays, and it is asked for again later. Units: seconds.
+Every frame states anew what it wants; what is no longer wanted is not read. A tile that cannot be read is reported and
+never ends a thread: its substitute stays, and it is retried later. Units: seconds.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ T = TypeVar("T")
 """Keys of tiles."""
 
 AHEAD = 64
-"""Tiles that may have been read and not yet been taken, before threads wait."""
+"""The most tiles that are read but not yet taken; then threads wait."""
 
 GIVEN_UP = 8
-"""Failures one after the other after which nothing else is tried for the time being: a store that is out of order fails
-for every tile, and to find out for hundreds of them would take frames the interpreter."""
+"""Consecutive failures after which nothing else is tried for a while: a broken store fails for every tile, and trying
+hundreds of them would take the interpreter from the frames."""
 
 FIRST = 0.1
 """Of the time until failed tiles are asked for again, the part by which those come sooner that were not tried."""
@@ -59,7 +59,7 @@ class Streamer(Generic[K, T]):
             thread.start()
 
     def want(self, wanted: Sequence[tuple[float, K, T]]) -> None:
-        """Replace what is waited for: (priority, kind, key), the highest first. What is being read goes on.
+        """Replace the queue: (priority, kind, key), the highest first. Reads in progress go on.
 
         Threads are woken only if there is something for them to do: each would take the interpreter from the frame.
         """
@@ -89,12 +89,12 @@ class Streamer(Generic[K, T]):
 
     @property
     def waiting(self) -> int:
-        """How many tiles are wanted, being read or ready."""
+        """The number of tiles that are wanted, being read or ready."""
         with self._condition:
             return len(self._heap) + len(self._busy) + len(self._ready)
 
     def wait(self, seconds: float) -> None:
-        """Return when something is ready, nothing is under way, or time is up."""
+        """Return when something is ready, nothing is in progress, or time is up."""
         end = time.monotonic() + seconds
         with self._condition:
             while not self._ready and (self._heap or self._busy) and not self._closed:
@@ -104,7 +104,7 @@ class Streamer(Generic[K, T]):
                 self._condition.wait(left)
 
     def close(self) -> None:
-        """Stop the threads; one that is reading ends by itself, and is not waited for."""
+        """Stop the threads; one that is reading ends by itself, without being waited for."""
         with self._condition:
             self._closed = True
             self._heap.clear()

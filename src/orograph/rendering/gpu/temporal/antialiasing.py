@@ -1,8 +1,8 @@
-"""A moving picture that does not shimmer: frames gather samples while the camera moves, as a picture at rest does.
+"""Temporal antialiasing: frames accumulate samples while the camera moves, as a picture at rest does.
 
-Every frame puts the samples of its pixels elsewhere (a Halton sequence). Where the ground that a pixel shows was in the
-last frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many
-in it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
+Every frame moves the samples within its pixels (a Halton sequence). Where the ground that a pixel shows was in the last
+frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many in
+it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
 cubic). It has more of what moves fast or changes its scale, since every look-up blurs. What the mean is of is known by
 depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, on ground of which
 tiles have come since, and where light has, is the mean clamped to the range of the 3 × 3 pixels around, so that it
@@ -29,23 +29,23 @@ from orograph.rendering.gpu.targets import EMPTY, LIGHT, Targets
 from orograph.scene.scene import Scene
 
 SHARE = 1 / 48
-"""Of a new frame in the mean of many, at least: an edge between ground and sky may not flicker by more."""
+"""The least weight of a new frame in the mean of many: an edge between ground and sky must not flicker by more."""
 
 FAR = "r32float"
-"""Of the depths that a frame leaves to the next one."""
+"""The format of the depths that a frame leaves to the next one."""
 
 FULL = 16
-"""Samples of a pixel at rest that need no others."""
+"""Samples of a pixel at rest after which no others are needed."""
 
 AREAS = 64
-"""Areas of the ground that new tiles may be told of; were it more, all of the picture would be taken to be new."""
+"""The most areas of ground with new tiles; beyond that the whole picture counts as new."""
 
 Areas = NDArray[np.floating]
 NONE: Areas = np.empty((0, 4))
 _ZEROS = (0.0,) * (4 * AREAS)
 _UNIFORM = Struct(f"<20f4I{4 * AREAS}f")
 OWN = "view", "depths", "terrain", "furniture", "title"
-"""What of a scene may change from frame to frame of one picture."""
+"""What may change in a scene from frame to frame of one picture."""
 _settings = attrgetter(*(f.name for f in fields(Scene) if f.name not in OWN))
 
 
@@ -59,7 +59,7 @@ def _halton(k: int, base: int) -> float:
 
 
 SHIFTS = tuple((_halton(k, 2) - 0.5, _halton(k, 3) - 0.5) for k in range(1, FULL + 1))
-"""Where in its pixel the sample of a frame lies, pixels from the middle, one frame after the other."""
+"""The sample position of each frame, pixels from the pixel's middle."""
 
 
 class TemporalAntialiasing:
@@ -71,8 +71,11 @@ class TemporalAntialiasing:
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
-        self._program = Program(device, "temporal_antialiasing")
-        self._pipeline = self._program.draw([{"format": LIGHT}, {"format": FAR}])
+        computes = device.computes
+        self._program = Program(device, "temporal_antialiasing", COMPUTED=int(computes), FRAGMENTS=int(not computes))
+        self._pipeline = (
+            self._program.compute("compute") if computes else self._program.draw([{"format": LIGHT}, {"format": FAR}])
+        )
         self._camera = self._program.bind({"camera": camera})
         self._sampler = device.handle.create_sampler(mag_filter="linear", min_filter="linear")
         self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "temporal antialiasing")
@@ -87,7 +90,7 @@ class TemporalAntialiasing:
 
     @property
     def shift(self) -> tuple[float, float]:
-        """Where in its pixels the samples of the next frame belong."""
+        """The sample position of the next frame."""
         return SHIFTS[self._tick % FULL] if self._last is not None else (0.0, 0.0)
 
     def forget(self) -> None:
@@ -116,11 +119,15 @@ class TemporalAntialiasing:
         self._write(scene, shift, gathered, same, fresh, came)
         self._turn = 1 - self._turn
         self._tick += 1
-        pass_ = self._onto[self._turn].begin(encoder)
+        computes = self.device.computes
+        pass_ = encoder.begin_compute_pass() if computes else self._onto[self._turn].begin(encoder)
         pass_.set_pipeline(self._pipeline)
         pass_.set_bind_group(0, self._camera)
         pass_.set_bind_group(1, self._groups[self._turn])
-        pass_.draw(3)
+        if computes:
+            pass_.dispatch_workgroups(-(-targets.width // 8), -(-targets.height // 8))
+        else:
+            pass_.draw(3)
         pass_.end()
         right, up, forward, centre = axes_of(scene.view, scene.surface.exaggeration)
         self._last = (*right, *up, *forward, *centre), scene, settings
@@ -145,23 +152,20 @@ class TemporalAntialiasing:
     def _fit(self, targets: Targets) -> None:
         self._targets, self._last = targets, None
         size = targets.width, targets.height
+        computes = self.device.computes
+        usage = f"{'STORAGE_BINDING' if computes else 'RENDER_ATTACHMENT'}|TEXTURE_BINDING"
         self._views, self._far = (
-            [
-                self.device.texture(
-                    size, kind, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="temporal antialiasing"
-                ).create_view()
-                for _ in range(2)
-            ]
+            [self.device.texture(size, kind, usage, label="temporal antialiasing").create_view() for _ in range(2)]
             for kind in (LIGHT, FAR)
         )
-        self._onto = [
-            Attachments([(view, EMPTY) for view in pair]) for pair in zip(self._views, self._far, strict=True)
-        ]
+        pairs = list(zip(self._views, self._far, strict=True))
+        self._onto = [] if computes else [Attachments([(view, EMPTY) for view in pair]) for pair in pairs]
         self._groups = [
             self._program.bind(
                 {
                     "temporal": self._uniform, "light": targets.light_view, "depth": targets.depth_view,
                     "before": self._views[1 - turn], "smooth_": self._sampler, "far_before": self._far[1 - turn],
+                    **(dict(zip(("onto", "far_onto"), pairs[turn], strict=True)) if computes else {}),
                 },
                 1,
             )
@@ -182,7 +186,7 @@ def _from_eye(areas: Areas, scene: Scene) -> Areas:
 
 
 def _alike(one: Scene, other: Scene) -> bool:
-    """Whether two scenes differ by where the camera is and nothing else."""
+    """Whether two scenes differ only in the camera."""
     if one is other:
         return True
     if one.view.projection != other.view.projection:

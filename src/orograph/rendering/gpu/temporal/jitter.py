@@ -1,4 +1,4 @@
-"""Samples of a picture's pixels, a frame each: a picture at rest gathers them, one that changes begins anew.
+"""Samples of a picture's pixels, one per frame: a picture at rest accumulates them, one that changes starts again.
 
 Positions are pixels from a pixel's middle, those of the CPU's pictures (``rendering.jitter.pattern``).
 """
@@ -12,11 +12,11 @@ SAMPLES = 16
 
 
 class Jitter:
-    """How many samples there are of the picture on the screen.
+    """The number of samples of the picture on the screen.
 
     Attributes:
         state: what the picture shows, its scene first; None before there is one. gathered: samples in the mean.
-        enough: samples after which it is as good as it gets. shift: where the last sample lies.
+        enough: samples after which it does not improve. shift: where the last sample lies.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class Jitter:
 
     @property
     def complete(self) -> bool:
-        """Whether there are enough."""
+        """Whether there are enough samples."""
         return self.gathered >= self.enough
 
     def next(self, state: tuple[Any, ...], asked: int | None, busy: bool) -> tuple[int, int]:
