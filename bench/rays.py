@@ -74,7 +74,7 @@ def main() -> None:
             windows, by_rays = rays.rays.windows, hybrid.selection.cast.by_rays
             least = {method: np.min(times, 0) for method, times in took.items()}
             over, worked = least["hybrid"] / np.minimum(least["patches"], least["rays"])
-            ms = {m: f"{least[m][0]:6.1f} ms ({np.median(took[m], 0)[0]:.0f}; cpu {least[m][1]:.0f})" for m in ways}
+            ms = {m: f"{least[m][0]:6.2f} ms ({np.median(took[m], 0)[0]:.2f}; cpu {least[m][1]:.0f})" for m in ways}
             print(
                 f"  {name:5}  {len(patches.patches.instances):6,} patches {ms['patches']}   rays {ms['rays']}, "
                 f"{len(windows)} windows, {windows.samples:,} samples, levels {windows[0].level} to "

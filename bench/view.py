@@ -2,7 +2,7 @@
 
     python bench/view.py [--terrain california|synthetic-16385|synthetic-65537|PATH…] [--flight orbit|low|jump|steady]…
         [--method auto|all|NAME]… [--tolerance 2]… [--size 1280x720]… [--frames 120] [--judge 3] [--folder FOLDER]
-        [--memory 4096] [--waited] [--no-look-ahead] [--table]
+        [--memory 4096] [--rate 60] [--waited] [--no-look-ahead] [--table]
 
 Terrains: the 40 tiles of California (default; 11815 × 5567 samples in metres), the synthetic terrain of so many samples
 a side as a store (``bench/synthetic.py``; built first, if it is not there, in FOLDER or the cache), or any files.
@@ -11,7 +11,8 @@ Flights: *orbit*, all of the terrain in view, half a degree a frame; *low*, a st
 300 m/s and 60 frames a second; *steady*, the same at ten times the height and speed; *jump*, to another place of the
 terrain every ten frames (of a flight of fewer than 40, four times). Every frame is drawn as the window draws it (the
 first, too, after ``Renderer.prepare``; tiles stream in meanwhile; shadows and sky are on) and then waited for, and no
-frame is begun before its time on a clock of 60 frames a second.
+frame is begun before its time on a clock of ``--rate`` frames a second; 0: each begins when the last one is done, and
+then all are drawn once more with none waited for but the last: so many frames a second there can be.
 
 Each flight is flown by every ``--method`` (all: each there is) at every tolerance and size; their frames are compared
 best where other programs rest, or by the processors' time. A method that cannot fly over the terrain says why.
@@ -61,7 +62,7 @@ from orograph.viewpoint import View
 from synthetic import synthetic_store
 
 RATE = 60.0
-"""Frames a second of a flight's clock."""
+"""Frames a second of a flight, and of its clock unless ``--rate`` says otherwise."""
 
 SPEED = 300.0
 """Metres a second, flying low."""
@@ -152,9 +153,10 @@ def terrain_of(names: list[str], options: argparse.Namespace) -> Terrain:
 
 
 def fly(
-    renderer: Renderer, device: Device, views: list[View], scene: Scene, waited: bool, judge: int
-) -> tuple[list[Frame], list[tuple[View, Tessellation]]]:  # fmt: skip
-    """Draw them all, one after the other, none before its time; of a tree, what ``judge`` of them drew."""
+    renderer: Renderer, device: Device, views: list[View], scene: Scene, options: argparse.Namespace
+) -> tuple[list[Frame], list[tuple[View, Tessellation]]]:
+    """Draw them all, one after the other, none before its time; of a tree, what ``--judge`` of them drew."""
+    judge: int = options.judge
     meshes: list[tuple[View, Tessellation]] = []
     clock = Clock(device)
     texture = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
@@ -164,10 +166,11 @@ def fly(
     frames = []
     start = time.perf_counter()
     for k, view in enumerate(views):
-        time.sleep(max(0.0, start + k / RATE - time.perf_counter()))
+        if options.rate:
+            time.sleep(max(0.0, start + k / options.rate - time.perf_counter()))
         clock.begin()
         begun, before = time.perf_counter(), time.process_time()
-        stats = renderer.draw(target, "rgba8unorm", scene.but(view=view), wait=waited)
+        stats = renderer.draw(target, "rgba8unorm", scene.but(view=view), wait=options.waited)
         python = time.perf_counter()
         device.wait()
         done, worked = time.perf_counter(), time.process_time() - before
@@ -180,6 +183,17 @@ def fly(
         gpu = None if seconds is None else seconds * 1e3
         frames.append(Frame((python - begun) * 1e3, (done - begun) * 1e3, worked * 1e3, gpu, stats))
     return frames, meshes
+
+
+def most(renderer: Renderer, device: Device, views: list[View], scene: Scene) -> float:
+    """Frames a second where none is waited for."""
+    target = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT").create_view()
+    device.wait()
+    start = time.perf_counter()
+    for view in views:
+        renderer.draw(target, "rgba8unorm", scene.but(view=view))
+    device.wait()
+    return len(views) / (time.perf_counter() - start)
 
 
 def grown(renderer: Renderer, device: Device, views: list[View], tolerance: float) -> str:
@@ -235,6 +249,11 @@ def judged_pictures(renderer: Renderer, device: Device, scenes: list[Scene]) -> 
     return found
 
 
+def short(milliseconds: list[float]) -> str:
+    """Their median, for a table."""
+    return f"{np.median(milliseconds):.3g}" if milliseconds else "-"
+
+
 def row(name: str, values: list[float], form: str = "{:.1f}") -> str:
     middle, worst = float(np.median(values)), max(values)
     return f"  {name:30} median {form.format(middle):>10}   worst {form.format(worst):>10}"
@@ -247,9 +266,11 @@ def told(frames: list[Frame]) -> str:
     gpu = [f.gpu for f in frames if f.gpu is not None]
     finite = [s.error_px for s in stats if math.isfinite(s.error_px)]
     lines = [
-        row("ms a frame", [f.done for f in frames]) + f"   (frame {worst})",
+        row("ms a frame", [f.done for f in frames], "{:.2f}") + f"   (frame {worst})",
         row("ms of all threads", [f.worked for f in frames]),
-        row("ms of the GPU, by its clock", gpu) if gpu else "  ms of the GPU, by its clock    (it tells none)",
+        row("ms of the GPU, by its clock", gpu, "{:.2f}")
+        if gpu
+        else "  ms of the GPU, by its clock    (it tells none)",
         row("ms of Python, to submit", [s.submit_ms for s in stats], "{:.2f}"),
         row("ms of Python, all", [s.cpu_ms for s in stats], "{:.2f}"),
         row("ms of the loop, all", [f.python for f in frames], "{:.2f}"),
@@ -270,20 +291,20 @@ def told(frames: list[Frame]) -> str:
 
 
 COLUMNS = (
-    "flight", "method", "ms a frame, median", "worst", "of all threads", "of Python, to submit", "triangles", "late",
-    "MB", "px, by the referee",
+    "flight", "method", "ms a frame, median", "worst", "of the GPU", "of all threads", "of Python, to submit",
+    "frames a second", "triangles", "late", "MB", "px, by the referee",
 )  # fmt: skip
 
 
-def line(name: str, method: str, frames: list[Frame], errors: list[float]) -> str:
+def line(name: str, method: str, frames: list[Frame], errors: list[float], rate: float) -> str:
     """The row of a flight in a table."""
     stats = [f.stats for f in frames]
-    done = [f.done for f in frames]
+    done, gpu = [f.done for f in frames], [f.gpu for f in frames if f.gpu is not None]
     windows = max(s.windows for s in stats)
     triangles = f"{np.median([s.triangles for s in stats]):,.0f}" if max(s.triangles for s in stats) else "-"
     cells = [
-        name, f"`{method}`", f"{np.median(done):.0f}", f"{max(done):.0f}",
-        f"{np.median([f.worked for f in frames]):.0f}", f"{np.median([s.submit_ms for s in stats]):.1f}",
+        name, f"`{method}`", short(done), f"{max(done):.3g}", short(gpu), short([f.worked for f in frames]),
+        short([s.submit_ms for s in stats]), f"{rate:.0f}" if rate else "-",
         triangles + (f", {windows} windows" if windows else ""),
         f"{sum(not s.current for s in stats)} of {len(stats)}",
         f"{sum(s.bytes_uploaded for s in stats) / 1e6:.1f}", ", ".join(f"{e:.2f}" for e in errors) or "-",
@@ -302,7 +323,8 @@ def flight(
     renderer.tiles.look_ahead = not options.no_look_ahead
     scene = Scene.of(terrain, views[0], sky=True, tolerance=tolerance, method=method, max_memory=options.memory << 20)
     try:
-        frames, meshes = fly(renderer, device, views, scene, options.waited, options.judge)
+        frames, meshes = fly(renderer, device, views, scene, options)
+        rate = 0.0 if options.rate else most(renderer, device, views, scene)
         failed = next((f.stats.failed for f in frames if f.stats.failed), "")
         if failed:
             print(f"{name}, {method}: {failed}", flush=True)
@@ -312,10 +334,12 @@ def flight(
         else:
             errors = judged_pictures(renderer, device, [scene.but(view=view) for view in some])
         if options.table:
-            print(line(name, method, frames, errors), flush=True)
+            print(line(name, method, frames, errors, rate), flush=True)
             return
         print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
         print(told(frames), flush=True)
+        if rate:
+            print(f"  frames a second, none waited for    {rate:.0f}")
         if renderer.tree is not None:
             print(grown(renderer, device, views, tolerance), flush=True)
         if meshes:
@@ -341,6 +365,7 @@ def main() -> None:
     parser.add_argument("--gpu-memory", type=int, default=512, help="MiB of tiles on the GPU")
     parser.add_argument("--memory", type=int, default=4096, help="MiB that methods may take for what stores lack")
     parser.add_argument("--table", action="store_true", help="a row for each flight")
+    parser.add_argument("--rate", type=float, default=RATE, help="frames a second at most; 0: as many as there can be")
     parser.add_argument("--waited", action="store_true", help="wait for all tiles in each frame")
     parser.add_argument("--no-look-ahead", action="store_true", help="read nothing ahead of the camera")
     options = parser.parse_args()

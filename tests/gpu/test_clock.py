@@ -49,7 +49,7 @@ def measured(device: Device, loops: int) -> tuple[float, float]:
 
 def test_more_work_takes_longer_and_no_longer_than_the_wall_says(device: Device) -> None:
     little, _ = measured(device, 10)
-    much, wall = measured(device, 4000)
+    much, wall = measured(device, 4000 if device.adapter.software else 1_000_000)
     assert 0 < little < much <= wall
     assert much > 5 * little
 

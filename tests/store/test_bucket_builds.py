@@ -15,10 +15,12 @@ from affine import Affine
 from buckets import ENVIRONMENT, bucket_server
 from surfaces import rough, source
 from test_buckets import contents, files
+from test_updating import tile
 
 from orograph import store
 from orograph.errors import StoreError, UsageError
 from orograph.lighting.bake import bake
+from orograph.store.addresses import storage_at
 
 pytest.importorskip("obstore")
 pytest.importorskip("moto.server")
@@ -146,8 +148,6 @@ def test_clients_that_are_killed_leave_nothing_that_opens_and_the_last_makes_the
 
 
 def root_of(url, key="zarr.json"):
-    from orograph.store.addresses import storage_at
-
     return storage_at(url).get(key)
 
 
@@ -202,6 +202,20 @@ def test_azure(tmp_path, monkeypatch):
         with pytest.raises(StoreError, match="there already"):
             store.build(given, url, errors=(), **SIZES)
         assert isinstance(terrain.storage._client, AzureStore) and obstore
+        update = {**SIZES, "errors": (), "update": True}
+        tiles = [tile(tmp_path, 0, j, 0) for j in range(2)]
+        store.build(tiles, "az://terrain/tiles.oro", **update).close()
+        for seed in (1, 2):
+            tile(tmp_path, 0, 1, seed)
+            store.build(tiles, "az://terrain/tiles.oro", keep=2, **update).close()
+        for number in (3, 2):
+            with store.open(f"az://terrain/tiles.oro@{number}") as terrain:
+                assert terrain.version == number and terrain.check() == []
+        store.build(tiles, tmp_path / "tiles.oro", errors=(), **SIZES).close()
+        with store.open("az://terrain/tiles.oro") as terrain, store.open(tmp_path / "tiles.oro") as other:
+            assert terrain.record.digests.listed == other.record.digests.listed
+        left = storage_at("az://terrain/tiles.oro").listed()
+        assert len([key for key in left if key.startswith("heights/0/height/c/0/1.")]) == 2
     finally:
         process.terminate()
         process.wait()

@@ -262,8 +262,8 @@ def test_ways_that_exclude_an_update(tmp_path):
     for name, value in (("overwrite", True), ("resume", True), ("workers", 2), ("finish", True), ("part", "1/2")):
         with pytest.raises(UsageError, match=f"`update` and `{name}`"):
             build(files, tmp_path / "a.oro", update=True, **{name: value}, progress=False)
-    with pytest.raises(UsageError, match="in a folder"):
-        build(files, "s3://nowhere/a.oro", update=True, progress=False)
+    with pytest.raises(UsageError, match="in a folder or a bucket"):
+        build(files, "memory://a.oro", update=True, progress=False)
 
 
 def test_errors_depend_on_samples_at_multiples(monkeypatch):

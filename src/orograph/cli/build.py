@@ -119,7 +119,8 @@ if TYPE_CHECKING:
 @click.option(
     "--update",
     is_flag=True,
-    help="Make again only what follows of files that were added, changed or removed; begins a build if there is none.",
+    help="Make again only what follows of files that were added, changed or removed, in a folder or a bucket; begins "
+    "a build if there is none.",
 )
 @click.option(
     "--keep",
@@ -185,6 +186,7 @@ def command(
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
       orograph build tiles/*.tif -o area.oro --update --keep 5
+      orograph build tiles/*.tif -o s3://bucket/area.oro --update
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif

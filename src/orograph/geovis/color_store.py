@@ -136,7 +136,7 @@ def store_colors(
                     storage.remove(PARTIAL)
                     storage.put(f"{PARTIAL}/plan.json", [plan])
                 at_once = max(1, min(threads_for(jobs), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
-                writer = ShardWriter(storage)
+                writer = ShardWriter(storage, before.digests.keyed)
                 stage = ColorStage(colors, writer, before)
                 with _executor(storage, drape, options, plan, at_once, (workers, dask, jobs, max_memory)) as executor:
                     executor.run(stage, progress)

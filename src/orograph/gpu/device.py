@@ -184,6 +184,15 @@ class Device:
         return self.handle.queue
 
     @property
+    def computes(self) -> bool:
+        """Whether compute shaders do what pixels need one by one (rays, light), and not fragments.
+
+        On most GPUs either takes as long. On those of data centers few processors run fragments (on an H100 or H200 2
+        of 66 clusters). Software runs fragments as fast, and spares the copy.
+        """
+        return not self.adapter.software
+
+    @property
     def record(self) -> str:
         """The type of binding that what shaders call uniform has: a storage buffer on software.
 

@@ -63,7 +63,8 @@ def bindings(text: str) -> tuple[Binding, ...]:
     for group, index, space, name, of, rest in _DECLARED.findall(code):
         kind = _kind(space, of.strip(), name in sampled, dynamic="dynamic" in rest)
         # Vertex stages may not write.
-        visible = seen & ~_STAGES["VERTEX"] if kind.get("buffer") == {"type": "storage"} else seen
+        written = kind.get("buffer") == {"type": "storage"} or "storageTexture" in kind
+        visible = seen & ~_STAGES["VERTEX"] if written else seen
         entry = {"binding": int(index), "visibility": visible, **kind}
         found.append(Binding(int(group), int(index), name, entry))
     found.sort(key=lambda one: (one.group, one.index))

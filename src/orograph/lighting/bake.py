@@ -28,7 +28,7 @@ from typing import Any, Literal, get_args, overload
 
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.lighting.bake_folder import KEY, kept, publish, scratch, send
+from orograph.lighting.bake_folder import KEY, kept, publish, removed, scratch, send
 from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
@@ -221,12 +221,12 @@ def bake(
 
 def _make(context: Context, storage: Storage, before: Record, made: list[LayerRecord], overwrite: bool) -> None:
     """Bake layers, and let them take their places."""
-    writer = ShardWriter(storage)
+    writer = ShardWriter(storage, before.digests.keyed)
     if isinstance(storage, FolderStorage):
         context.kept = kept(storage, before, made, overwrite)
         writer = ShardWriter(FolderStorage(storage.path / PARTIAL))
     else:
-        before = publish(storage, before, [], {layer.name for layer in made}, writer.digests)
+        before = removed(storage, before, {layer.name for layer in made})
     products = [product(layer.name) for layer in made]
     for layer, read in zip(made, readers(context, products), strict=True):
         stage = LayerStage(writer, before, layer, is_cap(layer), _of_all(read))
@@ -267,8 +267,8 @@ def _on_cluster(
     partial.sweep()
     names = {layer.name for layer in made}
     if folder is not storage:
-        before = publish(storage, before, [], names, writer.digests)
-        send(partial, storage, names, progress)
+        before = removed(storage, before, names)
+        send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), writer.digests, progress)
     publish(storage, before, made, names, writer.digests)
     checkpoint.remove()
 

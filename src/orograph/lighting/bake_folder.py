@@ -16,6 +16,9 @@ from orograph.folders import cache_folder
 from orograph.lighting.raster_resume import PLAN, Checkpoint, clear
 from orograph.parallel import map_ordered
 from orograph.progress import Progress
+from orograph.store.bucket import BucketStorage
+from orograph.store.bucket_updates import tidy
+from orograph.store.derived import At
 from orograph.store.digests import Digests
 from orograph.store.in_parts import count_of
 from orograph.store.layers import GROUP, LAYERS, PARTIAL, LayerRecord
@@ -86,24 +89,29 @@ def finished(storage: FolderStorage, record: Record) -> bool:
     return all(name in there and there[name].to_json() == layer for name, layer in plan.items())
 
 
-def publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> Record:
+def removed(storage: Storage, before: Record, gone: set[str]) -> Record:
+    """The record without these layers, which are removed where new ones would come into their place."""
+    there = LAYERS.of(before)
+    record = LAYERS.put(before, {name: layer for name, layer in there.items() if name not in gone})
+    if not gone & set(there) or before.digests.keyed:
+        return record
+    publish_record(storage, record)
+    for name in gone & set(there):
+        storage.remove(f"{GROUP}/{name}")
+    return read_record(storage)
+
+
+def publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> None:
     """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
-    left = {name: layer for name, layer in LAYERS.of(before).items() if name not in gone}
-    record = LAYERS.put(before, left)
-    if gone & set(LAYERS.of(before)):
-        publish_record(storage, record)
-        for name in gone & set(LAYERS.of(before)):
-            storage.remove(f"{GROUP}/{name}")
-        record = read_record(storage)
+    record = removed(storage, before, gone)
     if isinstance(storage, FolderStorage):
         for layer in made:
             storage.remove(f"{GROUP}/{layer.name}")
             storage.rename(f"{PARTIAL}/{GROUP}/{layer.name}", f"{GROUP}/{layer.name}")
-    if made:
-        layers = dict(sorted({**left, **{layer.name: layer for layer in made}}.items()))
-        record = replace(LAYERS.put(record, layers), digests=record.digests.joined(digests))
-        publish_record(storage, record)
-    return record
+    layers = dict(sorted({**LAYERS.of(record), **{layer.name: layer for layer in made}}.items()))
+    publish_record(storage, replace(LAYERS.put(record, layers), digests=record.digests.joined(digests)))
+    if isinstance(storage, BucketStorage) and before.digests.keyed:
+        tidy(storage)
 
 
 def scratch(storage: Storage) -> FolderStorage:
@@ -117,12 +125,14 @@ def scratch(storage: Storage) -> FolderStorage:
     return folder
 
 
-def send(made: FolderStorage, storage: Storage, names: set[str], progress: Progress) -> None:
-    """Put the objects of layers into a bucket, whose record does not name them yet."""
-    keys = [
-        str(path.relative_to(made.path).as_posix())
-        for name in names for path in sorted((made.path / GROUP / name).rglob("*")) if path.is_file()
+def send(made: FolderStorage, storage: Storage, record: Record, digests: Digests, progress: Progress) -> None:
+    """Put the shards of the record's layers into a bucket, whose own record does not name them yet."""
+    at, keyed = At(record.grid, record.shard, record.chunk), record.digests.joined(digests)
+    shards = [
+        (spec.key((i, j)), spec.place((i, j), keyed))
+        for spec, _ in LAYERS.arrays(LAYERS.of(record), at)
+        for i in range(spec.shards[0]) for j in range(spec.shards[1])
     ]  # fmt: skip
-    with progress.task("Sending layers", total=len(keys)) as task:
-        for _ in map_ordered(lambda key: storage.put(key, [made.get(key) or b""]), keys, AT_ONCE):
+    with progress.task("Sending layers", total=len(shards)) as task:
+        for _ in map_ordered(lambda each: storage.put(each[1], [made.get(each[0]) or b""]), shards, AT_ONCE):
             task.advance()

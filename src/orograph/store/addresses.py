@@ -11,13 +11,13 @@ from orograph.errors import UsageError
 from orograph.store.bucket import SCHEMES, BucketStorage
 from orograph.store.fsspec_storage import FsspecStorage
 from orograph.store.storage import FolderStorage, Storage
-from orograph.store.versions import folder_of
+from orograph.store.versions import folder_of, version_of
 
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
     """The storage of a path, a ``file://`` URL, a bucket's or a web server's, or any other that fsspec knows.
 
-    A path ``STORE@2`` is a version of a store (``versions``).
+    ``STORE@2`` is a version of a store (``versions``).
     """
     if not isinstance(url, str | os.PathLike):
         raise UsageError(
@@ -28,6 +28,8 @@ def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = Non
     if text.startswith("file://"):
         return FolderStorage(url2pathname(unquote(urlsplit(text).path)))
     scheme, found, _ = text.partition("://")
+    if scheme in SCHEMES:
+        return version_of(BucketStorage(text, options))
     if found:
-        return (BucketStorage if scheme in SCHEMES else FsspecStorage)(text, options)
+        return FsspecStorage(text, options)
     return FolderStorage(folder_of(text))

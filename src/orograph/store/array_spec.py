@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from orograph.store import compact, smallest
 from orograph.store.coding import MISSING, Packing
-from orograph.store.digests import ABSENT, Spot, crc32c, sealed
+from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed
 from orograph.store.progressive import Scheme, known, rebuilt, residuals
 
 Array = NDArray[Any]
@@ -66,7 +66,12 @@ class ArraySpec:
         return -(-self.shape[0] // self.shard), -(-self.shape[1] // self.shard)
 
     def key(self, shard: Spot) -> str:
+        """The name of a shard, which its label has, too."""
         return f"{self.path}/c/{shard[0]}/{shard[1]}"
+
+    def place(self, shard: Spot, digests: Digests) -> str:
+        """The key under which a shard lies."""
+        return digests.place(self.key(shard), digests.get(self.path, self.shards, shard))
 
     def window(self, shard: Spot) -> tuple[int, int, int, int]:
         """The samples of a shard: row0, row1, col0, col1."""

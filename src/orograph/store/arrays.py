@@ -184,7 +184,7 @@ class ShardedArray:
             index = self._index((i // side, j // side))
             places.append(index[i % side * side + j % side])
         wanted = [
-            (self.spec.key((i // side, j // side)), start, start + length)
+            (self.spec.place((i // side, j // side), self.digests), start, start + length)
             for (i, j), (start, length, _) in zip(spots, places, strict=True)
             if length
         ]
@@ -199,7 +199,7 @@ class ShardedArray:
                 self._indices.move_to_end(shard)
                 return index
         key = self.spec.key(shard)
-        tail = self.storage.tail(key, tail_length(key, self.spec.chunks))
+        tail = self.storage.tail(self.spec.place(shard, self.digests), tail_length(key, self.spec.chunks))
         if tail is None:
             raise DamagedChunkError(key, path=self.storage.url, cause="the file is not there")
         try:

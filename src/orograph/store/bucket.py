@@ -25,7 +25,7 @@ from urllib.parse import unquote, urlsplit
 from orograph.errors import StoreError, public
 from orograph.servers import WEB, beyond, connected, passing, status_of
 from orograph.store import storage as waiting
-from orograph.store.places import PLAN, ROOT
+from orograph.store.places import PLAN, ROOT, UPDATE
 from orograph.store.ranges import Range, cut, merged
 from orograph.store.storage import Storage
 
@@ -41,10 +41,25 @@ PART = 8 << 20
 SCHEMES = WEB | {"s3", "s3a", "gs", "az", "azure", "abfs", "abfss"}
 KEPT = "parts/"
 """What tasks found lies below it until the store is complete."""
+VERSIONS = "versions"
+"""The roots of older versions lie below it."""
+
+TOGETHER = 1000
+"""Objects that are removed by one request."""
 
 T = TypeVar("T")
 
 _gate = threading.BoundedSemaphore(AT_ONCE)
+
+
+def scope_of(plan: bytes) -> str:
+    """Below which name in ``parts/`` lies what the tasks of a build found."""
+    return hashlib.blake2b(plan, digest_size=8).hexdigest()
+
+
+def root_key(number: int) -> str:
+    """Where the root of an older version lies (``versions``)."""
+    return f"{VERSIONS}/{number}.json"
 
 
 class Version(NamedTuple):
@@ -76,6 +91,8 @@ class BucketStorage(Storage):
 
     Attributes:
         lease: of the lock that is held (``bucket_lock``); without it any process may write.
+        scope: below which of the names in ``parts/`` lies what tasks found (``scope_of``).
+        elsewhere: of which keys in ``parts/`` the objects lie below another name, and which.
     """
 
     remote = True
@@ -96,30 +113,63 @@ class BucketStorage(Storage):
         )
         self._no_suffixes = cut_up.scheme.startswith(("az", "abfs"))
         self._roots: dict[str, Version | None] = {}
-        self._scope = ""
+        self.scope = ""
+        self.elsewhere: dict[str, str] = {}
         self.lease: Lease | None = None
+        self._home: BucketStorage | None = None
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
         return self._url, self._options
 
     def above(self) -> tuple[BucketStorage, str]:
         """What the store lies in, and the store's name there ("" if it is all of a bucket)."""
-        found = object.__new__(BucketStorage)
-        found.__dict__.update(self.__dict__)
+        found = self._like()
         found.prefix, _, name = self.prefix.rpartition("/")
-        found.lease, found._roots = None, {}
+        found.lease, found.number = None, None
         return found, name
 
+    def below(self, prefix: str, url: str) -> BucketStorage:
+        """Another prefix of the same bucket."""
+        found = self._like()
+        found.prefix, found._url, found.url, found.number = prefix, url, public(url), None
+        return found
+
+    def older(self, number: int) -> BucketStorage:
+        """An older version of the store (``versions``): its root is another object, the rest lies here."""
+        found = self.below(self.prefix, f"{self._url}@{number}")
+        found.number = number
+        return found
+
+    def newest(self) -> BucketStorage:
+        """The store itself, of an older version."""
+        return self if self.number is None else self.below(self.prefix, self._url.rpartition("@")[0])
+
+    def follow(self, other: Storage) -> None:
+        assert isinstance(other, BucketStorage)
+        self._home = self._like()
+        self._url, self.url, self.number = other._url, other.url, other.number
+
+    def anew(self) -> Storage:
+        return self._home or self
+
+    def _like(self) -> BucketStorage:
+        found = object.__new__(BucketStorage)
+        found.__dict__.update(self.__dict__)
+        found._roots = {}
+        return found
+
     def _at(self, key: str) -> str:
-        if self._scope and key.startswith(KEPT):
-            key = f"{KEPT}{self._scope}/{key.removeprefix(KEPT)}"
+        if key == ROOT and self.number is not None:
+            key = root_key(self.number)
+        elif (scope := self.elsewhere.get(key, self.scope)) and key.startswith(KEPT):
+            key = f"{KEPT}{scope}/{key.removeprefix(KEPT)}"
         return f"{self.prefix}/{key}".strip("/")
 
     def _know(self, key: str, data: bytes) -> None:
         """What is kept until the store is complete lies under its plan's digest: were a listing too old to show what an
         earlier build has left, that would not be taken for this one's."""
-        if key == PLAN:
-            self._scope = hashlib.blake2b(data, digest_size=8).hexdigest()
+        if key in (PLAN, UPDATE):
+            self.scope = scope_of(data)
 
     # Reading
 
@@ -181,6 +231,11 @@ class BucketStorage(Storage):
             return None
         return self._try("listed", "", lambda: sum(each["size"] for each in self._below("")))
 
+    def listed(self) -> list[str]:
+        """The names of all objects, by a listing: what was just written or removed may be missing, or there still."""
+        found = self._try("listed", "", lambda: [each["path"] for each in self._below("")]) or []
+        return [path.removeprefix(f"{self.prefix}/") for path in found]
+
     def _below(self, key: str) -> list[Any]:
         return [each for batch in self._client.list(prefix=self._at(key) or None) for each in batch]
 
@@ -193,6 +248,7 @@ class BucketStorage(Storage):
             self._publish(data)
             return
         self._know(key, data)
+        self.elsewhere.pop(key, None)
         at = self._at(key)
         self._try("written", key, lambda: self._client.put(at, data, chunk_size=PART, max_concurrency=4), written=True)
 
@@ -247,11 +303,21 @@ class BucketStorage(Storage):
         if key == ROOT or not key:
             self._roots[ROOT] = None
         if not key.endswith((".json", ".lock")):  # (objects by their names)
-            names = [each["path"] for each in self._try("listed", key, lambda: self._below(key)) or ()]
-            if names:
-                self._try("removed", key, lambda: self._client.delete(names))
+            self._remove([each["path"] for each in self._try("listed", key, lambda: self._below(key)) or ()])
         if key:
             self._try("removed", key, lambda: self._client.delete(self._at(key)))
+
+    def remove_all(self, keys: Sequence[str]) -> None:
+        """Remove objects by their names."""
+        self._remove([f"{self.prefix}/{key}".strip("/") for key in keys])
+
+    def _remove(self, paths: Sequence[str]) -> None:
+        for first in range(0, len(paths), TOGETHER):
+            self.may_write()
+            some = list(paths[first : first + TOGETHER])
+            if self._try("removed", "", lambda: self._client.delete(some) or True) is None:  # noqa: B023
+                for path in some:  # (one of them is gone already, and some clouds remove nothing more then)
+                    self._try("removed", "", lambda: self._client.delete(path))  # noqa: B023
 
     def may_write(self) -> None:
         """Raise StoreError if it is a web server, or the lock was lost."""

@@ -24,6 +24,7 @@ from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
 from orograph.store.addresses import storage_at
+from orograph.store.bucket import BucketStorage
 from orograph.store.chunked import Kind, checked_kind
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
-ALL_AGAIN = ("patches", "chunks", "tins", "quadtin")  # stages of which an update can keep nothing
 READER = 160 << 20  # what a mosaic may hold while it reads one window
 
 Path_ = str | os.PathLike[str]
@@ -133,7 +133,7 @@ def build(
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
         update: make again only what follows of files that were added, changed or removed since (``updating``); begins a
-            build if there is none. The store keeps what that takes.
+            build if there is none. The store keeps what that takes. In a folder or a bucket.
         keep: versions of an updated store that are left, with the new one (default: 2); older ones are removed.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
@@ -192,7 +192,8 @@ def build(
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
     versions = check_keep(keep, update, final)
     if update:
-        from orograph.store.updating import begin, check_updatable
+        from orograph.store.bucket_updates import BucketUpdate
+        from orograph.store.updating import ALL_AGAIN, begin, check_updatable
 
         excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
         check_updatable(final, {**excluded, "workers": workers is not None, "dask": dask is not None})
@@ -217,7 +218,10 @@ def build(
             settle(final)
         count = parts_begun(final, storage) if finish else 0
         resume = resume or finish
-        if update:
+        in_bucket = BucketUpdate(final, versions, progress) if update and isinstance(final, BucketStorage) else None
+        if in_bucket is not None:
+            plan, going_on, complete = in_bucket.begin(plan, raster, coding)
+        elif update:
             assert isinstance(final, FolderStorage) and isinstance(storage, FolderStorage)
             plan, going_on, complete = begin(final, storage, plan, raster, coding, progress)
         elif overwrite and not finish:
@@ -227,7 +231,9 @@ def build(
             plan, complete = compared(final, storage, plan, resume)
             going_on = resume and begun(storage)
         if complete:
-            if update:
+            if in_bucket is not None:
+                in_bucket.prune()
+            elif update:
                 prune(Path(final.url), versions, progress)
             return open(url, storage_options=storage_options)
         if not going_on and not update:
@@ -235,12 +241,16 @@ def build(
                 storage.remove(ROOT)  # first, lest what is left look complete
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
-        if not storage.exists(ROOT):
+        if in_bucket is not None or not storage.exists(ROOT):
             label = "Building the store" if not going_on else "Updating the store" if update else "Resuming the store"
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
             with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                _fill(raster, storage, plan, coding, jobs, label, executor, progress)
+                record = _fill(raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None)
+            if in_bucket is not None:
+                in_bucket.publish(record)
+                return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
+            publish_record(storage, record)
         if isinstance(storage, FolderStorage) and going_on:
             storage.sweep()
         for each in [f"{PARTS}/{name}" for name in ALL_AGAIN] if update else [PARTS]:
@@ -312,8 +322,9 @@ def _fill(
     raster: HeightSource, storage: Storage, plan: dict[str, Any], coding: Coding | None, jobs: int, label: str,
     executor: Executor,
     progress: Progress,
-) -> None:  # fmt: skip
-    """Do all tasks and write all metadata, the root's last."""
+    keyed: bool,
+) -> Record:  # fmt: skip
+    """Do all tasks; what the store is to say of itself. Args: keyed: as of ``ShardWriter``."""
     from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
     from orograph.store.points import put_points
@@ -321,7 +332,7 @@ def _fill(
     from orograph.store.resampling import look_back
 
     kinds = tuple(plan["errors"])
-    writer = ShardWriter(storage)
+    writer = ShardWriter(storage, keyed)
     levels = executor.groups(Pyramid.name, raster.grid.shape, plan["shard"])
     finest = Finest(raster, writer, plan["shard"], plan["chunk"], coding)
     pyramid = Pyramid(finest, label, levels)
@@ -359,9 +370,10 @@ def _fill(
     if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
         progress.warn(told)
     if raster.fingerprint() != plan["source"]:
-        storage.remove()
+        if not keyed:
+            storage.remove()
         raise StoreError(
-            "Its sources were changed while it was built; what was built of them is removed.",
+            f"Its sources were changed while it was built; what was built is {'not used' if keyed else 'removed'}.",
             path=storage.url, remedy="Build it again when they are complete.",
         )  # fmt: skip
-    publish_record(storage, record)
+    return record

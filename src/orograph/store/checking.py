@@ -67,7 +67,7 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
 def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot) -> Iterator[Damage]:
     """What is wrong with a shard."""
     key = spec.key(spot)
-    data = storage.get(key)
+    data = storage.get(spec.place(spot, digests))
     if data is None:
         yield Damage(key, GONE)
         return
@@ -92,7 +92,7 @@ def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot)
 def _others(storage: Storage, digests: Digests, arrays: Iterable[str]) -> Iterator[Damage]:
     """What is wrong with coordinates and metadata."""
     for key in sorted(set(digests.listed) - set(arrays)):
-        data = storage.get(key)
+        data = storage.get(key if key == ROOT else digests.place(key, bytes(digests.listed[key])))
         if data is None:
             yield Damage(key, GONE)
             continue

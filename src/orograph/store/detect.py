@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orograph.errors import ReadError, StoreError
 from orograph.store.addresses import storage_at
-from orograph.store.places import PLAN, ROOT, left_over, names_version
+from orograph.store.places import PLAN, ROOT, VERSION, left_over, names_version
 from orograph.store.versions import folder_of
 
 
@@ -25,10 +25,12 @@ def is_store(path: str | os.PathLike[str]) -> bool:
             return True
         return not folder.exists() and (left_over(folder) or names_version(folder))
     last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
-    if Path(last).suffix not in ("", ".oro", ".zarr"):
+    version = VERSION.fullmatch(last)
+    if Path(version[1] if version else last).suffix not in ("", ".oro", ".zarr"):
         return False
     try:
-        return storage_at(text).exists(ROOT)
+        place = storage_at(text)
+        return place.number is not None or place.exists(ROOT)
     except StoreError as error:
         raise ReadError(
             f"It cannot be reached: {error.what}", path=text, remedy="Check the URL and the network."

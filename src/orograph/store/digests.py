@@ -106,9 +106,12 @@ class Digests:
 
     Args:
         listed: path of an array → digests of its shards in C order; key of another object → its digest.
+        keyed: whether objects lie under keys that end with their digests (``place``), so that states of a store lie
+            beside each other.
     """
 
-    def __init__(self, listed: Mapping[str, bytes] | None = None) -> None:
+    def __init__(self, listed: Mapping[str, bytes | bytearray] | None = None, keyed: bool = False) -> None:
+        self.keyed = keyed
         self.listed: dict[str, bytearray] = {path: bytearray(data) for path, data in (listed or {}).items()}
 
     def put(self, path: str, shards: Spot, spot: Spot, digest: bytes) -> None:
@@ -123,13 +126,17 @@ class Digests:
         at = SIZE * (spot[0] * shards[1] + spot[1])
         return bytes(whole[at : at + SIZE]) or UNKNOWN
 
+    def place(self, key: str, digest: bytes) -> str:
+        """The key under which an object of this digest lies."""
+        return f"{key}.{digest.hex()}" if self.keyed else key
+
     def of(self, paths: Iterable[str]) -> dict[str, bytes]:
         """What is listed of these arrays and objects."""
         return {path: bytes(self.listed[path]) for path in paths if path in self.listed}
 
     def joined(self, others: Digests) -> Digests:
         """These, and others that take their place."""
-        both = Digests()
+        both = Digests(keyed=self.keyed)
         both.listed = {**self.listed, **others.listed}
         return both
 
@@ -137,5 +144,5 @@ class Digests:
         return {path: base64.b64encode(data).decode() for path, data in self.listed.items()}
 
     @classmethod
-    def from_json(cls, listed: Mapping[str, str]) -> Digests:
-        return cls({path: base64.b64decode(data) for path, data in listed.items()})
+    def from_json(cls, listed: Mapping[str, str], keyed: bool = False) -> Digests:
+        return cls({path: base64.b64decode(data) for path, data in listed.items()}, keyed)

@@ -57,12 +57,13 @@ from orograph.store.terrain import (
     mean_shape,
     tile_shape,
 )
+from orograph.store.versions import Edition
 
 FORMAT = 4
 """The version of this layout; a reader refuses others."""
 
-CODEC = "codec"
-KNOWN = frozenset({CODEC})
+CODEC, VERSION = "codec", "version"
+KNOWN = frozenset({CODEC, VERSION})
 """What else a store may need of its reader (``Record.needs``)."""
 
 CHUNK = 256
@@ -113,6 +114,8 @@ class Record:
         digests: of all its objects but the root.
         attribution: whom the makers of its heights want to be named.
         coding: how it keeps its heights; None: as float32, lossless.
+        version: of a store in a bucket that is updated: which version of it this is (``versions``); None: its objects
+            lie under their plain keys.
     """
 
     grid: Grid
@@ -130,6 +133,7 @@ class Record:
     digests: Digests = field(default_factory=Digests, compare=False)
     attribution: tuple[str, ...] = ()
     coding: Coding | None = None
+    version: Edition | None = None
 
     @property
     def shard_count(self) -> int:
@@ -140,7 +144,7 @@ class Record:
         low, high = self.height_range
         record: dict[str, Any] = {
             "format": FORMAT,
-            "needs": [] if self.coding is None else [CODEC],
+            "needs": [name for name, what in ((CODEC, self.coding), (VERSION, self.version)) if what is not None],
             "name": self.name,
             "vertical": self.vertical,
             "shape": list(self.grid.shape),
@@ -160,6 +164,8 @@ class Record:
             record["attribution"] = list(self.attribution)
         if self.coding is not None:
             record[CODEC] = self.coding.to_json()
+        if self.version is not None:
+            record[VERSION] = self.version._asdict()
         record["derived"] = {
             kind.name: {"version": kind.version, **kind.to_json(kind.of(self))}
             for kind in KINDS.values()
@@ -203,9 +209,10 @@ class Record:
             None if record["resampled"] is None else Resampled.from_json(record["resampled"]),
             tuple(LatticeRecord.from_json(lattice) for lattice in record["lattices"]),
             record["inputs"],
-            Digests.from_json(record["digests"]),
+            Digests.from_json(record["digests"], VERSION in record),
             tuple(record.get("attribution", ())),
             Coding.from_json(record[CODEC]) if CODEC in record else None,
+            Edition.from_json(record[VERSION]) if VERSION in record else None,
         )
 
 
@@ -321,7 +328,7 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
             {path: {k: v for k, v in node.items() if k != "consolidated_metadata"} for path, node in nodes.items()}
         ),
     }
-    digests = Digests(record.digests.of(nodes))  # of the shards of what is still in the store
+    digests = Digests(record.digests.of(nodes), record.digests.keyed)  # of the shards of what is still in the store
     digests.listed.update({key: bytearray(digest_of(content)) for key, content in data.items()})
     digests.listed[ROOT] = bytearray(root_digest(root))
     root["attributes"]["orograph"] = replace(record, digests=digests).to_json()
@@ -339,6 +346,6 @@ def publish(storage: Storage, record: Record) -> None:
     others, root = metadata(record)
     for key, content in others.items():
         if bytes(record.digests.listed.get(key, b"")) != digest_of(content):
-            storage.put(key, [content])
+            storage.put(record.digests.place(key, digest_of(content)), [content])
     for key, content in root.items():
         storage.put(key, [content])

@@ -17,6 +17,8 @@ from orograph.store.storage import FolderStorage, Storage
 
 ROOT = "zarr.json"
 PLAN = "build.json"
+UPDATE = "update.json"
+"""The plan of an update in a bucket, while it is under way: the store's root stays beside it."""
 VERSION = re.compile(r"(.+)@([1-9][0-9]*)")
 """How an older version of a store is named."""
 PARTS = "parts"
@@ -44,7 +46,7 @@ def is_store(storage: Storage) -> bool:
 
 def begun(storage: Storage) -> bool:
     """Whether a build has begun in this storage (of the folder in which it is made, or of a URL)."""
-    return storage.exists(PLAN) or (not storage.remote and storage.exists(ROOT))
+    return storage.exists(PLAN) or storage.exists(UPDATE if storage.remote else ROOT)
 
 
 def sweep(path: Path) -> None:
@@ -78,6 +80,14 @@ def left_over(path: str | os.PathLike[str]) -> bool:
 def missing(storage: Storage) -> StoreError:
     """Why there is no store, which of its folders are there, and what to do."""
     if not isinstance(storage, FolderStorage):
+        if storage.number is not None:
+            store = storage.url.rpartition("@")[0]
+            return StoreError(
+                f"There is no version {storage.number} of this store.", path=store,
+                remedy=f"`orograph.info({store!r})` says which versions are kept.",
+            )  # fmt: skip
+        if storage.exists(UPDATE):
+            return interrupted(storage)
         return _unfinished(storage.url) if storage.exists(PLAN) else _none(storage.url)
     path = storage.path
     made, old = FolderStorage(partial(path)), FolderStorage(replaced(path))
@@ -118,6 +128,14 @@ def _unfinished(url: str, where: str = "") -> StoreError:
     return StoreError(
         f"This store is incomplete: its build was interrupted.{where}", path=url,
         remedy="Finish it: the same `orograph.build(..., resume=True)`.",
+    )  # fmt: skip
+
+
+def interrupted(storage: Storage) -> StoreError:
+    """What says that an update in a bucket has not come to its end."""
+    return StoreError(
+        "An update of this store was interrupted.", path=storage.url,
+        remedy="Finish it with `update=True`, or start anew with `overwrite=True`.",
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from orograph.store.chunked_kind import CHUNKED
 from orograph.store.coding import Coding
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.layout import FORMAT, Record
-from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied
+from orograph.store.places import PLAN, ROOT, UPDATE, begun, interrupted, is_store, left_over, missing, occupied
 from orograph.store.quadtin_kind import QUADTIN
 from orograph.store.source import HeightSource
 from orograph.store.storage import FolderStorage, Storage
@@ -91,6 +91,8 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
     Raises:
         StoreError: something is there that this build does not go on from.
     """
+    if storage.remote and storage.exists(UPDATE):
+        raise interrupted(storage)
     if resume and begun(storage):
         data = storage.get(PLAN)
         if data is None:  # complete but for its last rename

@@ -7,6 +7,7 @@ it must be, of a copy that was broken off, does not go again.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from orograph.errors import DamagedChunkError, StoreError, UsageError
@@ -16,8 +17,8 @@ from orograph.reporting import reporting
 from orograph.store.addresses import storage_at
 from orograph.store.array_spec import ArraySpec
 from orograph.store.checking import check_shard
-from orograph.store.digests import Spot, digest_of, tail_length, unsealed
-from orograph.store.layout import array_specs
+from orograph.store.digests import Digests, Spot, digest_of, tail_length, unsealed
+from orograph.store.layout import array_specs, metadata
 from orograph.store.lock import alone
 from orograph.store.places import PLAN, ROOT, begun, is_store
 from orograph.store.storage import FolderStorage, Storage
@@ -51,7 +52,8 @@ def publish(
 ) -> Published:
     """Copy a finished store to a URL, where it can be opened when all of it is there and proved.
 
-    A copy that was broken off goes on when it is asked for again.
+    A copy that was broken off goes on when it is asked for again. Of a store in a bucket that is updated one version is
+    copied, to plain keys.
 
     Args:
         store: opened, or its path or URL.
@@ -64,7 +66,7 @@ def publish(
     Raises:
         DamagedChunkError: the store is damaged; what was sent is no store.
         StoreError: a store, or another writer, is there, or it cannot be written.
-        UsageError: ``url`` is a folder: copy the store with the system's own tools.
+        UsageError: ``url`` is a folder (copy the store with the system's own tools), or an older version of a store.
     """
     target = storage_at(url, storage_options)
     if isinstance(target, FolderStorage):
@@ -74,9 +76,15 @@ def publish(
             return publish(
                 opened, url, overwrite=overwrite, jobs=jobs, progress=progress, storage_options=storage_options
             )
+    if target.number is not None:
+        raise UsageError("This is an older version of a store, which stays what it is.", path=target.url)
     root = store.storage.get(ROOT)
     if root is None:
         raise StoreError("The store is gone.", path=store.url)
+    if store.record.version is not None:
+        record = store.record
+        plain = replace(record, version=None, digests=Digests(record.digests.listed))
+        root = metadata(plain)[1][ROOT]
     with alone(target, "publishing this store"):
         if is_store(target):
             if not overwrite:
@@ -129,7 +137,7 @@ class _Copy:
 
     def _read(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bytes:
         """An object, proved to be what the root says of it."""
-        data = self.source.get(key) or b""
+        data = self.source.get(self._place(what)) or b""
         if isinstance(what, str):
             causes = [] if digest_of(data) == self.digests.listed[key] else ["it is not what was written"]
         else:
@@ -137,6 +145,12 @@ class _Copy:
         if causes:
             raise DamagedChunkError(key, path=self.source.url, cause=causes[0])
         return data
+
+    def _place(self, what: tuple[ArraySpec, Spot] | str) -> str:
+        """Where an object lies in the source."""
+        if isinstance(what, str):
+            return self.digests.place(what, bytes(self.digests.listed[what]))
+        return what[0].place(what[1], self.digests)
 
     def _is_there(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bool:
         """Whether the object is there as it must be. Of a shard its end tells: an object is there whole or not at all,

@@ -98,7 +98,7 @@ class _Mender(ShardWriter):
         if key in self.damaged:
             parts, digest = spec.encode(spot, block)
             if digest == listed:
-                self.storage.put(key, parts)
+                self.storage.put(self.digests.place(key, digest), parts)
                 self.damaged.discard(key)
             else:
                 self.differing.add(key)
@@ -176,11 +176,12 @@ class _Repair:
     def _small(self) -> None:
         """Coordinates and metadata, from the record."""
         others, root = metadata(self.record)
-        listed = self.record.digests.listed
+        digests = self.record.digests
         for key in sorted(self.mender.damaged & {*others, ROOT}):
             content = root[ROOT] if key == ROOT else others[key]
-            if key == ROOT or digest_of(content) == listed[key]:
-                self.terrain.storage.put(key, [content])
+            if key == ROOT or digest_of(content) == digests.listed[key]:
+                place = key if key == ROOT else digests.place(key, digest_of(content))
+                self.terrain.storage.put(place, [content])
                 self.mender.damaged.discard(key)
             else:
                 self.mender.differing.add(key)

@@ -38,6 +38,8 @@ class Storage(ABC):
 
     url: str
     remote: bool
+    number: int | None = None
+    """Of an older version of a store whose versions lie below one key (``versions``); None: it is the newest."""
 
     @abstractmethod
     def get(self, key: str) -> bytes | None:
@@ -74,6 +76,10 @@ class Storage(ABC):
     def anew(self) -> Storage:
         """The same place, without anything that was remembered of it."""
         return self
+
+    def follow(self, other: Storage) -> None:
+        """Go on reading in another place, where what was read so far lies now."""
+        raise NotImplementedError
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
         """What other processes find it by (``storage_at``)."""
@@ -215,10 +221,10 @@ class FolderStorage(Storage):
     def anew(self) -> Storage:
         return FolderStorage(self.home)
 
-    def follow(self, path: Path) -> None:
-        """Go on reading in another folder, to which what was read so far has moved."""
+    def follow(self, other: Storage) -> None:
+        assert isinstance(other, FolderStorage)
         with self._lock:
-            self.path, self.url = path, str(path)
+            self.path, self.url = other.path, other.url
             self._open.clear()
 
     def named(self) -> tuple[str, dict[str, Any] | None]:

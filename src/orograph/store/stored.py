@@ -27,12 +27,12 @@ from orograph.store.layout import (
     rebuild,
     table_spec,
 )
-from orograph.store.places import ROOT, kept, missing
+from orograph.store.places import ROOT, missing
 from orograph.store.points import POINTS, StoredPoints
 from orograph.store.registry import kind_of
-from orograph.store.storage import FolderStorage, Storage
+from orograph.store.storage import Storage
 from orograph.store.terrain import Heights, Terrain, TileTable
-from orograph.store.versions import number
+from orograph.store.versions import number, older
 from orograph.store.watch import Watch
 
 Key = tuple[str, tuple[tuple[str, Any], ...]]
@@ -244,7 +244,7 @@ def open(
 
     Args:
         url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads). Of a
-            store in a folder that is updated, ``STORE@2`` is its second version.
+            store that is updated, ``STORE@2`` is its second version.
         cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
         jobs: threads for large windows (default: all processors).
         storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
@@ -261,7 +261,10 @@ def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain
     while True:
         # Before the record: if it is replaced in between, the first read notices. (At a URL it compares records.)
         stamp = None if storage.remote else storage.stamp(ROOT)
-        record, version = read_record(storage), number(storage)
+        record = read_record(storage)
+        version = number(storage)
+        if version is None and record.version is not None:
+            version = record.version.number
         if storage.remote or storage.stamp(ROOT) == stamp:
             break
     return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record), version)
@@ -275,9 +278,9 @@ def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int 
     """
     storage = storage_at(*named)
     found = _open(storage, cache_bytes, jobs)
-    older = [] if storage.remote else kept(storage.url)
-    while found.record.source != source and older:
-        found = _open(FolderStorage(older.pop(0)[1]), cache_bytes, jobs)
+    before = [] if found.record.source == source else older(storage)
+    while found.record.source != source and before:
+        found = _open(before.pop(0)[1], cache_bytes, jobs)
     if found.record.source != source:
         raise StoreError(
             "A worker finds another store there than the process that began.", path=found.url,
@@ -292,10 +295,18 @@ def read_record(storage: Storage) -> Record:
     Raises:
         StoreError: see ``open``.
     """
-    url = storage.url
     data = storage.get(ROOT)
     if data is None:
         raise missing(storage)
+    return record_of(data, storage.url)
+
+
+def record_of(data: bytes, url: str) -> Record:
+    """What the root of a store says.
+
+    Raises:
+        StoreError: it is damaged, of no store, or of one that this reader does not know.
+    """
     try:
         document = json.loads(data)
         record = document["attributes"].get("orograph") if document.get("node_type") == "group" else None

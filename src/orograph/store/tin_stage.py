@@ -43,11 +43,11 @@ class Bands:
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, legs: int, executor: Executor) -> None:
         self.terrain, self.writer, self.legs, self.executor = terrain, writer, legs, executor
         self._count = 0
-        self._level = ShardWriter(writer.storage)
+        self._level = ShardWriter(writer.storage, writer.digests.keyed)
 
     def __call__(self, building: Building, band: Band, progress: Progress) -> None:
         if band.first:
-            self._level = ShardWriter(self.writer.storage)
+            self._level = ShardWriter(self.writer.storage, self.writer.digests.keyed)
         given = Given(building, band, self._level)
         self.executor.run(TinStage(self.terrain, self.writer, self.legs, self._count, given), progress)
         self._count += 1

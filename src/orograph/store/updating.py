@@ -4,7 +4,7 @@ A store that is built with ``update=True`` keeps what its tasks found (``parts/`
 the store, puts there whatever no changed input reaches (shards of full resolution and parts, as hard links where the
 file system has them), and goes on from that as from an interrupted build: what is there is proved by its digests, what
 is lacking is made, and all that follows of both is written. The store's readers keep the old files until the new store
-takes its place.
+takes its place. In a bucket both lie below the same key (``bucket_updates``).
 
 What reaches how far: heights of a shard depend on its own samples and a row and a column beyond. The errors of an area
 depend on samples within ``REACH``, on the lowest heights of tiles there, and, for octave k ≥ ``SMALL``, on the samples
@@ -18,7 +18,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ import numpy as np
 from orograph.error.diamonds import ALIGNED, REACH, SMALL
 from orograph.errors import UsageError
 from orograph.progress import Progress
+from orograph.store.bucket import BucketStorage
 from orograph.store.coding import Coding
 from orograph.store.colors import COLORS
 from orograph.store.diamond_table import diamond_spec
@@ -45,12 +47,15 @@ from orograph.store.stored import read_record
 from orograph.store.survey import area_of, errors_key
 from orograph.store.terrain import TILE, Shape, exponent
 
+ALL_AGAIN = ("patches", "chunks", "tins", "quadtin")
+"""Stages of which an update can keep nothing: what they keep in ``parts/`` lies below these names."""
+
 Window = tuple[int, int, int, int]
 """Rows and columns, half-open."""
 
 
 def check_updatable(final: Storage, said: dict[str, bool]) -> None:
-    """Raise UsageError where an update is asked for together with what it excludes, or in a bucket.
+    """Raise UsageError where an update is asked for together with what it excludes, or where there can be none.
 
     Args:
         said: which other ways of building are asked for, by their names.
@@ -58,10 +63,11 @@ def check_updatable(final: Storage, said: dict[str, bool]) -> None:
     for other, given in said.items():
         if given:
             raise UsageError(f"`update` and `{other}` exclude each other.")
-    if not isinstance(final, FolderStorage):
+    if not isinstance(final, FolderStorage | BucketStorage):
         raise UsageError(
-            "A store is updated in a folder, not at a URL.", path=final.url, remedy="Update a folder and publish that."
-        )
+            "A store is updated in a folder or a bucket (s3://, gs://, az://).", path=final.url,
+            remedy="Update a folder and publish that.",
+        )  # fmt: skip
 
 
 class Begun(NamedTuple):
@@ -90,20 +96,24 @@ def begin(
         StoreError: something else lies there.
     """
     there = is_store(final)
-    if there and not differing(_sized(plan, before := plan_of(read_record(final))), before):
+    if there and not differing(sized(plan, before := plan_of(read_record(final))), before):
         return Begun(plan, False, True)
-    if (data := storage.get(PLAN)) is not None and not differing(_sized(plan, before := _read(data)), before):
-        return Begun(_sized(plan, before), True)
+    if (data := storage.get(PLAN)) is not None and not differing(sized(plan, before := read_plan(data)), before):
+        return Begun(sized(plan, before), True)
     if not there and not begun(storage):
         compared(final, storage, plan, True)
     storage.remove(ROOT)  # first, lest what is left look complete
     storage.remove()
-    found = seeded(final, storage, plan, raster, coding, progress) if there else None
+    found = None
+    if there:
+        take = partial(_link, final, storage)
+        found = seeded(final.url, read_record(final), final.exists(PARTS), take, plan, raster, coding, progress)
     storage.put(PLAN, [dumps(found or plan)])
     return Begun(found or plan, found is not None)
 
 
-def _read(data: bytes) -> dict[str, Any]:
+def read_plan(data: bytes) -> dict[str, Any]:
+    """A plan that was put somewhere; empty if it is damaged."""
     try:
         found: dict[str, Any] = json.loads(data)
     except ValueError:
@@ -111,41 +121,41 @@ def _read(data: bytes) -> dict[str, Any]:
     return found
 
 
-def _sized(plan: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+def sized(plan: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
     """A plan with the shards that there are: how large they are made follows from the memory allowed."""
     return {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
 
 
 def seeded(
-    final: FolderStorage, storage: FolderStorage, plan: dict[str, Any], raster: HeightSource, coding: Coding | None,
-    progress: Progress,
+    url: str, record: Record, parts: bool, take: Callable[[Iterable[str]], None], plan: dict[str, Any],
+    raster: HeightSource, coding: Coding | None, progress: Progress,
 ) -> dict[str, Any] | None:  # fmt: skip
-    """Put what has not changed of a store where the new one is made.
+    """Take over what has not changed of a store.
 
     Args:
-        final: the store. storage: where the new one is made; nothing is there.
+        url, record: of the store. parts: whether it keeps what its tasks found.
+        take: takes over objects, by their keys; some may not be there.
         plan: of the new one. raster, coding: its heights, and how they are kept.
 
     Returns:
         The plan to go on by; None where everything is made again, and a note says why.
     """
-    record = read_record(final)
     if later := ", ".join([*LAYERS.of(record), *(["color errors"] if COLORS.of(record) else [])]):
         progress.warn(
-            f"{final.url}: what was added to the store later is not kept, for it is of the terrain as it was: {later}."
+            f"{url}: what was added to the store later is not kept, for it is of the terrain as it was: {later}."
         )
     before = {**plan_of(record), "source": None, "name": None}
-    sized = _sized(plan, before)
+    going_on = sized(plan, before)
     changed: list[Window] = []
-    why = differing({**sized, "source": None, "name": None}, before)
+    why = differing({**going_on, "source": None, "name": None}, before)
     why = f"its {why} differ" if why else ""
     if not why:
-        why = _unlike(final, record, raster, coding)
+        why = _unlike(record, parts, raster, coding)
     if not why:
         found = changed_windows(record.inputs or {}, inputs_of(raster) or {})
         why, changed = ("", found) if isinstance(found, list) else (found, [])
     if why:
-        progress.note(f"{final.url}: everything is made again: {why}")
+        progress.note(f"{url}: everything is made again: {why}")
         return None
     shape = record.grid.shape
     every, sides = tasks(shape, record.shard), tasks(shape, area_of(record.shard))
@@ -153,19 +163,19 @@ def seeded(
     heights = [spot for spot in every if not others.meet(_grown(spot, record.shard, 1))]
     near = _Windows(_of_errors(shape, changed))
     errors = [spot for spot in sides if not near.meet(_grown(spot, area_of(record.shard), 0))]
-    _link(final, storage, _keys(record, heights, errors))
-    _link(final, storage, _keys_of_lattices(record, others))
+    take(_keys(record, heights, errors))
+    take(_keys_of_lattices(record, others))
     left = len(every) - len(heights)
     progress.note(
-        f"{final.url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
+        f"{url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
         f"{len(sides):,} of errors are made again"
     )
-    return sized
+    return going_on
 
 
-def _unlike(final: FolderStorage, record: Record, raster: HeightSource, coding: Coding | None) -> str:
+def _unlike(record: Record, parts: bool, raster: HeightSource, coding: Coding | None) -> str:
     """Why nothing of a store with an equal plan can be kept; empty if something can."""
-    if not final.exists(PARTS):
+    if not parts:
         return "it was built without `update`, and keeps no parts"
     before = record.coding
     if (None if before is None else before.step) != (None if coding is None else coding.step):

@@ -1,4 +1,6 @@
-"""Versions of a store in a folder: STORE is the newest, ``STORE@2`` an older one, a complete store beside it.
+"""Versions of a store: STORE is the newest, ``STORE@2`` an older one.
+
+In a folder ``STORE@2`` is a complete store beside STORE.
 
 Updates (``updating``) count them. The number lies in ``parts/version.json``, outside of what a build is compared by: an
 updated store has the bytes of a new one. What two versions have in common are hard links, where the file system has
@@ -6,6 +8,9 @@ them.
 
 The new version and the old one exchange their names in one step of the system (Linux, macOS): STORE is complete at
 every moment. Where the system cannot do that, STORE is moved aside first, and for a moment only ``STORE@2`` is there.
+
+In a bucket all versions lie below STORE (``bucket_updates``): objects under keys that end with their digests, the root
+of an older version in ``versions/2.json``. Each root says which version it is of, and which others are kept.
 """
 
 from __future__ import annotations
@@ -15,10 +20,12 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from orograph.errors import StoreError, UsageError
 from orograph.progress import Progress
-from orograph.store.places import PARTS, PLAN, VERSION, is_store, kept, partial, replaced
+from orograph.store.bucket import BucketStorage
+from orograph.store.places import PARTS, PLAN, ROOT, VERSION, is_store, kept, partial, replaced
 from orograph.store.places import publish as publish_alone
 from orograph.store.storage import FolderStorage, Storage
 
@@ -28,10 +35,28 @@ KEEP = 2
 NUMBER = f"{PARTS}/version.json"
 
 
+class Edition(NamedTuple):
+    """Which version of a store in a bucket a root is of.
+
+    Attributes:
+        number: of the version.
+        kept: the older ones that are there, the newest first.
+        parts: below which name what its tasks found is kept (``BucketStorage.scope``).
+    """
+
+    number: int
+    kept: tuple[int, ...]
+    parts: str
+
+    @classmethod
+    def from_json(cls, said: dict[str, Any]) -> Edition:
+        return cls(said["number"], tuple(said["kept"]), said["parts"])
+
+
 def number(storage: Storage) -> int | None:
-    """Which version of the store this is; None where nobody counts (it was never updated, or lies at a URL)."""
+    """Which version of a store in a folder this is, or at a URL which older one; None where nobody counts."""
     if storage.remote or (data := storage.get(NUMBER)) is None:
-        return None
+        return storage.number
     try:
         found = json.loads(data)["version"]
     except (ValueError, KeyError, TypeError):
@@ -47,6 +72,39 @@ def folder_of(path: str) -> str:
     return name[1] if number(FolderStorage(name[1])) == int(name[2]) else path
 
 
+def version_of(storage: BucketStorage) -> BucketStorage:
+    """What an address in a bucket means: ``STORE@3`` is STORE itself if that is version 3, or an older version of it.
+    A store of such a name, where there is one, comes first."""
+    url, _ = storage.named()
+    name = VERSION.fullmatch(url.rpartition("/")[2]) if storage.prefix else None
+    if name is None or storage.exists(ROOT):
+        return storage
+    store = storage.below(storage.prefix.rpartition("@")[0], url.rpartition("@")[0])
+    newest = _edition(store)
+    if newest is None:
+        return storage
+    return store if newest.number == int(name[2]) else store.older(int(name[2]))
+
+
+def older(storage: Storage) -> list[tuple[int, Storage]]:
+    """The older versions of a store that are kept, the newest of them first."""
+    if isinstance(storage, FolderStorage):
+        return [(count, FolderStorage(path)) for count, path in kept(storage.home)]
+    if not isinstance(storage, BucketStorage) or storage.number is not None:
+        return []
+    newest = _edition(storage)
+    return [] if newest is None else [(count, storage.older(count)) for count in newest.kept]
+
+
+def _edition(storage: BucketStorage) -> Edition | None:
+    """What the root says of its version, unproved; None if nobody counts."""
+    seen = storage.look(ROOT)
+    try:
+        return None if seen is None else Edition.from_json(json.loads(seen.data)["attributes"]["orograph"]["version"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
 def check_keep(keep: int | None, update: bool, final: Storage) -> int:
     """How many versions an update keeps.
 
@@ -57,11 +115,12 @@ def check_keep(keep: int | None, update: bool, final: Storage) -> int:
         raise UsageError("`keep` says how many versions an update leaves.", remedy="Use `update=True` with it.")
     if keep is not None and keep < 1:
         raise UsageError(f"An update keeps at least one version, the new one, not {keep}.")
-    name = VERSION.fullmatch(final.path.name) if update and isinstance(final, FolderStorage) else None
-    if name is not None and is_store(FolderStorage(Path(final.url).with_name(name[1]))):
+    name = VERSION.fullmatch(final.url) if final.number is not None or (update and not final.remote) else None
+    if name is not None and (final.remote or is_store(FolderStorage(name[1]))):
         raise UsageError(
-            "This is an older version of a store, which stays what it is.", path=final.url, remedy=f"Update {name[1]}."
-        )
+            "This is an older version of a store, which stays what it is.", path=final.url,
+            remedy=f"Update {name[1].rpartition('/')[2]}.",
+        )  # fmt: skip
     return KEEP if keep is None else keep
 
 

@@ -16,9 +16,10 @@ from typing import Any
 
 from orograph.errors import StoreError, StoreReplacedError
 from orograph.store.layout import Record
-from orograph.store.places import ROOT, kept, left_over, missing
+from orograph.store.places import ROOT, left_over, missing
 from orograph.store.registry import KINDS
 from orograph.store.storage import FolderStorage, Storage
+from orograph.store.versions import older
 
 EVERY, EVERY_REMOTE = 0.02, 30.0
 """Seconds between two looks."""
@@ -78,16 +79,14 @@ class Watch:
             raise self._replaced()
 
     def _follows(self) -> bool:
-        """Go on with the version that was opened, if it is kept beside the store."""
-        if not isinstance(self.storage, FolderStorage):
-            return False
-        for _, path in kept(self.storage.home):
+        """Go on with the version that was opened, if it is kept."""
+        for _, place in older(self.storage):
             try:
-                same = _ground(self._read(FolderStorage(path))) == _ground(self.record)
+                same = _ground(self._read(place)) == _ground(self.record)
             except StoreError:  # (it is being removed)
                 continue
             if same:
-                self.storage.follow(path)
+                self.storage.follow(place)
                 self.replaced = True
                 return True
         return False
@@ -123,4 +122,4 @@ def _ground(record: Record) -> dict[str, Any]:
         if path.partition("/")[0] not in groups and not path.endswith("zarr.json")
     }
     derived = {name: told for name, told in said["derived"].items() if not KINDS[name].later}
-    return {**said, "digests": digests, "derived": derived, "checksum": None}
+    return {**said, "digests": digests, "derived": derived, "checksum": None, "version": None}

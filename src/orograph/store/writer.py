@@ -19,18 +19,19 @@ class ShardWriter:
 
     Args:
         storage: where they go.
+        keyed: whether their keys end with their digests (``Digests.place``).
 
     Attributes:
         digests: of all shards that were written, or taken over from an interrupted build (``take``).
     """
 
-    def __init__(self, storage: Storage) -> None:
-        self.storage, self.digests = storage, Digests()
+    def __init__(self, storage: Storage, keyed: bool = False) -> None:
+        self.storage, self.digests = storage, Digests(keyed=keyed)
 
     def shard(self, spec: ArraySpec, spot: Spot, block: NDArray[Any]) -> bytes:
         """Write a shard of these samples; its digest."""
         parts, digest = spec.encode(spot, block)
-        self.storage.put(spec.key(spot), parts)
+        self.storage.put(self.digests.place(spec.key(spot), digest), parts)
         self.take(spec, spot, digest)
         return digest
 

@@ -160,7 +160,7 @@ def _store_facts(path: str) -> Facts:
     from orograph import store
     from orograph.store.colors import COLORS
     from orograph.store.layers import LAYERS
-    from orograph.store.places import kept
+    from orograph.store.versions import older
 
     with store.open(path) as terrain:
         found = _terrain_facts(terrain)
@@ -169,7 +169,7 @@ def _store_facts(path: str) -> Facts:
             "kind": "store",
             "path": path,
             "version": terrain.version,
-            "versions": [] if terrain.remote else [number for number, _ in kept(terrain.url)],
+            "versions": [number for number, _ in older(terrain.storage)],
             "errors": list(terrain.errors),
             "colors": COLORS.of(terrain.record) or None,
             "codec": None if terrain.record.coding is None else terrain.record.coding.to_json(),

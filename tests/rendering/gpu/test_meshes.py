@@ -79,8 +79,10 @@ def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: 
         both = np.isfinite(drawn.depth) & np.isfinite(cast.depth)
         assert (np.isfinite(drawn.depth) == np.isfinite(cast.depth)).mean() > 0.995, name
         off = np.abs(drawn.depth - cast.depth)[both] / cast.depth[both]
-        # Beside a ridge the two may see either side of it: such pixels are few.
-        assert np.quantile(off, 0.99) < 1e-4 and np.median(off) < 2e-6, (name, np.quantile(off, 0.99))
+        # Beside a ridge the two may see either side of it: such pixels are few. (Hardware moves vertices to 1/256 of a
+        # pixel, and by that the depths beside them.)
+        usual = 2e-6 if device.adapter.software else 1e-5
+        assert np.quantile(off, 0.99) < 1e-4 and np.median(off) < usual, (name, np.quantile(off, 0.99))
 
 
 def test_the_gpu_streams_patches_unless_they_are_asked_for_otherwise(device: Device, terrain: Terrain) -> None:

@@ -89,6 +89,17 @@ def test_pictures_are_the_same(device: Device, name: str) -> None:
     assert usual.std() > 10
 
 
+@pytest.mark.parametrize("name", SCENES)
+def test_compute_shaders_show_what_fragments_show(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """As on hardware, and within the limits."""
+    scene = seen(ground(), **SCENES[name])
+    by_fragments = draw(scene, device=device).pixels.astype(int)
+    monkeypatch.setattr(Device, "computes", True)
+    computed = draw(scene, device=open_device(portable=True)).pixels.astype(int)
+    assert np.abs(by_fragments - computed).mean() < 0.05
+    assert computed.std() > 10
+
+
 def move(device: Device, scene: Scene) -> None:
     """Draw two frames of a moving picture, as a window does."""
     target = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC").create_view()
@@ -100,8 +111,12 @@ def move(device: Device, scene: Scene) -> None:
     renderer.close()
 
 
-def test_every_shader_is_used_within_the_limits(portable: Device) -> None:
+def test_every_shader_is_used_within_the_limits(portable: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = seen(ground())
+    with monkeypatch.context() as as_hardware:
+        as_hardware.setattr(Device, "computes", True)
+        draw(seen(scene.terrain, **SCENES["cast at breaks"]), device=portable)
+        move(portable, scene)
     for how in SCENES.values():
         draw(seen(scene.terrain, **how), device=portable)
     draw(seen(ground(void=False), method="clipmap,n=63"), device=portable)  # (rings around voids are triangles)

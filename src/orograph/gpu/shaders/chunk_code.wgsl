@@ -1,5 +1,8 @@
 // Meshes of chunks from their words (store/chunk_code.py): a workgroup a chunk, a level of its triangles after the other.
 // What a thread needs of those before its own comes from prefix sums. All arithmetic is of 32-bit integers.
+//
+// A thread takes a run of RUN triangles at a time. On hardware that is one, so that neighbouring threads read neighbouring
+// memory; on software, where barriers cost more than memory, it is a share of the whole level (0).
 
 struct Job {
   words: u32,      // where they begin
@@ -18,7 +21,8 @@ struct Job {
 @group(0) @binding(3) var<storage, read_write> vertices: array<i32>;    // 5 each: row, column, height, target, low
 @group(0) @binding(4) var<storage, read_write> triangles: array<u32>;   // 3 each
 
-const THREADS: u32 = 64u;
+const THREADS: u32 = {{THREADS}}u;
+const RUN: u32 = {{RUN}}u;
 const HEADER: u32 = 15u;
 const BLOCK: u32 = {{BLOCK}}u;
 const VOIDS: u32 = 0x10000u;
@@ -26,8 +30,8 @@ const MISSING: i32 = -2147483647 - 1;
 const PARTS: i32 = {{PARTS}};
 const HUNG: u32 = 0x80000000u;     // of a corner: the skirt's lower end
 
-var<workgroup> sums: array<vec4<u32>, 64>;
-var<workgroup> more: array<u32, 64>;
+var<workgroup> sums: array<vec4<u32>, {{THREADS}}>;
+var<workgroup> more: array<u32, {{THREADS}}>;
 var<workgroup> total: array<u32, 5>;
 
 struct Before { counts: vec4<u32>, more: u32 };   // sums over the threads before
@@ -253,7 +257,7 @@ fn offsets_of(k: u32, c: Chunk, count: u32) -> u32 {
   return all_ - lacking * ((coded[c.widths + (last >> 2u)] >> (8u * (last & 3u))) & 255u);
 }
 
-@compute @workgroup_size(64)
+@compute @workgroup_size({{THREADS}})
 fn main(@builtin(local_invocation_index) k: u32, @builtin(workgroup_id) group: vec3<u32>) {
   let job = jobs[group.x + 1u];
   let h = job.words;
@@ -303,86 +307,97 @@ fn main(@builtin(local_invocation_index) k: u32, @builtin(workgroup_id) group: v
   var hung = 0u;
   var seen = 0u;
   for (var level = 0u; level <= levels && width > 0u; level++) {
-    let share = (width + THREADS - 1u) / THREADS;
-    let begin = min(k * share, width);
-    let end = min(begin + share, width);
-    var owners = 0u;
-    for (var i = begin; i < end; i++) {
-      owners += select(0u, 1u, owner(nodes, i));
-    }
-    var rank = told + before(k, vec4<u32>(owners, 0u, 0u, 0u), 0u).counts.x;
-    let all_owners = workgroupUniformLoad(&total)[0];
-    for (var i = begin; i < end; i++) {
-      if (owner(nodes, i)) {
-        var bit = 0u;
-        if (level < levels) {
-          bit = number(bits, rank, 1u);
-        }
-        scratch[nodes + 8u * i + 6u] = i32(bit);
-        rank += 1u;
+    let run = select(RUN, (width + THREADS - 1u) / THREADS, RUN == 0u);
+    for (var tile = 0u; tile < width; tile += run * THREADS) {
+      let begin = min(tile + k * run, width);
+      let end = min(begin + run, width);
+      var owners = 0u;
+      for (var i = begin; i < end; i++) {
+        owners += select(0u, 1u, owner(nodes, i));
       }
-    }
-    told += all_owners;
-    storageBarrier();
-
-    var counts = vec4<u32>(0u);   // splits, vertices, those on sides, triangles
-    var edges = 0u;
-    for (var i = begin; i < end; i++) {
-      let at = nodes + 8u * i;
-      let a = scratch[at];
-      let e = scratch[at + 1u];
-      let f = scratch[at + 2u];
-      if (split(nodes, i)) {
-        counts.x += 1u;
+      var rank = told + before(k, vec4<u32>(owners, 0u, 0u, 0u), 0u).counts.x;
+      for (var i = begin; i < end; i++) {
         if (owner(nodes, i)) {
-          counts.y += 1u;
-          counts.z += select(0u, 1u, sides(c, (place(c, e) + place(c, f)) >> vec2<u32>(1u)) != 0u);
-        }
-      } else if (!(c.dropped != 0u && number(c.dropped, seen + i, 1u) == 1u) && drawn(c, a, e, f)) {
-        let hung = select(0u, 1u, hangs(c, a, e)) | select(0u, 2u, hangs(c, e, f)) | select(0u, 4u, hangs(c, f, a));
-        counts.w += 1u;
-        edges += countOneBits(hung);
-        scratch[at + 7u] = i32(8u | hung);
-      } else {
-        scratch[at + 7u] = 0;
-      }
-    }
-    let first = before(k, counts, edges);
-    let all_ = workgroupUniformLoad(&total);
-    var now = first.counts;
-    var fringe = coded[h + 1u] + 2u * (hung + first.more);
-    for (var i = begin; i < end; i++) {
-      let at = nodes + 8u * i;
-      let a = scratch[at];
-      let e = scratch[at + 1u];
-      let f = scratch[at + 2u];
-      if (split(nodes, i)) {
-        now.x += 1u;
-        if (owner(nodes, i)) {
-          let v = made + now.y;
-          make(c, v, e, f, beside + now.z);
-          scratch[at + 7u] = i32(v);
-          now.y += 1u;
-          now.z += select(0u, 1u, sides(c, place(c, i32(v))) != 0u);
-        }
-        scratch[at + 6u] = i32(now.x);
-      } else {
-        if (!owner(nodes, i)) {
-          scratch[at + 6u] = 0;
-        }
-        let there = u32(scratch[at + 7u]);   // of a leaf: 8, and its edges that hang
-        if (there != 0u) {
-          emit(job.triangle + out + now.w, u32(a), u32(e), u32(f));
-          now.w += 1u;
-          fringe = hang(job.triangle, fringe, (there & 1u) != 0u, u32(a), u32(e));
-          fringe = hang(job.triangle, fringe, (there & 2u) != 0u, u32(e), u32(f));
-          fringe = hang(job.triangle, fringe, (there & 4u) != 0u, u32(f), u32(a));
+          var bit = 0u;
+          if (level < levels) {
+            bit = number(bits, rank, 1u);
+          }
+          scratch[nodes + 8u * i + 6u] = i32(bit);
+          rank += 1u;
         }
       }
+      told += workgroupUniformLoad(&total)[0];
     }
     storageBarrier();
 
-    for (var i = begin; i < end; i++) {
+    var splits = 0u;
+    for (var tile = 0u; tile < width; tile += run * THREADS) {
+      let begin = min(tile + k * run, width);
+      let end = min(begin + run, width);
+      var counts = vec4<u32>(0u);   // splits, vertices, those on sides, triangles
+      var edges = 0u;
+      for (var i = begin; i < end; i++) {
+        let at = nodes + 8u * i;
+        let a = scratch[at];
+        let e = scratch[at + 1u];
+        let f = scratch[at + 2u];
+        if (split(nodes, i)) {
+          counts.x += 1u;
+          if (owner(nodes, i)) {
+            counts.y += 1u;
+            counts.z += select(0u, 1u, sides(c, (place(c, e) + place(c, f)) >> vec2<u32>(1u)) != 0u);
+          }
+        } else if (!(c.dropped != 0u && number(c.dropped, seen + i, 1u) == 1u) && drawn(c, a, e, f)) {
+          let hung = select(0u, 1u, hangs(c, a, e)) | select(0u, 2u, hangs(c, e, f)) | select(0u, 4u, hangs(c, f, a));
+          counts.w += 1u;
+          edges += countOneBits(hung);
+          scratch[at + 7u] = i32(8u | hung);
+        } else {
+          scratch[at + 7u] = 0;
+        }
+      }
+      let first = before(k, counts, edges);
+      let all_ = workgroupUniformLoad(&total);
+      var now = first.counts;
+      var fringe = coded[h + 1u] + 2u * (hung + first.more);
+      for (var i = begin; i < end; i++) {
+        let at = nodes + 8u * i;
+        let a = scratch[at];
+        let e = scratch[at + 1u];
+        let f = scratch[at + 2u];
+        if (split(nodes, i)) {
+          now.x += 1u;
+          if (owner(nodes, i)) {
+            let v = made + now.y;
+            make(c, v, e, f, beside + now.z);
+            scratch[at + 7u] = i32(v);
+            now.y += 1u;
+            now.z += select(0u, 1u, sides(c, place(c, i32(v))) != 0u);
+          }
+          scratch[at + 6u] = i32(splits + now.x);
+        } else {
+          if (!owner(nodes, i)) {
+            scratch[at + 6u] = 0;
+          }
+          let there = u32(scratch[at + 7u]);   // of a leaf: 8, and its edges that hang
+          if (there != 0u) {
+            emit(job.triangle + out + now.w, u32(a), u32(e), u32(f));
+            now.w += 1u;
+            fringe = hang(job.triangle, fringe, (there & 1u) != 0u, u32(a), u32(e));
+            fringe = hang(job.triangle, fringe, (there & 2u) != 0u, u32(e), u32(f));
+            fringe = hang(job.triangle, fringe, (there & 4u) != 0u, u32(f), u32(a));
+          }
+        }
+      }
+      splits += all_[0];
+      made += all_[1];
+      beside += all_[2];
+      out += all_[3];
+      hung += all_[4];
+    }
+    storageBarrier();
+
+    for (var i = k; i < width; i += THREADS) {
       let at = nodes + 8u * i;
       let own = scratch[at + 6u];
       if (own == 0) {
@@ -404,12 +419,8 @@ fn main(@builtin(local_invocation_index) k: u32, @builtin(workgroup_id) group: v
       scratch[to + 13u] = half_of(nodes, scratch[at + 4u], 0);
     }
     storageBarrier();
-    made += all_[1];
-    beside += all_[2];
-    out += all_[3];
-    hung += all_[4];
     seen += width;
-    width = 2u * all_[0];
+    width = 2u * splits;
     let other = nodes;
     nodes = beyond;
     beyond = other;

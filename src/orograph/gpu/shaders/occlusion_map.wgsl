@@ -64,7 +64,7 @@ fn unordered(key: u32) -> f32 {
 struct Corner {
     @builtin(position) position: vec4f,
     @location(0) s: f32,
-    @location(1) there: f32,  // 1 if the sample is, 0 if it is missing
+    @location(1) gone: f32,  // 1 if the sample is missing
 };
 
 // An instance is a block of 16 × 16 cells of the ring, of which those between its clips are drawn: what lies beyond
@@ -80,7 +80,7 @@ fn vertex(@builtin(vertex_index) index: u32, @location(0) block: vec4i) -> Corne
     var out: Corner;
     out.position = vec4f(texel.x * 2.0 / f32(d.map.x) - 1.0, 1.0 - texel.y * 2.0 / f32(d.map.y), 0.5, 1.0);
     out.s = dot(d.s, p);
-    out.there = select(0.0, 1.0, there);
+    out.gone = select(1.0, 0.0, there);
     return out;
 }
 
@@ -89,7 +89,7 @@ fn vertex(@builtin(vertex_index) index: u32, @location(0) block: vec4i) -> Corne
 // whether the face looks towards the light.
 @fragment
 fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
-    if (in.there < 0.9999) {  // a corner is missing: a hole
+    if (in.gone > 1e-4) {  // a corner is missing: a hole
         return vec4f(0.0);
     }
     let texel = vec2u(in.position.xy);

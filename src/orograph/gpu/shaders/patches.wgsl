@@ -24,7 +24,7 @@ struct Instance {
 
 struct Vertex {
   @builtin(position) position: vec4<f32>,
-  @location(0) there: f32,                        // 1 where all corners of the triangle have ground
+  @location(0) gone: f32,                         // 0 where all corners of the triangle have ground
   @location(1) lattice: vec2<f32>,                // (i, j) along the legs: edges of triangles lie on whole numbers
   @location(2) @interpolate(flat) what: u32,
   @location(3) place: vec3<f32>,                  // relative to the eye, metres, height not stretched
@@ -89,7 +89,7 @@ fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
   out.texel = vec2<f32>((min(at, camera.last.yx) - tile * (256 << level)).yx) / f32(1u << level);
   out.tile = vec2<i32>(i32(level), instance.slot);
   // end: SAMPLED
-  out.there = select(0.0, 1.0, here.there);
+  out.gone = select(1.0, 0.0, here.there);
   out.lattice = vec2<f32>(lattice);
   out.what = (s << 8u) | (e << 4u) | 1u;
   return out;
@@ -101,7 +101,7 @@ fn marked(in: Vertex) -> u32 {
   // Seen edge on, a triangle's depth is extrapolated beyond its corners by some rasterisers: such slivers, a quarter of
   // a pixel wide at most, are left to what is beside them.
   let sliver = camera.plan == 0u && fwidth(in.position.z) > 4.0 * in.position.z;
-  if (in.there < 0.9999 || sliver) {
+  if (in.gone > 1e-4 || sliver) {   // (zeros stay zero, however roughly hardware interpolates in a sliver)
     discard;
   }
   if (EDGES == 0u) {

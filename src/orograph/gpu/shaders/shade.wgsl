@@ -286,16 +286,15 @@ fn in_picture(at: vec2<f32>) -> vec2<u32> {
   return vec2<u32>(at) + vec2<u32>(shade.corner & 0xffffu, shade.corner >> 16u);
 }
 
-// What is seen where the depth buffer is empty (the depth test says so).
-@fragment
-fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
-  let d = normalize(ray_of(at.xy).direction);
+// What is seen where the depth buffer is empty.
+fn behind(at: vec2<f32>) -> vec4<f32> {
+  let d = normalize(ray_of(at).direction);
   var color = shade.paper.rgb;
   if ((FLAGS & 256u) != 0u) {
-    color = dithered(sky(d), in_picture(at.xy));
+    color = dithered(sky(d), in_picture(at));
   }
   if ((FLAGS & 8192u) != 0u) {
-    color = outlined(color, vec2<i32>(at.xy), d);
+    color = outlined(color, vec2<i32>(at), d);
   }
   return vec4<f32>(color, 1.0);
 }
@@ -315,25 +314,24 @@ fn hatched(at: vec2<f32>, d: vec3<f32>, depth: f32) -> vec4<f32> {
   return vec4<f32>(color, 1.0);
 }
 
-@fragment
-fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
-  let pixel = vec2<i32>(at.xy);
-  let stored = textureLoad(depths, pixel, 0);
+// What is seen of the ground; 0 where a pixel is left as it is.
+fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
+  let pixel = vec2<i32>(at);
   let mark = textureLoad(marks, pixel, 0).r;
-  if ((mark & 8u) != 0u) {   // as it is: surface_rays.wgsl
-    discard;
+  if ((mark & 8u) != 0u) {   // surface_rays.wgsl
+    return vec4<f32>(0.0);
   }
-  let ray = ray_of(at.xy);
+  let ray = ray_of(at);
   let d = normalize(ray.direction);
   let hit = hit_at(stored, ray);
   let depth = hit.depth;
   let position = hit.position;
   if ((FLAGS & 1024u) != 0u && (mark & 2u) != 0u) {   // a patch over missing data
-    return hatched(at.xy, d, depth);
+    return hatched(at, d, depth);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
   if (!is_flooded() && beyond(hit.place) && all(seen.slope == vec2<f32>(0.0))) {   // a lake, or level ground
-    return hatched(at.xy, d, depth);
+    return hatched(at, d, depth);
   }
   var color = seen.color;
   if ((FLAGS & 16u) != 0u) {
@@ -371,7 +369,7 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     color = haze(color, d, depth);
   }
   if (hit.footprint < 0.5) {   // where samples are large colors change by less than a byte tells over many pixels
-    color = dithered(color, in_picture(at.xy));
+    color = dithered(color, in_picture(at));
   }
   if ((FLAGS & 8192u) != 0u) {
     color = outlined(color, pixel, d);
@@ -385,6 +383,42 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   }
   return vec4<f32>(color, 1.0);
 }
+
+@fragment
+fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {   // (the depth test says so)
+  return behind(at.xy);
+}
+
+@fragment
+fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+  let light = shown(at.xy, textureLoad(depths, vec2<i32>(at.xy), 0));
+  if (light.a == 0.0) {
+    discard;
+  }
+  return light;
+}
+
+// when: COMPUTED
+@group({{OUT_GROUP}}) @binding(0) var<uniform> part: vec4<u32>;   // x, y, width and height, pixels
+@group({{OUT_GROUP}}) @binding(1) var computed: texture_storage_2d<rgba16float, write>;
+
+@compute @workgroup_size(8, 8)
+fn compute(@builtin(global_invocation_id) k: vec3<u32>) {
+  if (any(k.xy >= part.zw)) {
+    return;
+  }
+  let pixel = part.xy + k.xy;
+  let at = vec2<f32>(pixel) + 0.5;
+  let stored = textureLoad(depths, vec2<i32>(pixel), 0);
+  var light: vec4<f32>;
+  if (stored > 0.0) {
+    light = shown(at, stored);
+  } else {
+    light = behind(at);
+  }
+  textureStore(computed, pixel, light);
+}
+// end: COMPUTED
 
 // A color for the spacing of a patch's lattice and whether its legs are diagonal.
 fn level_colour(step: u32, diagonal: u32) -> vec3<f32> {

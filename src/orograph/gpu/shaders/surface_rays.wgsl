@@ -55,6 +55,7 @@ fn left_out(pixel: vec2<f32>) -> bool {
   return BREAKS == 1u && breaks[u32(pixel.y) * u32(camera.size.x) + u32(pixel.x)] == 0u;
 }
 
+// when: FRAGMENTS
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> Pixel {
   if (left_out(at.xy)) {
@@ -76,6 +77,59 @@ fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
   }
   return Sloped(stored_depth(hit.t), marked(hit), slope_at(way, hit));
 }
+// end: FRAGMENTS
+
+// when: COMPUTED
+// A compute shader casts the rays, and fragments copy what it found.
+@group(1) @binding(4) var<storage, read_write> hits: array<vec4<u32>>;   // by rows of pixels: depth, marks, slope
+@group(1) @binding(5) var<storage, read> blocks: array<vec2<u32>>;       // column and row of each
+
+fn number_of(pixel: vec2<u32>) -> u32 {
+  return pixel.y * u32(camera.size.x) + pixel.x;
+}
+
+fn cast_pixel(pixel: vec2<u32>) {
+  if (any(pixel >= vec2<u32>(camera.size))) {
+    return;
+  }
+  let at = vec2<f32>(pixel) + 0.5;
+  if (left_out(at)) {
+    hits[number_of(pixel)] = vec4<u32>(bitcast<u32>(1.0), LEFT_OUT, 0u, 0u);
+    return;
+  }
+  let way = way_of(at);
+  let hit = hit_of(at, way);
+  var slope = vec2<f32>(0.0);
+  // when: SLOPED
+  if (hit.t < NEVER) {
+    slope = slope_at(way, hit);
+  }
+  // end: SLOPED
+  hits[number_of(pixel)] = vec4<u32>(bitcast<u32>(stored_depth(hit.t)), marked(hit), bitcast<vec2<u32>>(slope));
+}
+
+@compute @workgroup_size(8, 8)
+fn cast_all(@builtin(global_invocation_id) k: vec3<u32>) {
+  cast_pixel(k.xy);
+}
+
+@compute @workgroup_size(8, 8)
+fn cast_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) k: vec3<u32>) {
+  cast_pixel(blocks[group.x] * u32(SIDE) + group.yz * 8u + k.xy);
+}
+
+@fragment
+fn fragment(@builtin(position) at: vec4<f32>) -> Pixel {
+  let hit = hits[number_of(vec2<u32>(at.xy))];
+  return Pixel(bitcast<f32>(hit.x), hit.y);
+}
+
+@fragment
+fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
+  let hit = hits[number_of(vec2<u32>(at.xy))];
+  return Sloped(bitcast<f32>(hit.x), hit.y, bitcast<vec2<f32>>(hit.zw));
+}
+// end: COMPUTED
 
 // Nothing but the depth of the block, which keeps out all that lies behind it.
 @fragment

@@ -85,9 +85,8 @@ fn changed(p: vec2<f32>) -> bool {
   return false;
 }
 
-@fragment
-fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
-  let pixel = vec2<i32>(position.xy);
+fn mean_of(position: vec2<f32>) -> Mean {
+  let pixel = vec2<i32>(position);
   let now = textureLoad(light, pixel, 0).rgb;
   let stored = textureLoad(depth, pixel, 0);
   let ground = stored > 0.0;
@@ -97,7 +96,7 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
     return alone;
   }
   // Where this pixel's ground was.
-  let ray = ray_of(position.xy - temporal.shift);
+  let ray = ray_of(position - temporal.shift);
   var p = ray.direction;
   var scaled = 0.0;
   if (ground) {
@@ -138,7 +137,29 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   }
   mean = clamp(mean, low, high);
   let count = min(textureLoad(before, nearest, 0).a, select(1023.0, ANEW, anew)) + 1.0;
-  let fast = min(length(at - position.xy), 1.0) * FAST;
+  let fast = min(length(at - position), 1.0) * FAST;
   let share = max(max(temporal.moved.w, 1.0 / count), max(min(SCALE * scaled, 1.0), fast));
   return Mean(vec4<f32>(mix(max(mean, vec3<f32>(0.0)), now, share), count), depth_now);
 }
+
+// when: FRAGMENTS
+@fragment
+fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
+  return mean_of(position.xy);
+}
+// end: FRAGMENTS
+
+// when: COMPUTED
+@group(1) @binding(6) var onto: texture_storage_2d<rgba16float, write>;
+@group(1) @binding(7) var far_onto: texture_storage_2d<r32float, write>;
+
+@compute @workgroup_size(8, 8)
+fn compute(@builtin(global_invocation_id) k: vec3<u32>) {
+  if (any(k.xy >= vec2<u32>(camera.size))) {
+    return;
+  }
+  let mean = mean_of(vec2<f32>(k.xy) + 0.5);
+  textureStore(onto, k.xy, mean.light);
+  textureStore(far_onto, k.xy, vec4<f32>(mean.far));
+}
+// end: COMPUTED

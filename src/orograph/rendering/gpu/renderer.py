@@ -29,7 +29,7 @@ from orograph.rendering.gpu.shade.lettering import Letters
 from orograph.rendering.gpu.shade.look import DRAPE, FIELD, LABELS, SILHOUETTES, SMOOTH, WIREFRAME
 from orograph.rendering.gpu.shade.look_cache import SLOPES, Looks
 from orograph.rendering.gpu.shade.outlines import BreakPass
-from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass
+from orograph.rendering.gpu.shade.passes import ResolvePass, ScreenOcclusion, ShadePass
 from orograph.rendering.gpu.shade.resources import Resources
 from orograph.rendering.gpu.shade.tracing import RAYS, TRACED, Around, Share, casts, parts_of
 from orograph.rendering.gpu.stream.image_tiles import SIDE
@@ -201,7 +201,7 @@ class Renderer(Reading):
             with contextlib.suppress(Exception):  # the frame says what is wrong
                 self._resolve(format)
                 self._ground.compile(bool(flags & WIREFRAME), slopes)
-                for entry in SHOWN:
+                for entry in self._shading.shown:
                     self._shading.pipeline(flags, entry)
 
         beside = threading.Thread(target=compile, daemon=True)

@@ -24,9 +24,10 @@ class Targets:
         size = (width, height)
         self.depth = device.texture(size, DEPTH, attach, label="depth")
         self.marks = device.texture(size, MARKS, attach, label="marks")
-        self.light = device.texture(size, LIGHT, attach, label="light")
+        self.light = device.texture(size, LIGHT, f"{attach}|STORAGE_BINDING", label="light")
         self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
         self.light_view = self.light.create_view()
+        self._newest: Any = None
         self._given: Any = None
         self._field: Any = None
         self._attached: dict[str, Attachments] = {}
@@ -37,6 +38,13 @@ class Targets:
         if found is None:
             found = self._attached[name] = make()
         return found
+
+    def newest_view(self, device: Device) -> Any:
+        """The view of a frame's own light, where it is computed, before it is blended with the frames' before it."""
+        if self._newest is None:
+            usage = "STORAGE_BINDING|TEXTURE_BINDING"
+            self._newest = device.texture((self.width, self.height), LIGHT, usage, label="newest light").create_view()
+        return self._newest
 
     @property
     def has_field(self) -> bool:

@@ -20,8 +20,15 @@ from orograph.rendering.gpu.shade.ssao import Ssao
 from orograph.rendering.gpu.shade.tracing import TRACED
 from orograph.rendering.gpu.targets import DEPTH, EMPTY, LIGHT, Targets
 
-SHOWN = "fragment", "background"
+FRAGMENTS, COMPUTED = ("fragment", "background"), ("compute",)
 """Entries of the shading shader that make a picture."""
+
+_WEIGHED = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
+MEAN: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": _WEIGHED, "alpha": _WEIGHED}}]
+"""The target of what has a weight in the mean."""
+
+Part = tuple[int, int, int, int]
+"""Of a target: x, y, width and height."""
 
 
 class ShadePass:
@@ -34,9 +41,15 @@ class ShadePass:
 
     def __init__(self, device: Device, camera: Any, missing: int) -> None:
         self.device, self.camera, self.missing = device, camera, missing
+        self._computes = device.computes
+        self.shown = COMPUTED if self._computes else FRAGMENTS
         program = self._program(TRACED)
         self._looked_up = program.groups[1]
         self.rays = RayBindings(device, program.groups[2])
+        self._mean = Program(device, "light_mean")
+        self._blend: Any = None
+        self._part = device.buffer(16, "UNIFORM", "part of the light")
+        self._outs: list[tuple[Any, bool, Any]] = []
         self._pipelines: dict[tuple[int, str], Any] = {}
         self._bound: tuple[list[Any], Any] = ([], None)
         self._compiler = BackgroundTask()
@@ -71,11 +84,11 @@ class ShadePass:
             wait: compile at once.
         """
         self._compiler.take()
-        there = all((flags, entry) in self._pipelines for entry in SHOWN)
+        there = all((flags, entry) in self._pipelines for entry in self.shown)
         if wait or there or self._last is None or self._compiler.done == flags:
             self._last = flags
         elif self._compiler.wants(flags):
-            self._compiler.start(flags, lambda: (also(), *(self.pipeline(flags, entry) for entry in SHOWN)))
+            self._compiler.start(flags, lambda: (also(), *(self.pipeline(flags, entry) for entry in self.shown)))
         return self._last
 
     @property
@@ -87,54 +100,91 @@ class ShadePass:
         """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
 
         ``entry``: "fragment" (ground, where there is depth) or "background" (where there is none), which give light its
-        weight in the target's mean; or "surface" (depth and normals).
+        weight in the target's mean; "compute", both; or "surface" (depth and normals).
         """
         found = self._pipelines.get((flags, entry))
         if found is None:
-            mean = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
-            light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": mean, "alpha": mean}}]
-            found = self._program(flags).draw(
-                [{"format": "r32float"}, {"format": LIGHT}] if entry == "surface" else light,
-                fragment=entry,
-                depth=None if entry == "surface" else {
+            program = self._program(flags)
+            if entry in COMPUTED:
+                found = program.compute(entry)
+            elif entry == "surface":
+                found = program.draw([{"format": "r32float"}, {"format": LIGHT}], fragment=entry)
+            else:
+                found = program.draw(MEAN, fragment=entry, depth={
                     "format": DEPTH, "depth_write_enabled": False,
                     "depth_compare": "less" if entry == "fragment" else "greater-equal",  # than the triangle's 0
-                },
-            )  # fmt: skip
+                })  # fmt: skip
             self._pipelines[flags, entry] = found
         return found
 
     def _program(self, flags: int) -> Program:
         by_rays = int(bool(flags & TRACED))
-        return Program(self.device, "shade", FLAGS=flags, RAYS=by_rays, RAY_GROUP=2, MISSING=self.missing)
+        return Program(
+            self.device, "shade", FLAGS=flags, RAYS=by_rays, RAY_GROUP=2, OUT_GROUP=2 + by_rays,
+            COMPUTED=int(self._computes), MISSING=self.missing,
+        )  # fmt: skip
 
     def draw(
         self, encoder: Any, targets: Targets, group: Any, flags: int, *, frame: int = 0, clear: bool = True,
-        part: tuple[int, int, int, int] | None = None,
+        part: Part | None = None,
     ) -> None:  # fmt: skip
         """Bring the light of all pixels to the target, which holds the mean over ``frame`` frames before this one.
 
         The depth test tells ground from background, so that no pixel goes through both.
 
         Args:
-            clear: whether a first frame finds the target as it was left. part: x, y, width and height; None: all.
+            clear: whether a first frame finds the target as it was left. part: None: all.
         """
+        if self._computes:
+            self._compute(encoder, targets, group, flags, frame, part or (0, 0, targets.width, targets.height))
+            return
         before = EMPTY if frame == 0 and clear else None
         pass_ = targets.attached(
             "light" if before else "more light",
             lambda: Attachments([(targets.light_view, before)], (targets.depth_view, KEEP)),
         ).begin(encoder)
-        pass_.set_bind_group(0, self.camera_group)
-        pass_.set_bind_group(1, group)
-        if flags & TRACED:
-            pass_.set_bind_group(2, self.rays.group)
+        self.set_groups(pass_, targets.light_view, group, flags)
         if part is not None:
             pass_.set_scissor_rect(*part)
         pass_.set_blend_constant((1.0 / (frame + 1),) * 4)
-        for entry in SHOWN:
+        for entry in self.shown:
             pass_.set_pipeline(self.pipeline(flags, entry))
             pass_.draw(3)
         pass_.end()
+
+    def set_groups(self, pass_: Any, onto: Any, group: Any, flags: int) -> None:
+        """Set the groups of a pass. Args: onto: the view that computed light goes to."""
+        traced = bool(flags & TRACED)
+        groups = [self.camera_group, group, *([self.rays.group] if traced else [])]
+        if self._computes:
+            known = next((out for view, with_rays, out in self._outs if view is onto and with_rays == traced), None)
+            if known is None:
+                known = self._program(flags).bind({"part": self._part, "computed": onto}, len(groups))
+                self._outs = [(onto, traced, known), *self._outs[:3]]
+            groups.append(known)
+        for k, bound in enumerate(groups):
+            pass_.set_bind_group(k, bound)
+
+    def _compute(self, encoder: Any, targets: Targets, group: Any, flags: int, frame: int, part: Part) -> None:
+        """As ``draw``: a first frame's light goes to the target, that of others aside and is then blended."""
+        view = targets.newest_view(self.device) if frame else targets.light_view
+        write(self.device, self._part, np.array(part, np.uint32))
+        pass_ = encoder.begin_compute_pass()
+        pass_.set_pipeline(self.pipeline(flags, *COMPUTED))
+        self.set_groups(pass_, view, group, flags)
+        pass_.dispatch_workgroups(-(-part[2] // 8), -(-part[3] // 8))
+        pass_.end()
+        if not frame:
+            return
+        if self._blend is None:
+            self._blend = self._mean.draw(MEAN)
+        blend = targets.attached("blended light", lambda: Attachments([(targets.light_view, None)])).begin(encoder)
+        blend.set_pipeline(self._blend)
+        blend.set_bind_group(0, self._mean.bind({"computed": view}))
+        blend.set_scissor_rect(*part)
+        blend.set_blend_constant((1.0 / (frame + 1),) * 4)
+        blend.draw(3)
+        blend.end()
 
 
 class ScreenOcclusion:
@@ -166,8 +216,7 @@ class ScreenOcclusion:
             ]
         )
         pass_.set_pipeline(self.shading.pipeline(0, "surface"))
-        pass_.set_bind_group(0, self.shading.camera_group)
-        pass_.set_bind_group(1, group)
+        self.shading.set_groups(pass_, targets.light_view, group, 0)
         pass_.draw(3)
         pass_.end()
         if self._passes is None:

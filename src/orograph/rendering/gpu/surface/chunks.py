@@ -42,9 +42,13 @@ RUNS = {
     ],
 }
 
-LARGE = 1 << 18
-"""Triangles of a chunk that are left to the CPU: a workgroup would take long. (And software Vulkan, Mesa's, ends a
-thread's loops without a word when they have gone round 65,535 times, all together: here 10 for every 64 triangles.)"""
+LARGE = 1 << 18, 1 << 22
+"""Triangles of a chunk, on software and on hardware, that are left to the CPU: a workgroup would take long. (And Mesa's
+software Vulkan ends a thread's loops without a word when they have gone round 65,535 times, all together: here 10 for
+every 64 triangles.)"""
+
+SOFTWARE, HARDWARE = (64, 0), (256, 1)
+"""Threads that decode a chunk, and how many triangles in a row each takes at a time (0: its share of a level)."""
 
 VERTEX, TRIANGLE, NODE = 20, 12, 32
 """Bytes."""
@@ -95,7 +99,10 @@ class Decoder:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self._program = Program(device, "chunk_code", BLOCK=BLOCK, PARTS=PARTS)
+        software = device.adapter.software
+        threads, run = SOFTWARE if software else HARDWARE
+        self._large = LARGE[0 if software else 1]
+        self._program = Program(device, "chunk_code", BLOCK=BLOCK, PARTS=PARTS, THREADS=threads, RUN=run)
         self._pipeline: Any = None
 
     def decode(
@@ -112,7 +119,7 @@ class Decoder:
         jobs: list[tuple[int, int]] = []
         size = 0
         for k, words in enumerate(coded):
-            if int(words[TRIANGLES]) > LARGE:
+            if int(words[TRIANGLES]) > self._large:
                 self._on_cpu(decoded(words, layout, *names[k]), places[k], layout, names[k], vertices, triangles)
                 continue
             jobs.append((k, size))
@@ -128,17 +135,19 @@ class Decoder:
         coded: Sequence[Words], places: Sequence[tuple[int, int]], vertices: Any, triangles: Any,
     ) -> None:  # fmt: skip
         """Decode some chunks. ``jobs``: their numbers, and where their scratch begins; ``size``: words of it."""
+        which, scratch = np.array(jobs).T
         some = [coded[k] for k, _ in jobs]
         table = np.zeros(1 + len(jobs), JOB)
         table[0]["row"], table[0]["col"] = (side - 1 for side in layout.shape)
-        table["words"][1:] = np.cumsum([0, *map(len, some[:-1])])
-        for row, (k, scratch) in zip(table[1:], jobs, strict=True):
-            level, i, j = names[k]
-            side = layout.side(level)
-            ends = ((layout.corners(level, i, j) - (i * side, j * side)) // side).reshape(-1)
-            row["scratch"], (row["vertex"], row["triangle"]) = scratch, places[k]
-            row["row"], row["col"] = i * side, j * side
-            row["kind"] = side.bit_length() - 1 | int((ends << np.arange(8)).sum()) << 8
+        rows = table[1:]
+        rows["words"] = np.cumsum([0, *map(len, some[:-1])])
+        rows["scratch"] = scratch
+        rows["vertex"], rows["triangle"] = np.array(places)[which].T
+        level, i, j = np.array(names)[which].T
+        side = layout.side(level)
+        rows["row"], rows["col"] = i * side, j * side
+        ends = np.array([[_ends(layout, a, b) for b in (0, 1)] for a in (0, 1)])
+        rows["kind"] = layout.p + level | ends[i & 1, j & 1] << 8
         bound = {
             "jobs": self.device.buffer(table, "STORAGE", "chunks to decode"),
             "coded": self.device.buffer(np.concatenate([*some, np.zeros(2, np.uint32)]), "STORAGE", "coded chunks"),
@@ -164,6 +173,14 @@ class Decoder:
         corners = np.concatenate([mesh.triangles.astype(np.uint32), skirt])
         self.device.queue.write_buffer(vertices, place[0] * VERTEX, rows)
         self.device.queue.write_buffer(triangles, place[1] * TRIANGLE, corners)
+
+
+def _ends(layout: Layout, i: int, j: int) -> int:
+    """Of a chunk whose row and column are even or odd as these: two bits for each corner, whether it lies at the end of
+    the side, row and column."""
+    side = layout.side(0)
+    at_end = (layout.corners(0, i, j) - (i * side, j * side)) // side
+    return int((at_end.reshape(-1) << np.arange(8)).sum())
 
 
 class Chunks:

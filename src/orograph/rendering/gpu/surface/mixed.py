@@ -145,6 +145,7 @@ class MixedPass:
         blocks = self.rays.bring_blocks(cast.by_rays)
         if blocks:
             self.rays.bring(encoder, targets, cast.windows)
+            self.rays.compute_blocks(encoder, blocks, side, slopes)
         pass_ = cleared(targets, self.device, slopes).begin(encoder)
         if blocks:
             self.rays.keep_free(pass_, blocks, side, slopes)

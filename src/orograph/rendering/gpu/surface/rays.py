@@ -239,20 +239,27 @@ class RayPass:
         self._buffer, self._beams, self._breaks = camera, Beams(device), Breaks(device)
         self._camera = self._program(BLOCK, "exact").bind({"camera": camera})
         self._pipelines: dict[tuple[bool, str, int, RaySurface], Any] = {}
-        self._held: tuple[Any, ...] = (None, None, None, None, None)
+        self._held: tuple[list[Any], Any] = ([], None)
+        self._group: Any = None
         self._surface: RaySurface = "exact"
-        self._blocks: tuple[bytes, Any] = (b"", None)
+        self._hits: tuple[tuple[int, int], Any] = ((0, 0), None)
+        self._blocks: tuple[bytes, Any] = (b"", device.buffer(8, "VERTEX|STORAGE", "blocks"))
 
-    def _program(self, side: int, surface: RaySurface, breaks: bool = False) -> Program:
-        bilinear, constant = int(surface == "bilinear"), int(surface == "constant")
+    def _program(self, side: int, surface: RaySurface, breaks: bool = False, slopes: bool = False) -> Program:
+        computes = self.device.computes
         return Program(
-            self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=bilinear, CONSTANT=constant, BREAKS=int(breaks)
-        )
+            self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=int(surface == "bilinear"),
+            CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(computes),
+            FRAGMENTS=int(not computes),
+        )  # fmt: skip
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; it has no edges, and what lines are of the terrain is what is drawn."""
         slopes = bool(left.slopes)
         self.bring(encoder, targets, selection)
+        if self.device.computes:
+            across, down = (-(-n // 8) for n in (targets.width, targets.height))
+            self._compute(encoder, slopes, "all breaks" if left.at_breaks else "all", BLOCK, (across, down))
         pass_ = cleared(targets, self.device, slopes).begin(encoder)
         self._record(pass_, slopes, "breaks" if left.at_breaks else "")
         pass_.draw(3)
@@ -269,13 +276,15 @@ class RayPass:
         starts = self._beams.starts(size)
         if self._held[1] is not selection.stack:
             write(self.device, self.stack, selection.stack.tobytes())
-        breaks = self._breaks.found
-        if self._held[0] is not selection.pool or self._held[2] is not starts or self._held[3] is not breaks:
-            bound = {"stack": self.stack, "pool": selection.pool, "starts": starts, "breaks": breaks}
-            group = self._program(BLOCK, "exact").bind(bound, 1)
-        else:
-            group = self._held[4]
-        self._held = selection.pool, selection.stack, starts, breaks, group
+        bound = {"stack": self.stack, "pool": selection.pool, "starts": starts, "breaks": self._breaks.found}
+        if self.device.computes:
+            if self._hits[0] != size:
+                self._hits = size, self.device.buffer(16 * size[0] * size[1], "STORAGE", "hits of rays")
+            bound |= {"hits": self._hits[1], "blocks": self._blocks[1]}
+        asked = list(bound.values())
+        if len(asked) != len(self._held[0]) or any(a is not b for a, b in zip(asked, self._held[0], strict=True)):
+            self._group = self._program(BLOCK, "exact").bind(bound, 1)
+        self._held = asked, selection.stack
         self._beams.encode(encoder, self._buffer, self.stack, selection.pool, size)
 
     def bring_blocks(self, by_rays: NDArray[np.bool_]) -> int:
@@ -283,8 +292,19 @@ class RayPass:
         places = np.argwhere(by_rays)[:, ::-1].astype(np.uint32)
         data = places.tobytes()
         if len(places) and self._blocks[0] != data:
-            self._blocks = data, self.device.buffer(np.ascontiguousarray(places), "VERTEX", "blocks")
+            self._blocks = data, self.device.buffer(np.ascontiguousarray(places), "VERTEX|STORAGE", "blocks")
         return len(places)
+
+    def compute_blocks(self, encoder: Any, count: int, side: int, slopes: bool) -> None:
+        """Where compute shaders cast rays: cast those of the blocks, before the pass that copies them."""
+        if self.device.computes:
+            self._compute(encoder, slopes, "blocks", side, (count, side // 8, side // 8))
+
+    def _compute(self, encoder: Any, slopes: bool, what: str, side: int, groups: tuple[int, ...]) -> None:
+        pass_ = encoder.begin_compute_pass()
+        self._record(pass_, slopes, what, side)
+        pass_.dispatch_workgroups(*groups)
+        pass_.end()
 
     def keep_free(self, pass_: Any, count: int, side: int, slopes: bool) -> None:
         """Keep what lies behind out of the blocks, until rays are cast there."""
@@ -301,12 +321,15 @@ class RayPass:
     def _record(self, pass_: Any, slopes: bool, what: str, side: int = BLOCK) -> None:
         pass_.set_pipeline(self._pipeline(slopes, what, side))
         pass_.set_bind_group(0, self._camera)
-        pass_.set_bind_group(1, self._held[4])
+        pass_.set_bind_group(1, self._group)
 
     def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
         """The pipeline that draws all pixels (""), those at breaks ("breaks"), blocks ("block"), or keeps these free
-        ("kept_free")."""
+        ("kept_free"); or that casts the rays of "all" pixels, those at breaks ("all breaks"), or of "blocks"."""
         key = slopes, what, side, self._surface
+        if key not in self._pipelines and what in ("all", "all breaks", "blocks"):
+            program = self._program(side, self._surface, what == "all breaks", slopes)
+            self._pipelines[key] = program.compute("cast_blocks" if what == "blocks" else "cast_all")
         if key not in self._pipelines:
             entry = "kept_free" if what == "kept_free" else "fragment"
             sloped = "kept_free_with_slope" if what == "kept_free" else "with_slope"

@@ -71,8 +71,11 @@ class TemporalAntialiasing:
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
-        self._program = Program(device, "temporal_antialiasing")
-        self._pipeline = self._program.draw([{"format": LIGHT}, {"format": FAR}])
+        computes = device.computes
+        self._program = Program(device, "temporal_antialiasing", COMPUTED=int(computes), FRAGMENTS=int(not computes))
+        self._pipeline = (
+            self._program.compute("compute") if computes else self._program.draw([{"format": LIGHT}, {"format": FAR}])
+        )
         self._camera = self._program.bind({"camera": camera})
         self._sampler = device.handle.create_sampler(mag_filter="linear", min_filter="linear")
         self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "temporal antialiasing")
@@ -116,11 +119,15 @@ class TemporalAntialiasing:
         self._write(scene, shift, gathered, same, fresh, came)
         self._turn = 1 - self._turn
         self._tick += 1
-        pass_ = self._onto[self._turn].begin(encoder)
+        computes = self.device.computes
+        pass_ = encoder.begin_compute_pass() if computes else self._onto[self._turn].begin(encoder)
         pass_.set_pipeline(self._pipeline)
         pass_.set_bind_group(0, self._camera)
         pass_.set_bind_group(1, self._groups[self._turn])
-        pass_.draw(3)
+        if computes:
+            pass_.dispatch_workgroups(-(-targets.width // 8), -(-targets.height // 8))
+        else:
+            pass_.draw(3)
         pass_.end()
         right, up, forward, centre = axes_of(scene.view, scene.surface.exaggeration)
         self._last = (*right, *up, *forward, *centre), scene, settings
@@ -145,23 +152,20 @@ class TemporalAntialiasing:
     def _fit(self, targets: Targets) -> None:
         self._targets, self._last = targets, None
         size = targets.width, targets.height
+        computes = self.device.computes
+        usage = f"{'STORAGE_BINDING' if computes else 'RENDER_ATTACHMENT'}|TEXTURE_BINDING"
         self._views, self._far = (
-            [
-                self.device.texture(
-                    size, kind, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="temporal antialiasing"
-                ).create_view()
-                for _ in range(2)
-            ]
+            [self.device.texture(size, kind, usage, label="temporal antialiasing").create_view() for _ in range(2)]
             for kind in (LIGHT, FAR)
         )
-        self._onto = [
-            Attachments([(view, EMPTY) for view in pair]) for pair in zip(self._views, self._far, strict=True)
-        ]
+        pairs = list(zip(self._views, self._far, strict=True))
+        self._onto = [] if computes else [Attachments([(view, EMPTY) for view in pair]) for pair in pairs]
         self._groups = [
             self._program.bind(
                 {
                     "temporal": self._uniform, "light": targets.light_view, "depth": targets.depth_view,
                     "before": self._views[1 - turn], "smooth_": self._sampler, "far_before": self._far[1 - turn],
+                    **(dict(zip(("onto", "far_onto"), pairs[turn], strict=True)) if computes else {}),
                 },
                 1,
             )
