@@ -131,7 +131,7 @@ def compare(
         flight: compare frame by frame along a flight, a tour, or the path of one. judged: how many of its frames the
             referee judges, evenly spread; None: 12.
         methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
-        tolerance: pixels; None: 1, unless ``triangles`` (at most so many) are the goal.
+        tolerance: pixels; None: 1, unless ``triangles`` (at most this many) are the goal.
         conservative: refuse methods that do not guarantee the tolerance.
         drape: the image whose colours a method's color-tolerance looks at.
         exaggeration: how heights are stretched on the screen.

@@ -20,7 +20,10 @@ Colors = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 PERCENTILES = (2.0, 98.0)
-"""Of the values over a terrain, the ends of a scale of which none are given."""
+"""The default ends of a scale, from the values over a terrain."""
+
+ALIKE = 1e-7
+"""Of their size, differences between values that float32 hardly tells apart."""
 
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
@@ -56,7 +59,7 @@ class ColorScale:
         cls, values: NDArray[Any], colormap: str, span: tuple[float, float] | None, classes: int = 0,
         breaks: Breaks | tuple[float, ...] = "quantiles",
     ) -> ColorScale:  # fmt: skip
-        """The scale of values, of which NaN are left out.
+        """The scale of values, ignoring NaN.
 
         Args:
             span: its ends; None: percentiles of the values. classes: how many; 0: it is continuous.
@@ -114,7 +117,8 @@ def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[flo
     low, high = (float(v) for v in np.percentile(known, PERCENTILES))
     if low == high:
         low, high = float(known.min()), float(known.max())
-    return (low, high) if low < high else (low - 0.5, low + 0.5)
+    alike = high - low <= ALIKE * max(abs(low), abs(high))  # (by rounding only)
+    return (low - 0.5, low + 0.5) if alike else (low, high)
 
 
 def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:
