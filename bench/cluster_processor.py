@@ -22,6 +22,7 @@ import psutil
 
 from orograph import store
 from orograph.store import clusters
+from orograph.store.executing import Threads
 from orograph.store.groups import group_levels
 from orograph.store.workforce import workforce
 
@@ -45,6 +46,30 @@ def idle(client: Any, seconds: float = 10.0) -> None:
     print(f"idle for {seconds:.0f} s: {spent(processes) - before:.2f} s of processors", flush=True)
 
 
+@contextmanager
+def by_stage(processes: list[psutil.Process]) -> Iterator[dict[str, tuple[float, float]]]:
+    """Seconds of processors of each stage of a build: of this process, and of the workers."""
+    found: dict[str, tuple[float, float]] = {}
+    runs = {kind: kind.run for kind in (Threads, clusters.Cluster)}
+
+    def timed(kind: type) -> Any:
+        def run(self: Any, stage: Any, progress: Any) -> None:
+            before = spent(processes[:1]), spent(processes[1:])
+            runs[kind](self, stage, progress)
+            own, rest = found.get(stage.name, (0.0, 0.0))
+            found[stage.name] = own + spent(processes[:1]) - before[0], rest + spent(processes[1:]) - before[1]
+
+        return run
+
+    for kind in runs:
+        kind.run = timed(kind)  # type: ignore[method-assign]
+    try:
+        yield found
+    finally:
+        for kind, run in runs.items():
+            kind.run = run  # type: ignore[method-assign]
+
+
 def beside_threads(files: list[str], folder: Path, client: Any, workers: int) -> None:
     idle(client)
     found = []
@@ -52,9 +77,13 @@ def beside_threads(files: list[str], folder: Path, client: Any, workers: int) ->
         store.build(files[:1], folder / "warm", overwrite=True, progress=False, **ALL, **how).close()
         processes, began = everybody(client), time.perf_counter()
         before = spent(processes)
-        store.build(files, folder / what, progress=False, **ALL, **how).close()
+        with by_stage(processes) as stages:
+            store.build(files, folder / what, progress=False, **ALL, **how).close()
         found.append((spent(processes) - before, time.perf_counter() - began))
         print(f"{what}: {found[-1][0]:.1f} s of processors, {found[-1][1]:.1f} s on the clock", flush=True)
+        print(
+            "of it: " + ", ".join(f"{name} {own:.1f} + {rest:.1f}" for name, (own, rest) in stages.items()), flush=True
+        )
     (work, clock), (others, other) = found
     print(f"workers take {others / work:.2f} times the processor time, {other / clock:.2f} times as long", flush=True)
 

@@ -274,8 +274,9 @@ def test_parts_are_said_as_of_builds(target):
     for how in ({"workers": 2}, {"dask": "tcp://127.0.0.1:1"}, {"finish": True}):
         with pytest.raises(UsageError, match="exclude"):
             orograph.bake(target, NAMES, OPTIONS, part="1/2", **how)
-    with pytest.raises(UsageError, match="GPU"):
-        orograph.bake(target, "ambient-occlusion", radius=100.0, method="shadow-maps", part="1/2")
+    for radius in (100.0, None):
+        with pytest.raises(UsageError, match="GPU"):
+            orograph.bake(target, "ambient-occlusion", radius=radius, method="shadow-maps", part="1/2")
     assert not (target / "layers").exists()
 
 

@@ -134,7 +134,7 @@ class Area:
 
 
 class Cut:
-    """A part of a raster: a window of it, of which only samples in polygons are there.
+    """A part of a raster: a window of it, with only the samples in polygons.
 
     Args:
         window: first row, row after the last, first column, column after it. turn: of longitude, how far it is moved

@@ -38,7 +38,7 @@ _folders: dict[str, tuple[int, list[str]]] = {}
 
 
 def crowded(location: str) -> bool:
-    """Whether a file is known to lie among so many that GDAL does not list them."""
+    """Whether a file's folder is known to hold so many files that GDAL does not list them."""
     return len(_folders.get(os.path.split(location)[0], (0, []))[1]) > 1000
 
 

@@ -73,7 +73,7 @@ def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
 
 
 def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
-    """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at.
+    """Target rows and columns that may lie within a source grid, generously: the rest need not be checked.
 
     Args:
         points: of the source that are looked at, each way.

@@ -41,7 +41,7 @@ Heights = NDArray[np.float32]
 
 
 class Synth:
-    """A synthetic terrain; has what a mosaic asks of a source (``grid``, ``name``, ``vertical``, ``read``).
+    """A synthetic terrain; has what a mosaic needs of a source (``grid``, ``name``, ``vertical``, ``read``).
 
     Args:
         shape: (rows, cols), each at least 2.

@@ -89,7 +89,7 @@ def _unlike(dataset: Any, band: int, part: Part, file: Any, factor: float | None
 
     Args:
         factor: metres in the unit of the VRT; None: a user states it.
-        excused: whether what is missing is said in another way.
+        excused: whether missing samples are declared in another way.
     """
     kind, own = np.dtype(dataset.dtypes[band - 1]), np.dtype(file.dtypes[part.band - 1])
     if not part.converted:

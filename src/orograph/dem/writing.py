@@ -2,7 +2,7 @@
 
 GDAL writes the last blocks of a raster, and its directory, when it is closed, and rasterio does not hear of what fails
 then: on a disk that becomes full at that moment a file is left that cannot be read, or that lacks blocks, and nothing
-is said. So what was written is looked at before it gets its name. libtiff prints what goes wrong on the standard error
+is said. So a file is checked before it gets its name. libtiff prints what goes wrong on the standard error
 besides telling its caller; it is told not to.
 """
 

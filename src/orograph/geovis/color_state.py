@@ -25,7 +25,7 @@ PLAN = f"{PARTIAL}/plan.json"
 
 
 class ColorRecipe(NamedTuple):
-    """All that workers are told once.
+    """Everything that workers get once.
 
     Attributes:
         named: the store (``Storage.named``). drape: the image's path. options: of ``Colors``.

@@ -104,7 +104,7 @@ def store_colors(
         overwrite: make them anew.
         max_memory: bytes the process should stay within.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
-        workers: so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        workers: this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: on the workers of a cluster: a ``distributed.Client``, or its scheduler's address. The image is opened by
             each of them, under the same path.
         options: ``colormap``, ``sun``, ``relief``, as for ``Colors``.

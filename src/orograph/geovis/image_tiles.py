@@ -1,7 +1,7 @@
 """The finer levels of an image as tiles that are read when a picture looks them up, within a fixed memory.
 
 An image of 100,000 pixels a side takes 40 GB; a picture of a million pixels shows about as many of its texels, fine
-ones near by and coarse ones far away. So footprints are looked at twice: once for the tiles that they need
+ones near by and coarse ones far away. So footprints are visited twice: once for the tiles that they need
 (``tile_kernels.collect``), which are read, and once for their means. What was used longest ago makes room. The texels
 are those of ``Texels``, whatever the memory and the order, so pictures are too. Units: pixels.
 """

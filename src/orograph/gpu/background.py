@@ -31,7 +31,7 @@ class BackgroundTask:
         return not self._closed and self._ended is None and self.done != key
 
     def start(self, key: Any, make: Callable[[], Any], then: Callable[[], None] = lambda: None) -> None:
-        """Begin to make something; ends with the program, whatever it is at.
+        """Begin to make something; ends with the program, whatever it is doing.
 
         Args:
             then: called by the thread when there is something to take.

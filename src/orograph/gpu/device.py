@@ -239,7 +239,7 @@ class Device:
         return min(self.limit("max-buffer-size"), self.limit("max-storage-buffer-binding-size"))
 
     def buffer(self, data: NDArray[Any] | int, usage: str, label: str = "", remedy: str = LESS) -> Any:
-        """A buffer, filled with an array or of so many bytes.
+        """A buffer, filled with an array or of a given number of bytes.
 
         Args:
             usage: names of wgpu.BufferUsage, joined by ``|``. label: what it holds.

@@ -56,7 +56,7 @@ class Rectangle(NamedTuple):
         )
 
     def grown(self, samples: int) -> Rectangle:
-        """The window with so many samples more on every side."""
+        """The window grown by a number of samples on every side."""
         return Rectangle(self.level, self.row0 - samples, self.row1 + samples, self.col0 - samples, self.col1 + samples)
 
     def joined(self, other: Rectangle) -> Rectangle:

@@ -60,7 +60,7 @@ class Baked:
     Attributes:
         averaging: see the module.
         bits: of a code, unless others are asked for.
-        more: which of ``Options.more`` it has, and what they are if nothing is said.
+        more: which of ``Options.more`` it has, and their defaults.
     """
 
     averaging: Averaging = "mean"
@@ -139,7 +139,7 @@ def bake(
     """Put products of light into a store, as layers of their names, and open it again.
 
     A layer of the same name is replaced, unless it was made with the same options; then it is left as it is. An
-    interrupted bake into a folder goes on when it is asked for again.
+    interrupted bake into a folder resumes when it is repeated.
 
     Args:
         store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
@@ -149,9 +149,9 @@ def bake(
         overwrite: bake also what is there already, and begin anew what was interrupted.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.
-        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
-        workers: bake in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
+        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
+        workers: bake in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         part: bake only this part, "3/64" or (3, 64), and return nothing: for job arrays (``bake_parts``).
         finish: make the rest of a bake whose parts are all there.

@@ -18,6 +18,7 @@ from orograph.lighting.bake_layers import layer_stages
 from orograph.lighting.bake_state import SweepStage, recipe_of
 from orograph.lighting.context import BASE, Context, Options
 from orograph.lighting.gather import Sweep
+from orograph.lighting.occlusion import ELSEWHERE
 from orograph.lighting.products import Product
 from orograph.lighting.raster_resume import clear, text_of
 from orograph.progress import Progress
@@ -42,8 +43,11 @@ def check(storage: Storage, terrain: Terrain, products: Sequence[Product], optio
             "Parts bake into stores in folders, where what they leave for one another lies beside the layers.",
             remedy="Use `workers`, or bake a copy in a folder and publish that.",
         )
-    context = Context(terrain, options)
-    unlimited = [each.name for each in products if options.radius is None and isinstance(each.make(context), Sweep)]
+    elsewhere = options.more.get("method") in ELSEWHERE  # which is refused as for workers (``recipe_of``)
+    unlimited = [
+        each.name for each in products
+        if options.radius is None and not elsewhere and isinstance(each.make(Context(terrain, options)), Sweep)
+    ]  # fmt: skip
     if unlimited:
         raise UsageError(
             f"Horizons without a radius reach across the whole terrain, so no part can sweep its own alone: "

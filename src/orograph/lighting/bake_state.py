@@ -58,7 +58,7 @@ SWEEP = 192 << 20
 
 
 class BakeRecipe(NamedTuple):
-    """All that workers are told once of a bake.
+    """Everything that workers get once for a bake.
 
     Attributes:
         named: the store (``Storage.named``). folder: in which ``layers/.partial`` lies, the store's or another.

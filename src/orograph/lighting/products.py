@@ -69,7 +69,7 @@ class Product:
     check: Callable[[Options], None] = lambda options: None
 
     def described(self, options: Options) -> tuple[Band, ...]:
-        """What is said of each band in a file."""
+        """The description of each band in a file."""
         from orograph.lighting.raster import Band
 
         known = {"unit": self.unit, "doc": self.doc, "byte": self.byte}

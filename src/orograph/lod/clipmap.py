@@ -180,7 +180,7 @@ class Clipmap(Method):
         )  # fmt: skip
 
     def _found(self, camera: Camera, goal: Goal) -> Found:
-        """The windows for a goal, all levels that it asks for."""
+        """The windows for a goal, with all levels that it needs."""
         if self.conservative:
             at = partial(self._promised, camera)
             return at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)

@@ -105,7 +105,7 @@ class HyperBlock(QuadTin):
         return Refined(leaves, self._bound(lens, seen), strip, stats=stats)
 
     def _weigh(self, camera: Camera, lens: CameraParameters) -> NDArray[np.bool_]:
-        """Find the level that the view asks of each block; which may be in view."""
+        """Find the level that the view needs of each block; which may be in view."""
         view, up = camera.view, camera.exaggeration
         seen = in_frustum(self.terrain, view, up, self._boxes)
         if not self.options.cull:

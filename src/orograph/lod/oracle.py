@@ -6,7 +6,7 @@ diamond is inaccurate if that exceeds the tolerance, or if it is mixed (part sur
 split if it or any descendant is inaccurate: the same closure over the diamond DAG, with the error itself in place of a
 bound. A method's triangles over the oracle's are the price of its bounds (bench/promise.py; DESIGN's figure is 1.2).
 
-Only diamonds that the conservative sphere metric splits are looked at: the others hold no displacement beyond the
+Only diamonds that the conservative sphere metric splits are tested: the others hold no displacement beyond the
 tolerance, nor do their descendants. Each of those is brute force, row by row, until the first sample that is too far
 off; the diamond's own vertex comes first. The heights of the whole raster are held in memory. Metres, pixels.
 
@@ -263,7 +263,7 @@ def oracles(
 ) -> Iterator[list[Tessellation]]:
     """For each of several tolerances the meshes of ``oracle``, one for each of ``prisms``; cheaper than one by one.
 
-    A diamond that is accurate for one tolerance is so for the next, so all its samples are looked at once only.
+    A diamond that is accurate for one tolerance is so for the next, so all its samples are tested only once.
 
     Args:
         tolerances: pixels, ascending. Others as for ``oracle``.

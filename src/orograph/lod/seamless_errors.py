@@ -28,7 +28,7 @@ CELLS = 9
 """Squares of 2^9 × 2^9 cells of a level are made at a time."""
 
 SHARE = 4
-"""Their errors may take one part in so many of the memory allowed."""
+"""Their errors may take the allowed memory divided by this."""
 
 
 @dataclass(frozen=True, slots=True)

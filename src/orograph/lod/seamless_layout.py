@@ -42,7 +42,7 @@ class Layout:
 
     Attributes:
         camera, tolerance: of the view. errors: of its terrain.
-        times: what is drawn may be off by so many times a level's error.
+        times: what is drawn may be off by this many times a level's error.
         split: by exponent, the sorted numbers of the squares that are split.
     """
 

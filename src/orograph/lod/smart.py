@@ -185,7 +185,7 @@ class Smart(RightTriangleMeshes):
         return np.asarray(self.tree.base[level] + names[:, 0] * self.tree.width[level] + names[:, 1])
 
     def _weigh(self, lens: CameraParameters, level: int, names: Index) -> NDArray[np.int16]:
-        """The range that the view asks of each block, −1 where there is nothing to be seen."""
+        """The range that the view needs of each block, −1 where nothing is visible."""
         ranges = np.empty(len(names), np.int16)
         exponents = _named(self.m + level, names)
         self.field.begin()

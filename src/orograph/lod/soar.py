@@ -162,7 +162,7 @@ class Soar(RightTriangleMeshes):
         return whole[0][:length], whole[1][:length], made, nodes + looked
 
     def _share(self, common: tuple[Any, ...], count: int, helpers: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Refine ``count`` subtrees with so many helpers.
+        """Refine ``count`` subtrees with helpers.
 
         Returns: ``counts`` of each helper and, last, of this thread; the state in which helpers wait for ``lay_out``.
         """

@@ -76,7 +76,7 @@ from orograph.lod.threshold_spheres_trees import (
 from orograph.viewpoint import Camera
 
 NO_LIMIT = 1 << 62
-"""Steps of an update that goes on until it is complete."""
+"""Steps of an update that runs to completion."""
 
 USED = 0.8, 0.99
 """The tolerance stays while frames take a share of their time between these."""

@@ -83,7 +83,7 @@ def draw_large(
         path: the picture: .png, .jpg, .webp or .tif (BigTIFF where needed; of a plan a GeoTIFF).
         depth: where to write the depth as well: float32 TIFF, metres, NaN where nothing is hit.
         draw: a backend that draws tiles; None: the CPU caster.
-        progress: hears of it.
+        progress: gets the progress.
         pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
         across: columns that a tile has at most; None: as many as the picture, if so many pixels make ``ROWS`` of them.
         dpi: dots per inch in print; None: not said.
@@ -93,7 +93,7 @@ def draw_large(
         the picture's facts, as in ``Picture``.
 
     Raises:
-        UsageError: the ending is unknown, its format cannot hold so many pixels, or the scene has a wireframe.
+        UsageError: the ending is unknown, its format cannot hold this size, or the scene has a wireframe.
         OutputError: a file cannot be written, or there is no room for it.
         NothingInViewError and others: as ``cpu.draw``.
     """

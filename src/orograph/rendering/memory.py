@@ -30,7 +30,7 @@ WORKER = 512 << 20
 
 
 def worker_memory(pixels: int, terrain: Terrain, allowed: int) -> int:
-    """Bytes that a worker takes to draw so many pixels of a terrain at a time, besides ``WORKER``.
+    """Bytes that a worker takes to draw ``pixels`` pixels of a terrain at a time, besides ``WORKER``.
 
     Args:
         allowed: bytes that it may take in all, if that is enough.

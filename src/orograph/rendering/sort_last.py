@@ -1,6 +1,6 @@
 """Pictures and films drawn by the workers of a cluster, sort-last: each holds a part of the terrain (``composited``).
 
-This process asks all parts for the depths of the pixels that it wants, keeps the nearest, and shades them as ever. A
+This process asks all parts for the depths of the pixels that it wants, keeps the nearest, and shades them as usual. A
 part is asked only for the pixels that its box of heights may cover, and answers with the rows and columns that it does.
 Parts are of the windows' heights, or of the mesh that the scene's method makes: every worker makes that for itself, the
 same one, and keeps its share of triangles. A worker keeps the heights that it has loaded as long as the windows stay
@@ -242,7 +242,7 @@ class Casting:
 def by_parts(
     scene: Scene, *, workers: int | None, dask: Any, jobs: int | None, max_memory: int, what: str
 ) -> Iterator[tuple[Session, Cluster]]:
-    """What draws scenes of one terrain by the workers of a cluster, each of which has a part of it, and the cluster.
+    """The cluster, and the drawing of scenes of one terrain by its workers, each of which has a part.
 
     Args:
         scene: whose terrain and method it is.

@@ -44,7 +44,7 @@ class BucketUpdate:
     """One update of a store in a bucket, under its lock.
 
     Args:
-        storage: of the store. keep: versions that are left, with the new one. progress: hears of it.
+        storage: of the store. keep: versions that are left, with the new one. progress: gets the progress.
     """
 
     def __init__(self, storage: BucketStorage, keep: int, progress: Progress) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from orograph.compiling import while_compiling
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
@@ -153,12 +154,12 @@ def build(
         max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
             twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
             feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
-        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
+        progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
+        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
         part: make only this part of the heights, "3/64" or (3, 64), and return nothing: for job arrays (``in_parts``).
         finish: make the rest of a store whose parts are all there.
-        workers: build in so many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
+        workers: build in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: build on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         options: how the source is read, as for ``store.terrain``: ``crs``, ``resolution``, ``nodata``…
 
@@ -246,7 +247,10 @@ def build(
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
             with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                record = _fill(raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None)
+                with while_compiling("orograph.error.ahead", *plan["errors"]):
+                    record = _fill(
+                        raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None
+                    )
             if in_bucket is not None:
                 in_bucket.publish(record)
                 return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))

@@ -29,7 +29,7 @@ from orograph.store.writer import ShardWriter
 
 
 class BuildRecipe(NamedTuple):
-    """What workers are told once.
+    """Everything that workers get once.
 
     Attributes:
         url: where the store is made. storage_options: for the bucket (obstore's), in addition to the environment.

@@ -37,7 +37,7 @@ class ChunkCache:
             return array
 
     def put(self, key: Hashable, array: NDArray[Any]) -> None:
-        """Keep ``array`` (which must not change any more), dropping older ones to stay within the budget."""
+        """Keep ``array`` (which must no longer change), dropping older ones to stay within the budget."""
         if array.nbytes > self.budget:
             return
         with self._lock:

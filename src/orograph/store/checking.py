@@ -42,7 +42,7 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
 
     Args:
         terrain: an opened store.
-        jobs: threads (default: all processors). progress: is told of shards.
+        jobs: threads (default: all processors). progress: gets the shards.
 
     Raises:
         StoreReplacedError: the store was replaced meanwhile.
@@ -80,7 +80,7 @@ def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot)
         return
     wanted = max(start + length for start, length, _ in places) + tail_length(key, spec.chunks)
     if len(data) != wanted:
-        yield Damage(key, f"it has {len(data):,} bytes instead of {wanted:,} were written")
+        yield Damage(key, f"it has {len(data):,} bytes where {wanted:,} were written")
     side = spec.shard // spec.chunk
     for number, (start, length, check_) in enumerate(places):
         if length:

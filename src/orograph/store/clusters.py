@@ -137,7 +137,7 @@ class Cluster:
     """Runs stages on a cluster, whose workers know of the work while it is entered.
 
     Args:
-        client: of Dask. recipe: what workers are told once. levels: of the groups of a build's heights and errors.
+        client: of Dask. recipe: what workers get once. levels: of the groups of a build's heights and errors.
 
     Attributes:
         busy: seconds that each worker was at work, by its name. moved: bytes of arrays that workers sent.

@@ -157,7 +157,7 @@ def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
     """The given options of reading that apply to a raster's file.
 
     Raises:
-        UsageError: others are said.
+        UsageError: there are others.
     """
     return _fitting({k: v for k, v in said.items() if v is not None}, OF_FILES, "files of rasters")
 
@@ -166,7 +166,7 @@ def said_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
     """The given options of reading, for ``Mosaic.open``.
 
     Raises:
-        UsageError: others are said.
+        UsageError: there are others.
     """
     return _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
 
@@ -175,7 +175,7 @@ def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
     """The given options of reading that apply to a file of points, and ``more``.
 
     Raises:
-        UsageError: others are said.
+        UsageError: there are others.
     """
     reading = (*OF_POINTS[1:], "assume_crs", "vertical_unit", "assume_vertical", *more)
     return _fitting({k: v for k, v in said.items() if v is not None and _asked(k, v)}, reading, "points")

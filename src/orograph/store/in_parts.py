@@ -2,7 +2,7 @@
 
 ``part`` I of N makes its share of the heights, whole groups of shards (``groups``), and ends. Parts run in any order,
 or at once, and never wait for each other; they hold the store's lock together, which only those of an equal plan and N
-may. A part that was killed goes on where it stopped when it is run again. When all are there, ``finish`` makes the
+may. A killed part resumes where it stopped when it is run again. When all are there, ``finish`` makes the
 levels above them and all that follows from the heights, and lets the store take its place.
 """
 

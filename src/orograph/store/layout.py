@@ -107,7 +107,7 @@ class Record:
         height_range: lowest and highest valid sample, nan if there is none.
         valid_fraction: of all samples.
         source: fingerprint of what it was built from.
-        derived: what it has of derived data, by name (``store.derived``).
+        derived: its derived data, by name (``store.derived``).
         resampled: what was lost when its sources were resampled; None if every sample is a source's own.
         lattices: the source lattices that it keeps.
         inputs: the files and options it was built with (``store.inputs``); None if from no files.

@@ -172,7 +172,7 @@ def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Floc
     locked = _locked(fd, fcntl.LOCK_SH)
     said = _read(fd)
     if said.get("shared", shared) != shared:
-        raise _busy(url, said, "Its plan is another.")
+        raise _busy(url, said, "Its plan is different.")
     if locked and _named(path, fd):
         return _Flock(path, fd, True)
     time.sleep(PAUSE)  # one of ours holds it exclusively while it begins or ends

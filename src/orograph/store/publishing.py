@@ -52,16 +52,16 @@ def publish(
 ) -> Published:
     """Copy a finished store to a URL, where it can be opened when all of it is there and proved.
 
-    A copy that was broken off goes on when it is asked for again. Of a store in a bucket that is updated one version is
+    Repeating an interrupted copy resumes it. Of a store in a bucket that is updated one version is
     copied, to plain keys.
 
     Args:
         store: opened, or its path or URL.
-        url: where it is to be: ``s3://bucket/area.oro``, ``gs://``, ``az://``…
+        url: the destination: ``s3://bucket/area.oro``, ``gs://``, ``az://``…
         overwrite: replace a store that is there; it is gone from the beginning.
         jobs: objects under way at once; None: 16.
-        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
-        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
+        progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
+        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
 
     Raises:
         DamagedChunkError: the store is damaged; what was sent is no store.

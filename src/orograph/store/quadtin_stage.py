@@ -114,7 +114,7 @@ class Tasks:
 
     Args:
         terrain: what is written so far. writer: of the store. making: the hierarchy. executor: of the tasks.
-        progress: is told of rounds.
+        progress: gets the rounds.
     """
 
     def __init__(

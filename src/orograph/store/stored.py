@@ -247,7 +247,7 @@ def open(
             store that is updated, ``STORE@2`` is its second version.
         cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
         jobs: threads for large windows (default: all processors).
-        storage_options: beside the environment, for the bucket (obstore's: ``endpoint``, ``skip_signature``…).
+        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
 
     Raises:
         StoreError: there is no store, its build is not finished, it has another format than this reader, or its

@@ -225,7 +225,7 @@ class Terrain(ABC):
 
         Args:
             name: "diamonds" (``error``), "patches" (``error``, ``legs``)…; see ``store.registry``.
-            options: what it must have been made with.
+            options: options it must have been made with.
 
         Raises:
             UsageError: there is no such kind, error or option.

@@ -3,7 +3,7 @@
 A store may be replaced while a reader has it open. What the reader gets is always of the store that it opened: the
 digests in that store's record see to it (``digests``). The watch tells it soon: before a read, but not oftener than
 every ``EVERY`` seconds, it looks whether the root is still the same file, and reads it if not. Where an update has kept
-the version that was opened (``versions``), reading goes on there. A bake that changes layers only is no replacement.
+the version that was opened (``versions``), reading continues there. A bake that changes layers only is no replacement.
 At a URL the look is a request: there it is taken every ``EVERY_REMOTE`` seconds at most, and a shard that is not what
 it was tells sooner.
 """

@@ -66,7 +66,7 @@ class ColoursByExample:
         photo: an image with three bands or more of the example. ground: its heights, whatever ``orograph.terrain``
             takes, at most ``exemplar.MOST`` samples, none missing.
         over: what is coloured, whatever ``orograph.terrain`` takes.
-        seed: another number, other colours. jobs: threads. progress: hears of the preparation.
+        seed: another number, other colours. jobs: threads. progress: gets the progress of the preparation.
 
     Attributes:
         grid: where pixels lie: about as far apart as the samples of the example's ground, at samples of ``over``.

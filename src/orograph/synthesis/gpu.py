@@ -58,7 +58,7 @@ class Steps:
         return self.device.buffer(np.ascontiguousarray(values, np.int32), "STORAGE | COPY_SRC", "an example of terrain")
 
     def empty(self, r: Range, channels: int) -> Any:
-        """A buffer for so many integers of each place of a window."""
+        """A buffer for some integers per place of a window."""
         return self.device.buffer(4 * channels * r.shape[0] * r.shape[1], "STORAGE | COPY_SRC", "a window by example")
 
 

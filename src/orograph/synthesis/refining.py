@@ -79,7 +79,7 @@ class Residual(Protocol):
 
 
 class Tiled:
-    """Windows of anything, put together of square tiles of which the last ones are kept.
+    """Windows of anything, assembled from square tiles, the last of which are kept.
 
     A lattice is read by the finer ones, by several windows of a picture and for its means: each tile is made once.
 

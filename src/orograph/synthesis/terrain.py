@@ -35,7 +35,7 @@ class ByExample:
         shape: (rows, cols), each at least 2. seed: any integer; another seed is another terrain.
         crs: a projected CRS; None: the example's.
         jitter, passes: see ``windows.Endless``.
-        jobs: threads. progress: hears of the preparation, some 15 s for a million samples.
+        jobs: threads. progress: gets the progress of the preparation, some 15 s for a million samples.
 
     Raises:
         UsageError: the example is no good (see ``Exemplar.of``), or an option makes no sense.

@@ -24,9 +24,9 @@ Array = NDArray[np.float64]
 
 PITCHES = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0)
 FITS = (0.75, 1.0, 1.5, 2.0, 3.0)
-"""Distances where none are said, in those from which the whole target just fits into the picture."""
+"""Default distances, in multiples of the one from which the whole target just fits into the picture."""
 LEAST_RADIUS = 20.0
-"""Samples: a smaller target is looked at as if it were so large."""
+"""Samples: a smaller target is treated as if it were this large."""
 MOST = 10_000_000
 
 

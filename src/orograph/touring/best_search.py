@@ -1,7 +1,7 @@
 """The search for the best views: best first by upper bounds, so that few lines of sight are tested.
 
 Every camera begins with an upper bound of what it adds: all that would be in its picture if nothing hid anything. A
-place has the bound of its best camera, and the place of the highest bound is always looked at next: from it, lines of
+place has the bound of its best camera, and the place with the highest bound is always visited next: from it, lines of
 sight to some more pieces, in an order that mixes them well; what they hide is taken from the bounds of its cameras. A
 place whose pieces are all known and whose bound is still the highest has the best camera of all, for no other can reach
 it. So the result is that of looking at everything from everywhere.
@@ -34,7 +34,7 @@ from orograph.touring.best_target import AREA, Target
 Array = NDArray[np.float64]
 
 BLOCKS = 12
-"""Parts in which a place's pieces are looked at."""
+"""Parts in which a place's pieces are tested."""
 PLACES = 64
 """Places that a thread judges at a time."""
 WIDER = 1 + 1e-4
@@ -44,7 +44,7 @@ ADDS = 1e-9
 AMBIENT = 0.5
 """What a piece counts that no sun reaches, of one that the sun meets head on."""
 SEED = 19
-"""Of the order in which pieces are looked at: any will do, and the result is the same."""
+"""Seed of the order in which pieces are tested; the result is the same for any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ class Search:
     """The search for views of a target.
 
     Args:
-        terrain, target, cams: see there. lift: metres above the ground of what is to be seen.
+        terrain, target, cams: see there. lift: metres above the ground of the points to see.
         sun: lights the pieces; None: all alike. jobs: threads.
 
     Attributes:
@@ -160,7 +160,7 @@ class Search:
 
     def views(self, k: int, apart: float) -> list[Found]:
         """The best view, the one that adds most to it, and so on: up to k, in directions at least ``apart`` degrees
-        from each other as seen from the target. Where nothing can be added any more, the best of the rest follow."""
+        from each other as seen from the target. When nothing more can be added, the best of the rest follow."""
         found: list[Found] = []
         best = np.zeros(len(self._points))
         allowed = np.ones(len(self.cams), bool)
@@ -268,7 +268,7 @@ class Search:
         self._done[p] = end
 
     def _seen(self, camera: int) -> Array:
-        """(n,) q with its light of the pieces that a camera sees, all of which were looked at; NaN of others."""
+        """(n,) q with its light of the pieces that a camera sees, all of which were tested; NaN of others."""
         p = int(np.searchsorted(self.cams.first, camera, "right")) - 1
         out = np.empty(len(self._points))
         qualities(*self._cameras, camera, *self._pieces[:3], out)

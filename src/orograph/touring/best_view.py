@@ -58,7 +58,7 @@ class BestViews:
     Attributes:
         views: the views. together: the score of all of them, 0 to 1.
         cameras: how many were allowed. pieces: of the target. looks: lines of sight that it took.
-        level: the terrain's level on which they were looked along, 0 unless the ground is too large for memory.
+        level: the terrain's level on which they were tested, 0 unless the ground is too large for memory.
     """
 
     views: tuple[BestView, ...]

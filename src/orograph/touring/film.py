@@ -48,7 +48,7 @@ class Film:
         fps: frames per second; None: the tour's.
         first, last: the part of the tour that is wanted, seconds; None: from its beginning, to its end.
         playing: data that change while it runs, the scene's being those of the first frame; None: none change.
-        progress: hears of what is prepared.
+        progress: gets the progress of preparations.
 
     Attributes:
         numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene.

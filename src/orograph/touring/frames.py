@@ -33,7 +33,7 @@ Warned = tuple[str, ...]
 
 
 class FilmRecipe(NamedTuple):
-    """All that workers are told once of a film.
+    """Everything that workers get once for a film.
 
     Attributes:
         tour, scene: of the film, its frames per second being the tour's. numbers: of its first frame, and the one

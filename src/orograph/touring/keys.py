@@ -50,8 +50,8 @@ class Key:
         view: the camera, in the terrain's CRS.
         time: seconds from the tour's beginning; None: it follows from the tour's speed.
         hold: seconds for which the camera stays. stop: whether it comes to rest here, without staying.
-        path: how it goes on from here: along a smooth curve through the keys ("spline"), about the target ("orbit"), or
-            up, across and down as in a zoomable map ("zoom").
+        path: how it continues from here: along a smooth curve through the keys ("spline"), about the target
+            ("orbit"), or up, across and down as in a zoomable map ("zoom").
         turns: with "orbit": full turns besides the shorter way round, clockwise seen from above; negative: the other.
         sun: a direction or a moment; None: as before and after.
         exaggeration, tolerance, relief, water: see ``picture.Scene``; None: as before and after.

@@ -70,8 +70,8 @@ def orbit(
         size: (width, height) of the pictures. seconds: for all turns.
         azimuth: the side that it begins from. turns: clockwise seen from above; negative: the other way.
         pitch, distance: as for ``camera.around``; None: from as near as leaves all of it in view from every side.
-        around: (longitude, latitude[, radius]): a place to go round instead, with so many metres of ground around it
-            in view (a quarter of the terrain's shorter side, if neither this nor the distance is said); the eye keeps
+        around: (longitude, latitude[, radius]): a place to orbit instead, with this many metres of ground around it
+            in view (a quarter of the terrain's shorter side, if neither this nor the distance is given); the eye keeps
             above the ground.
 
     Raises:

@@ -263,7 +263,7 @@ class Cruise:
         self.seconds = length / speed + self.ramp * ramps / 2
 
     def __call__(self, time: float) -> float:
-        """Metres gone after ``time`` seconds."""
+        """Metres travelled after ``time`` seconds."""
         if time <= 0:
             return 0.0
         if time >= self.seconds:
@@ -276,16 +276,16 @@ class Cruise:
 
     @staticmethod
     def length_of(seconds: float, speed: float) -> float:
-        """Metres gone from rest to rest in so many seconds at a speed."""
+        """Metres travelled from rest to rest in some seconds at a speed."""
         return speed * (seconds - RAMP if seconds >= 2 * RAMP else seconds / 2)
 
     @staticmethod
     def speed_for(length: float, seconds: float) -> float:
-        """The speed at which so many metres take so long from rest to rest."""
+        """The speed at which a distance takes a given time from rest to rest."""
         return length / (seconds - RAMP if seconds >= 2 * RAMP else seconds / 2)
 
     def when(self, gone: float) -> float:
-        """Seconds after which so many metres are gone."""
+        """Seconds after which a distance has been travelled."""
         low, high = 0.0, self.seconds
         if gone >= self.length:
             return high

@@ -54,7 +54,7 @@ class Tour:
         fps: frames per second.
         loop: the last key leads to the first again.
         ease: it begins and ends at rest (never in a loop).
-        aim: what is interpolated: the "target", so that what is looked at stays in view, or the "direction" of view.
+        aim: what is interpolated: the "target", so that the target stays in view, or the "direction" of view.
         speed: metres per second of the eye; None: the keys have times.
         above_ground: metres that the eye stays above the ground, where a terrain is given (``course``); None: wherever
             the path leads.

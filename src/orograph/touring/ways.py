@@ -174,7 +174,7 @@ class OrbitWay:
         return self.lens.seen(np.array(target) + arm, np.array(target), time)
 
     def lengths(self, times: Array) -> Array:
-        """Metres that the eye has gone at each of ``times``, from the first."""
+        """Metres that the eye has travelled at each of ``times``, from the first."""
         found = [0.0]
         for a, b in pairwise(times):
             eyes = np.array([self.view(float(t)).eye for t in np.linspace(a, b, COARSE + 1)])

@@ -61,7 +61,7 @@ def best_view(
             middle; none: 0.75 to 3 times that from which all of the target is in the picture.
         fov: vertical field of view, degrees; or several.
         clearance: metres above the ground that every eye is at least.
-        target_height: metres above the ground of what is to be seen.
+        target_height: metres above the ground of the points to see.
         sun: prefer what this sun lights, given as for ``orograph.render``; None: light does not matter.
         apart: degrees between the directions of any two views, seen from the target.
         pieces: about how many pieces the target is divided into for scoring.

@@ -78,7 +78,7 @@ class Flying:
         """The view after some more time.
 
         Args:
-            view: the last result, or any other view: the flight goes on from there.
+            view: the last result, or any other view: the flight continues from there.
             keys: held down, of ``KEYS``.
             pace: a factor on the speed (``FAST``, ``SLOW``).
         """

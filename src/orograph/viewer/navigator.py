@@ -301,7 +301,7 @@ class Navigator:
             self._drag = None
 
     def stretch(self, exaggeration: float) -> None:
-        """Change the exaggeration while the ground that is looked at stays in place in the picture: the camera keeps
+        """Change the exaggeration while the target stays in place in the picture: the camera keeps
         its direction and its distance from the ground in the middle, or if it looks along the ground, from the ground
         below it."""
         pose = Pose.of(self.view, self.exaggeration)

@@ -155,7 +155,7 @@ class Settings:
     Attributes:
         sun: see ``SunSetting``. layers: a list. lamps, discs: shine if ``light`` supports them.
         painted: a layer above all others while a tool shows its result, or None. veil: over what is not selected, or
-            None. seen: gives what stands, as it is to be seen; None: as it is.
+            None. seen: gives what stands, as it should appear; None: as it is.
         wireframe, levels, normals: as in ``rendering.gpu.frame.Overlay``. occlusion: strength of screen-space ambient
             occlusion.
         budget: triangles to aim for instead of a tolerance, or None.

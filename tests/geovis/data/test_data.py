@@ -124,7 +124,7 @@ def test_members_mean_spread_and_quantiles(tmp_path):
     np.testing.assert_allclose(field.uncertainty("ci90")[1, 1], (high - low) / 2, rtol=1e-5)
     assert np.isnan(field.uncertainty("spread")[5, 5])
     assert read(Dataset(path, member="2-4"), grid).values.shape[0] == 3
-    with pytest.raises(UsageError, match="counted from 1 to 13"):
+    with pytest.raises(UsageError, match="numbered from 1 to 13"):
         read(Dataset(path, band=14), grid)
     with pytest.raises(UsageError, match="members"):
         read(Dataset(path, band=1), grid).uncertainty("spread")

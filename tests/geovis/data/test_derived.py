@@ -103,7 +103,7 @@ def test_the_command_line_says_the_same():
         (lambda g: Dataset("a.nc", value="p101"), "p90"),
         (lambda g: Dataset("a.nc", value="mode"), "median, min, max"),
         (lambda g: Dataset("a.nc", value="mean", exceeds=3.0), "one of the two"),
-        (lambda g: Dataset("a.nc", exceeds=float("nan")), "is a number"),
+        (lambda g: Dataset("a.nc", exceeds=float("nan")), "must be a number"),
         (lambda g: read_data(Dataset(members((1, 7, 8)), value="p90"), g.grid), "has one"),
         (lambda g: read_data(Dataset(members((1, 7, 8)), exceeds=3.0), g.grid), "`uncertainty`"),
         (lambda g: themed({"data": Dataset(members(), exceeds=3.0, uncertainty="spread")}, g, (9, 9)), "no spread"),

@@ -147,11 +147,11 @@ def test_what_is_below_and_in_front_of_it_is_drawn_once():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"depth": None}, "Nothing says how deep"),
+        ({"depth": None}, "Nothing gives the depth"),
         ({"depth": "to"}, "has no length"),
         ({"depth": "from+nowhere"}, "no attribute 'nowhere'"),
         ({"depth": "from+to+grain"}, "two ends"),
-        ({"depth": "from:mi"}, "no unit"),
+        ({"depth": "from:mi"}, "not a unit"),
         ({"depth": None, "height": "to", "style": "logs"}, "has no length"),
         ({"group": "name"}, "no attribute 'name'"),
         ({"height": "to"}, "Give one of them|all say"),

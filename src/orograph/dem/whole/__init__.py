@@ -108,7 +108,7 @@ def _check_layout(dataset: Any, key: object) -> None:
 
 
 def _refuse_lost_notes(dataset: Any) -> None:
-    """GDAL goes on without what it wrote beside a raster (.aux.xml: nodata, CRS…) where that is no XML any more."""
+    """GDAL continues without what it wrote beside a raster (.aux.xml: nodata, CRS…) where that is no longer XML."""
     notes = Path(f"{main_file(dataset)}.aux.xml")
     if not notes.is_file():
         return
@@ -133,7 +133,7 @@ def _refuse_cut_crs(dataset: Any) -> None:
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
-    """GDAL goes on without a mask file that it cannot open: what is missing would be heights."""
+    """GDAL continues without a mask file that it cannot open: what is missing would be heights."""
     from rasterio.enums import MaskFlags
 
     mask = Path(f"{main_file(dataset)}.msk")
@@ -245,7 +245,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     Args:
         dataset: of rasterio, just opened.
         location: what GDAL opened, for the message.
-        key: the file's name and state; what was found whole is not looked at again.
+        key: the file's name and state; what was found whole is not checked again.
     """
     key = key, _beside(dataset)
     if _seen(key):

@@ -18,11 +18,11 @@ from orograph.dem.whole.tiff import tile_fault
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _LARGEST = 1 << 30
-"""Bytes of a database up to which all its pages are looked at."""
+"""Bytes of a database up to which all its pages are checked."""
 
 
 def database(dataset: Any, path: str) -> str | None:
-    """What is wrong with a database of tiles, a sentence; None: nothing."""
+    """What is wrong with a database of tiles, as a sentence; None if nothing is."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         head = file.read(100)

@@ -19,7 +19,7 @@ _ANGLE = re.compile(rb"(\d{2,3})(\d\d)(\d\d(?:\.\d+)?)([NSEW])\Z")
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a DTED file, a sentence; None: nothing."""
+    """What is wrong with a DTED file, as a sentence; None if nothing is."""
     record = 12 + 2 * dataset.height
     size = Path(path).stat().st_size
     partial = dataset.tags().get("DTED_PartialCellIndicator", "00").strip() not in ("", "0", "00")

@@ -50,7 +50,7 @@ class _Opening:
 OPENING = _Opening()
 
 _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
-"""Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""
+"""Formats that GDAL fetches whole in any case, so a remote file may be fetched for checking."""
 
 
 _UNLISTED = {

@@ -17,11 +17,11 @@ from orograph.dem.whole.png import bytes_fault
 
 _JPEG2000, _PNG = (40, 40000), (41, 40010)
 _LARGEST = 1 << 28
-"""Bytes of a file up to which what is packed in it is looked at."""
+"""Bytes of a file up to which its packed data are checked."""
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a GRIB file, a sentence; None: nothing."""
+    """What is wrong with a GRIB file, as a sentence; None if nothing is."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         at = file.read(1 << 16).find(b"GRIB")
@@ -47,7 +47,7 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 def _message_fault(file: IO[bytes], at: int, end: int, packed: bool) -> str | None:
-    """What is wrong with the sections of a message between two bytes, a sentence; None: nothing."""
+    """What is wrong with the sections of a message between two bytes, as a sentence; None if nothing is."""
     template = 0
     while at < end - 4:
         file.seek(at)

@@ -1,4 +1,4 @@
-"""Headers of text beside raw samples: every number is one, every word a known one, nothing is said twice.
+"""Headers of text beside raw samples: every number is a number, every word is known, nothing occurs twice.
 
 GDAL takes what it understands of a header and its defaults for the rest: of ``NBITS x`` 8 bits, of a damaged
 ``BYTEORDER`` the order of this machine, of a lost ``XDIM`` a step of 1. A key that is one letter away from a known one
@@ -182,7 +182,7 @@ def _header(path: str, endings: Iterable[str]) -> Path | None:
 
 
 def braces_fault(text: str) -> str | None:
-    """What is wrong with the braces of a header, a sentence; None: nothing."""
+    """What is wrong with the braces of a header, as a sentence; None if nothing is."""
     open_parts: list[str] = []
     if text.lstrip().startswith("DatasetHeader"):
         for name, what in re.findall(r"^[ \t]*(\w+)[ \t]+(Begin|End)[ \t]*\r?$", text, re.M):
@@ -203,7 +203,7 @@ def _flat(text: str) -> str:
 
 
 def form_fault(form: Form, said: list[tuple[str, str]]) -> str | None:
-    """What is wrong with what a header says, a sentence; None: nothing."""
+    """What is wrong with what a header says, as a sentence; None if nothing is."""
     spelt = {key.lower(): key for key in _keys(form)}
     values: dict[str, str] = {}
     for written, value in said:

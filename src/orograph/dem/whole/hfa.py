@@ -24,7 +24,7 @@ _MOST_ENTRIES = 1 << 20
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with an Imagine file, a sentence; None: nothing."""
+    """What is wrong with an Imagine file, as a sentence; None if nothing is."""
     size = Path(path).stat().st_size
     high, wide = dataset.block_shapes[0]
     count = -(-dataset.height // high) * -(-dataset.width // wide)

@@ -31,7 +31,7 @@ _CORNERS = Form(
 
 
 def _header_fault(path: str) -> str | None:
-    """What is wrong with the header (.mpr) of an ILWIS map and its place (.grf), a sentence; None: nothing."""
+    """What is wrong with the header (.mpr) of an ILWIS map and its place (.grf), as a sentence; None if nothing is."""
     said = _said(Path(path))
     if fault := form_fault(_MAP, said):
         return fault

@@ -49,7 +49,7 @@ def fault_before(path: str) -> str | None:
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a JPEG 2000 file, a sentence; None: nothing."""
+    """What is wrong with a JPEG 2000 file, as a sentence; None if nothing is."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         if file.read(4) == b"\xff\x4f\xff\x51":
@@ -82,7 +82,7 @@ def nitf(dataset: Any, path: str) -> str | None:
 
 
 def stream_fault(file: IO[bytes], begin: int, end: int) -> str | None:
-    """What is wrong with the codestream between two bytes of a file, a sentence; None: nothing."""
+    """What is wrong with the codestream between two bytes of a file, as a sentence; None if nothing is."""
     file.seek(begin + 2)
     tiles, lost = 0, "Its codestream is truncated or damaged"
     while True:

@@ -19,7 +19,7 @@ _LABEL = 1 << 20
 
 
 def isis(dataset: Any, path: str) -> str | None:
-    """What is wrong with an ISIS cube, a sentence; None: nothing."""
+    """What is wrong with an ISIS cube, as a sentence; None if nothing is."""
     with Path(path).open("rb") as file:
         text = file.read(_LABEL).partition(b"\0")[0].decode("latin-1")
     core = re.search(r"^\s*Object = Core\b(.*?)^\s*End_Object", text, re.M | re.S)
@@ -61,7 +61,7 @@ def _parts_fault(path: str, text: str, begin: int, end: int) -> str | None:
 
 
 def vicar(dataset: Any, path: str) -> str | None:
-    """What is wrong with the size of a VICAR file, a sentence; None: nothing."""
+    """What is wrong with the size of a VICAR file, as a sentence; None if nothing is."""
     with Path(path).open("rb") as file:
         said = dict(re.findall(r"(\w+)=('[^']*'|[^\s']+)", file.read(4096).decode("latin-1")))
     if said.get("COMPRESS", "'NONE'").strip("'") != "NONE" or said.get("EOL", "0") != "0":

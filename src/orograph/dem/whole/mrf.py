@@ -26,7 +26,7 @@ _ENDINGS = {
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with an MRF, a sentence; None: nothing."""
+    """What is wrong with an MRF, as a sentence; None if nothing is."""
     root = ET.fromstring(Path(path).read_bytes())
     raster = root.find("Raster")
     if raster is None:

@@ -29,7 +29,7 @@ def fault_before(path: str) -> str | None:
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a netCDF file, a sentence; None: nothing."""
+    """What is wrong with a netCDF file, as a sentence; None if nothing is."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         magic = file.read(4)

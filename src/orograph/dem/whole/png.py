@@ -17,7 +17,7 @@ _PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4),
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a PNG file, a sentence; None: nothing."""
+    """What is wrong with a PNG file, as a sentence; None if nothing is."""
     with Path(path).open("rb") as file:
         return _fault(file)
 

@@ -144,7 +144,7 @@ def pds3(dataset: Any, path: str) -> str | None:
     text = _label(path)
     kind = re.search(r"^[ \t]*SAMPLE_TYPE[ \t]*=[ \t]*\"?(\w*)", text, re.M)
     if kind is not None and kind[1].upper() not in _SAMPLE_TYPES:
-        return f"Its label calls its samples {kind[1]!r}, which is not a known type."
+        return f"Its label declares samples of type {kind[1]!r}, which is not a known type."
     pointer = re.search(r"^\^(?:IMAGE|QUBE)[ \t]*=[ \t]*\(?[ \t]*(?:\"([^\"]*)\"[ \t]*,?)?[ \t]*(\d*)", text, re.M)
     if pointer is None or "<BYTES>" in text[pointer.start() : pointer.end() + 20]:
         return None

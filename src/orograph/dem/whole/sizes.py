@@ -27,7 +27,7 @@ _CHUNKS = 1 << 16  # of a Zarr, that are looked for
 
 
 def exact(path: str | Path, wanted: int) -> str | None:
-    """What is wrong with the size of a file that should have ``wanted`` bytes, a sentence; None: nothing."""
+    """What is wrong with the size of a file that should have ``wanted`` bytes, as a sentence; None if nothing is."""
     file = Path(path)
     if not file.is_file():
         return f"Its file {file.name} is missing."

@@ -41,7 +41,7 @@ _KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re
 
 
 def arc(dataset: Any, path: str) -> str | None:
-    """What is wrong with an Arc/Info ASCII grid, a sentence; None: nothing."""
+    """What is wrong with an Arc/Info ASCII grid, as a sentence; None if nothing is."""
     return (
         _header_fault(path, (b"xll", b"yll"))
         or _contradiction(path, _ARC, "nodata_value")
@@ -50,7 +50,7 @@ def arc(dataset: Any, path: str) -> str | None:
 
 
 def grass(dataset: Any, path: str) -> str | None:
-    """What is wrong with a GRASS ASCII grid, a sentence; None: nothing."""
+    """What is wrong with a GRASS ASCII grid, as a sentence; None if nothing is."""
     sides = (b"north", b"south", b"east", b"west")
     return (
         _header_fault(path, sides) or _contradiction(path, _GRASS, "null") or _grid_fault(dataset, path, _GRASS, True)
@@ -58,12 +58,12 @@ def grass(dataset: Any, path: str) -> str | None:
 
 
 def surfer(dataset: Any, path: str) -> str | None:
-    """What is wrong with a Surfer ASCII grid, a sentence; None: nothing."""
+    """What is wrong with a Surfer ASCII grid, as a sentence; None if nothing is."""
     return _grid_fault(dataset, path, _SURFER, False)
 
 
 def gxf(dataset: Any, path: str) -> str | None:
-    """What is wrong with a Grid eXchange File that is not compressed, a sentence; None: nothing."""
+    """What is wrong with a Grid eXchange File that is not compressed, as a sentence; None if nothing is."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADER)
     if re.search(rb"^#GTYPE\s+[1-9]", head, re.M):
@@ -72,7 +72,7 @@ def gxf(dataset: Any, path: str) -> str | None:
 
 
 def isg(dataset: Any, path: str) -> str | None:
-    """What is wrong with the grid of a geoid model as text (ISG), a sentence; None: nothing."""
+    """What is wrong with the grid of a geoid model as text (ISG), as a sentence; None if nothing is."""
     return _grid_fault(dataset, path, _ISG, False)
 
 
@@ -121,7 +121,7 @@ def _is_number(token: bytes) -> bool:
 
 
 def points(dataset: Any, path: str) -> str | None:
-    """What is wrong with columns of x, y and height, a sentence; None: nothing."""
+    """What is wrong with columns of x, y and height, as a sentence; None if nothing is."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADER)
     titles = _TITLES.match(head)

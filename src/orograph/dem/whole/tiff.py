@@ -39,7 +39,7 @@ _BLOCK = 128  # zeros that fill the last such block are no part of a file
 
 
 def fault(dataset: Any, file: IO[bytes]) -> str | None:
-    """What is wrong with the layout of a TIFF, a sentence; None: nothing.
+    """What is wrong with the layout of a TIFF, as a sentence; None if nothing is.
 
     Args:
         dataset: of rasterio, open.
@@ -106,7 +106,7 @@ _CODEC = {1: "", 5: "LZW", 8: "DEFLATE", 32946: "DEFLATE", 32773: "PACKBITS", 50
 
 
 def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
-    """What is wrong with a small TIFF in memory that is a tile of something else, a sentence; None: nothing.
+    """What is wrong with a small TIFF in memory that is a tile of something else, as a sentence; None if nothing is.
 
     Args:
         wide, high: the samples that it must have; 0: any.

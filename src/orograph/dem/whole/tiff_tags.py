@@ -61,7 +61,7 @@ class Tiff(Protocol):
 
 
 def tags_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
-    """What is wrong with the tags of directories, the first of which is the raster's, a sentence; None: nothing."""
+    """What is wrong with the tags of directories (the first is the raster's), as a sentence; None if nothing is."""
     for directory in directories:
         if directory.twice:
             return f"Its tag {directory.twice} occurs twice in a directory: it is damaged."
@@ -93,7 +93,7 @@ def _one(tiff: Tiff, directory: Directory, tag: int, otherwise: int) -> int:
 
 
 def _mask_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
-    """A mask that is none any more to GDAL, which then takes what is missing for heights."""
+    """A mask that GDAL no longer recognises: it then takes missing samples as heights."""
     shapes = [tuple(_one(tiff, directory, tag, 0) for tag in (256, 257)) for directory in directories]
     masks = [bool(_one(tiff, directory, 254, 0) & _MASK) for directory in directories]
     for directory, shape, mask in zip(directories[1:], shapes[1:], masks[1:], strict=True):
@@ -160,7 +160,7 @@ def _blocks_wanted(tiff: Tiff, first: Directory) -> int:
 def blocks_fault(
     tiff: Tiff, directories: list[Directory], at: NDArray[np.int64], size: NDArray[np.int64], plain: int, ordered: bool
 ) -> str | None:
-    """What is wrong with where the blocks of the first directory lie, a sentence; None: nothing.
+    """What is wrong with where the blocks of the first directory lie, as a sentence; None if nothing is.
 
     Args:
         at, size: of the blocks that are there.

@@ -25,7 +25,7 @@ _NUMBER = re.compile(rb" *[+-]?(?:\d+\.?\d*|\.\d+)(?:[DE][+-]?\d+)? *\Z", re.I)
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a USGS DEM, a sentence; None: nothing."""
+    """What is wrong with a USGS DEM, as a sentence; None if nothing is."""
     if Path(path).stat().st_size > _LARGEST:
         return None
     data = _without_line_ends(Path(path).read_bytes())

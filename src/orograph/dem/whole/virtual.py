@@ -1,8 +1,8 @@
-"""VRTs: the parts of other files that a window is made of are looked at as those files themselves would be.
+"""VRTs: the parts of other files that make up a window are checked like those files themselves.
 
 GDAL reads the sources of a VRT with their own drivers, and so reads past the same damage. The VRT's XML says which
 rectangle of which file lies where (https://gdal.org/drivers/raster/vrt.html). Files whose rectangles are not simply
-mapped (warped, pansharpened) are looked at as a whole. What is not on this disk is not looked at. Units: samples.
+mapped (warped, pansharpened) are checked as a whole. What is not on this disk is not checked. Units: samples.
 """
 
 from __future__ import annotations

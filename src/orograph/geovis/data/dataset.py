@@ -44,7 +44,7 @@ LEVELS = ("height", "above", "depth")
 """Options that say how high points are."""
 
 BELOW = 0.65
-"""With which opacity what is below the ground is seen through it, where nothing is said."""
+"""The default opacity with which things below the ground show through it."""
 
 Measure = Literal["spread", "ci90"]
 """Uncertainties of the members of an ensemble: their standard deviation (n − 1), or half the width between their 5 %

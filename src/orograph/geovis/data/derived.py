@@ -29,7 +29,7 @@ def read_data(given: Dataset, grid: Grid) -> Field:
 
 def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values] | None:
     """How uncertain data are that were read: standard deviations (or half widths) (rows, cols), and the field on whose
-    grid they are; None where nothing is said.
+    grid they are; None where nothing is given.
 
     Raises:
         ReadError: one is negative. Others: as ``reading.read``.
@@ -50,7 +50,7 @@ def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values]
 
 
 def _derived(field: Field, given: Dataset, grid: Grid) -> Field:
-    """A field whose data are a statistic or a probability, by what a dataset asks for."""
+    """A field whose data are a statistic or a probability, as a dataset requests."""
     name, unit, count = given.name or field.name, given.unit or field.unit, len(field.values)
     if given.exceeds is None:
         asked = given.value or "mean"

@@ -20,7 +20,7 @@ Colors = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 PERCENTILES = (2.0, 98.0)
-"""Of the values over a terrain, the ends of a scale of which none are given."""
+"""The default ends of a scale, from the values over a terrain."""
 
 ALIKE = 1e-7
 """Of their size, differences between values that float32 hardly tells apart."""
@@ -59,7 +59,7 @@ class ColorScale:
         cls, values: NDArray[Any], colormap: str, span: tuple[float, float] | None, classes: int = 0,
         breaks: Breaks | tuple[float, ...] = "quantiles",
     ) -> ColorScale:  # fmt: skip
-        """The scale of values, of which NaN are left out.
+        """The scale of values, ignoring NaN.
 
         Args:
             span: its ends; None: percentiles of the values. classes: how many; 0: it is continuous.

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Told(NamedTuple):
-    """What is said of data in a legend.
+    """The text on data in a legend.
 
     Attributes:
         name, unit, note: in words. classes: the names of values 0, 1, …; None: they are numbers.

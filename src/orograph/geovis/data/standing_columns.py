@@ -57,7 +57,7 @@ def things_of_profiles(dataset: Dataset, points: Points, grid: Grid, ground: Arr
     """
     if dataset.leveled is None or points.level is None:
         raise UsageError(
-            f"Nothing gives the depth or height of the samples of {dataset.style} are.", path=str(dataset.source),
+            f"Nothing gives the depth or height of the samples of {dataset.style}.", path=str(dataset.source),
             remedy="Name the attribute: depth=, above= or height=; of intervals depth=from+to.",
         )  # fmt: skip
     parts = parts_of(points)

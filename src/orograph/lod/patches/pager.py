@@ -90,7 +90,7 @@ class Pager(Field):
             self.enter()
 
     def _hire(self) -> None:
-        """Threads that end with the program, whatever they wait for."""
+        """Threads that end with the program, whatever they are waiting for."""
         if not any(reader.is_alive() for reader in self._readers):  # none yet, or lost by a fork
             count = REMOTE_READERS if self.terrain.remote else READERS
             self._readers = [threading.Thread(target=self._read, daemon=True) for _ in range(count)]

@@ -38,7 +38,7 @@ BAND = 1.1
 the width of a bucket (``bounds.STALE``)."""
 
 PARTS = 4.0
-"""One in so many parts of the time left is what splits may take until the next look at the clock."""
+"""Splits may take the time left divided by this before the clock is checked again."""
 
 CAPACITY = 1 << 20
 """Nodes there is room for at first, where the raster has as many: memory that is not used takes none."""
@@ -52,7 +52,7 @@ SHARE = 16
 
 
 class Roam(RightTriangleMeshes):
-    """ROAM. See ``RightTriangles`` for the arguments; ``select`` goes on from the mesh of the last view.
+    """ROAM. See ``RightTriangles`` for the arguments; ``select`` continues from the mesh of the last view.
 
     The arrays in the ``Mesh`` that ``mesh`` returns are the method's own: they change with the next view.
     """

@@ -67,7 +67,7 @@ def draw(
 
     Args:
         scene: what is drawn.
-        progress: hears of it.
+        progress: gets the progress.
         mesh: a tessellation of the scene's terrain to draw, instead of one made by the scene's method.
         memo: results of earlier pictures; pass the same one for all frames of a movie and all tiles of a picture.
         cast: makes the visible surface, if that is not done here (``sort_last``).

@@ -73,7 +73,7 @@ def draw(
 
     Args:
         scene: what is drawn.
-        progress: hears of it.
+        progress: gets the progress.
         device: where to draw; None: the best available.
         renderer: of the scene's terrain, reusable for several pictures; None: one for this picture.
         overlay: drawn in addition.

@@ -3,7 +3,7 @@
 A frame: newly read tiles are uploaded to the atlases; ``triangle-patches`` selects patches whose tiles are present
 (coarser ones stand in, so there are no holes, no cracks and no waiting); one instanced draw leaves depth and marks; one
 pass lights every pixel. Tiles that the frame lacked are requested from the streamer, largest error first. Maps of light
-follow the camera in their own thread. When nothing changes any more, further frames are drawn with jittered samples and
+follow the camera in their own thread. When nothing changes, further frames are drawn with jittered samples and
 averaged: a picture at rest is smooth everywhere.
 """
 

@@ -72,7 +72,7 @@ class Targets:
 
 
 def cleared(targets: Targets, device: Device, slopes: bool) -> Attachments:
-    """Empty marks and depth, and slopes if they are to be left: what ground is drawn into."""
+    """Empty marks and depth, and slopes if requested: the targets of ground."""
 
     def make() -> Attachments:
         views = [targets.marks_view, *([targets.given_view(device)] if slopes else [])]

@@ -73,7 +73,7 @@ class Around:
             self.field, self._made, self._mesh = self._make(scene, mesh), self._wish, mesh
 
     def aside(self, scene: Scene) -> None:
-        """Take what was made meanwhile, and have other terrain made if the scene wants it."""
+        """Take what was made meanwhile, and request other terrain if the scene wants it."""
         done = self._aside.take()
         if done is not None:
             self._made, self.field = done
@@ -117,7 +117,7 @@ class Share:
     """What of its light a frame of a scene traces.
 
     Attributes:
-        first, rays, total: of every pixel's lattices of ``total`` rays so many, from the ``first`` on.
+        first, rays, total: ``rays`` of every pixel's lattices of ``total`` rays, from the ``first`` on.
         frames: how many frames make the whole. lights: to how many lights rays go.
         corner: the position in the whole picture of the target's left upper corner.
     """

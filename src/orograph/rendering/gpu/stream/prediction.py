@@ -37,7 +37,7 @@ class Prediction:
     """The speed of a camera, updated frame by frame.
 
     Attributes:
-        turn: which of the ``HORIZONS`` was looked at last.
+        turn: which of the ``HORIZONS`` was used last.
     """
 
     def __init__(self) -> None:

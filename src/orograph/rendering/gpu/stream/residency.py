@@ -56,7 +56,7 @@ class Chosen:
 
     Attributes:
         patches: with the slots of their tiles. seconds: that it took to select them.
-        missing: tiles and pages of errors that would improve it. loaded: tiles that came for it, of so many ``bytes``.
+        missing: tiles and pages of errors that would improve it. loaded: tiles that came for it, and their ``bytes``.
     """
 
     patches: Patches
