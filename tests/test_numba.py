@@ -90,6 +90,17 @@ def test_what_no_other_process_compiles_is_compiled_here(tmp_path: Path, before:
     assert run(SUMS.format(before=before), tmp_path) == "True 1\n"
 
 
+def test_a_compiler_that_does_not_start_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    from orograph import compiling
+
+    started = []
+    piped = compiling._piped
+    monkeypatch.setattr(compiling, "_piped", lambda program: started.append(program) or piped("there.is.none"))
+    compiler = compiling._Compiler()
+    assert not compiler.compile(b"") and not compiler.compile(b"")
+    assert len(started) == 2
+
+
 def test_an_interrupted_request_leaves_no_answer_behind(tmp_path: Path) -> None:
     interrupted = """
     import signal, threading, time, os

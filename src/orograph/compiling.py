@@ -92,12 +92,16 @@ class _Compiler:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0
+        self._useless = False
         self._lock = threading.Lock()
 
     def compile(self, request: bytes) -> bool:
         """Have a pickled (module, name, types) compiled; whether that was done."""
         with self._lock:
+            if self._useless:
+                return False
             answer = self._ask(request) or self._ask(request)  # (once more: it may just have ended)
+            self._useless = not answer  # it cannot be started as this process was
         return answer == b"1"
 
     def _ask(self, request: bytes) -> bytes:
