@@ -57,8 +57,8 @@ HUNG = np.uint32(1 << 31)
 """Of a corner: the lower end of the skirt."""
 
 SCRATCH = 32 << 20, 512 << 20
-"""Bytes of scratch that one dispatch takes, on software and on hardware, where dispatches wait for one another; the last
-of its chunks may need more."""
+"""Bytes of scratch that one dispatch takes, on software and on hardware, where dispatches wait for one another; the
+last of its chunks may need more."""
 
 COARSER = 1.25
 """By how much a tolerance grows until its chunks fit."""
