@@ -184,7 +184,7 @@ def test_levels_of_a_file(tmp_path):
     ("source", "change", "words"),
     [
         (lambda: volume([5]), {}, "one level"),
-        (lambda: volume([5, 6], "thing"), {}, "no vertical dimension"),
+        (lambda: volume([5, 6], "thing"), {}, "no known vertical dimension"),
         (lambda: volume([5, 6]), {"level": "5"}, "all levels"),
         (lambda: volume([5, 6]), {"along": "1:2:3"}, "lon:lat"),
         (lambda: volume([5, 6]), {"along": "9:9:10:10"}, "lies on the terrain"),
