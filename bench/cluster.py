@@ -30,7 +30,7 @@ import psutil
 
 from orograph import store
 from orograph.errors import StoreError
-from orograph.store.clusters import workforce
+from orograph.store.workforce import workforce
 
 BIG = {"shard": 1024}
 SMALL = {"shard": 128, "chunk": 64}

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from orograph.lighting.bake import BAKED, _kept, _record
+from orograph.lighting.bake import BAKED, _record
+from orograph.lighting.bake_folder import KEY, kept
 from orograph.lighting.bake_state import BakeState, SweepStage, recipe_of
 from orograph.lighting.context import Options
 from orograph.lighting.products import product
@@ -38,8 +39,9 @@ def main() -> None:
         storage = FolderStorage(copy)
         record = read_record(storage)
         made = [_record(product(name), options, None, record) for name in args.products.split(",") if name in BAKED]
-        _kept(storage, record, made, True)
-        recipe = recipe_of(storage, storage.named(), options, made, record.shard, 1 << 30)
+        kept(storage, record, made, True)
+        plan = storage.get(KEY) or b""
+        recipe = recipe_of(storage, storage.named(), options, made, plan, record.shard, 1 << 30)
         state = BakeState(recipe)
         read, written = [0], [0]
         get, put = state.storage.get, state.storage.put

@@ -1,13 +1,14 @@
 """What a build of a planet would take on a cluster: a simulation out of unit costs that are measured first.
 
-    python bench/cluster_plan.py [--data ../shared/data] [--tiles 40]
+    python bench/cluster_plan.py [--data ../shared/data] [--tiles 9]
 
 A build of California is run by one process whose tasks are timed one by one: seconds of processor time, bytes written
 and the time in which the process that builds adds each up; once shard by shard, and once for each size of groups, for
 the larger a group, the less it hands on. The simulation has these tasks for as many samples as the
 planet has, by an event queue: the scheduler gives out a task in 1 ms, a worker (one thread) works on one at a time
 and moves its bytes at 100 MB/s, the process that builds adds up what came, one after another, and stages follow one
-another. Nothing in it was run on such a cluster.
+another. Nothing in it was run on such a cluster. Told are the unit costs, the table of docs/clusters.md, and of what
+the work of the process that builds consists.
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ PRICE = 0.05
 """Dollars an hour and worker of one thread."""
 
 PLANETS = {
-    "ASTER, 22,600 tiles of 3601²": (22_600 * 3601 * 3601, 750e9),
-    "GLO-30, 26,000 tiles of 3600²": (26_000 * 3600 * 3600, 26_000 * 3600 * 3600 * 2.4),
+    "ASTER, 22,600 tiles": (22_600 * 3601 * 3601, 750e9),
+    "GLO-30, 26,000 tiles": (26_000 * 3600 * 3600, 26_000 * 3600 * 3600 * 2.4),
 }
 """Samples, and bytes that are read."""
 
+WORKERS = (1, 4, 16, 64, 128, 256, 512)
 
 GROUPED = ("heights", "errors")
 """Stages whose tasks are groups of shards, where there are enough for all workers."""
@@ -97,8 +99,8 @@ class Timed:
         self.costs[stage.name] = Cost(*(a + b / self.samples for a, b in zip(before, found_now, strict=True)))
 
 
-def measured(files: list[str], levels: int) -> dict[str, Cost]:
-    """Unit costs by stage, with groups of so many levels: of two builds the lesser."""
+def measured(files: list[str], levels: int) -> tuple[dict[str, Cost], int]:
+    """Unit costs by stage, with groups of so many levels, of two builds the lesser; and samples."""
     timed = Timed(levels)
 
     @contextlib.contextmanager
@@ -117,19 +119,22 @@ def measured(files: list[str], levels: int) -> dict[str, Cost]:
                 runs.append(timed.costs)
     finally:
         building.executor_of = own
-    return {name: Cost(*map(min, cost, runs[1][name])) for name, cost in runs[0].items()}
+    return {name: Cost(*map(min, cost, runs[1][name])) for name, cost in runs[0].items()}, timed.samples
 
 
 class Outcome(NamedTuple):
-    """Of a simulation: seconds, and the share of them in which each was busy."""
+    """Of a simulation: seconds, the share of them in which each was busy, and the seconds of the process that builds by
+    what it did."""
 
     seconds: float
     busy: dict[str, float]
+    combined: dict[str, float]
 
 
 def simulated(costs: list[dict[str, Cost]], samples: int, read: float, workers: int) -> Outcome:
     """A build with so many workers. Args: costs: by levels of groups."""
-    now, busy = 0.0, dict.fromkeys(("workers compute", "workers move bytes", "scheduler", "adding up"), 0.0)
+    now, busy = 0.0, dict.fromkeys(("workers compute", "workers move bytes", "scheduler", "combining"), 0.0)
+    combined: dict[str, float] = {}
     for name in costs[0]:
         levels = len(costs) - 1 if name in GROUPED else 0
         while levels and samples / (SHARD**2 * 4**levels) < EACH * workers:
@@ -137,7 +142,7 @@ def simulated(costs: list[dict[str, Cost]], samples: int, read: float, workers: 
         cost = costs[levels][name]
         tasks = max(1, round(samples / (SHARD**2 * 4**levels)))
         compute = cost.work * samples / tasks
-        move = ((read if name != "errors" else 5.0 * samples) + cost.written * samples) / tasks / BUCKET
+        move = (read_by(name, samples, read) + cost.written * samples) / tasks / BUCKET
         add = cost.add * samples / tasks
         free = [now] * workers
         given = added = now
@@ -149,36 +154,68 @@ def simulated(costs: list[dict[str, Cost]], samples: int, read: float, workers: 
         took = (compute / workers, move / workers, SCHEDULER, add)
         for what, seconds in zip(busy, took, strict=True):
             busy[what] += tasks * seconds
-        busy["adding up"] += cost.finish * samples
+        busy["combining"] += cost.finish * samples
+        combined |= {f"{name}, tasks": tasks * add, f"{name}, finish": cost.finish * samples}
         now = max(added, *free) + cost.finish * samples
-    return Outcome(now, {what: took / now for what, took in busy.items()})
+    return Outcome(now, {what: took / now for what, took in busy.items()}, combined)
+
+
+def read_by(stage: str, samples: float, read: float) -> float:
+    """Bytes that a stage reads: those of the files, or heights of the store."""
+    return 5.0 * samples if stage == "errors" else read
+
+
+def tell_costs(costs: list[dict[str, Cost]], samples: int) -> None:
+    """Unit costs by the sample, the task and the megabyte."""
+    for levels, found in enumerate(costs):
+        for name, cost in found.items():
+            if levels and name not in GROUPED:
+                continue
+            each = SHARD**2 * 4**levels
+            moved = read_by(name, each, 2.4 * each) + cost.written * each
+            print(
+                f"{name}, {'shards' if not levels else f'groups of {4**levels} shards'}: {1e9 * cost.work:.0f} ns a "
+                f"sample of a worker, {1e9 * cost.add:.2f} + {1e9 * cost.finish:.2f} of the process that builds, "
+                f"{cost.written:.2f} bytes written; a task {cost.work * each:.1f} s and {moved / 1e6:.0f} MB, a shard "
+                f"{cost.work * SHARD**2:.2f} s and {1e3 * cost.add * SHARD**2:.0f} ms, a megabyte moved "
+                f"{1e9 * cost.work * each / moved:.0f} ms"
+            )
+    for levels in (0, len(costs) - 1):
+        of = [costs[levels if name in GROUPED else 0][name] for name in costs[0]]
+        print(
+            f"All of it, {'shards' if not levels else f'groups of {4**levels} shards'}: "
+            f"{1e9 * sum(cost.work for cost in of):.0f} ns a sample of workers, "
+            f"{1e9 * sum(cost.add + cost.finish for cost in of):.1f} of the process that builds, "
+            f"{sum(cost.written for cost in of):.1f} bytes written; measured on {samples / 1e6:.1f} M samples"
+        )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--tiles", type=int, default=40, help="of California that are built to measure")
+    parser.add_argument("--tiles", type=int, default=9, help="of California that are built to measure")
     given = parser.parse_args()
     files = sorted(map(str, (given.data / "california-3s-tiles").glob("*.tif")))
     if not files:
         raise SystemExit(f"No tiles in {given.data / 'california-3s-tiles'}.")
     files = files[: given.tiles]
     measured(files[:2], 1)  # compiles
-    costs = [measured(files, levels) for levels in range(MOST + 1)]
-    for levels, found in enumerate(costs):
-        for name, cost in found.items():
-            print(
-                f"{name}, {'shards' if not levels else f'groups of {4**levels} shards'}: {1e9 * cost.work:.0f} ns a "
-                f"sample of a worker, {1e9 * cost.add:.2f} + {1e9 * cost.finish:.2f} of the process that builds, "
-                f"{cost.written:.2f} bytes written"
-            )
-    for planet, (samples, read) in PLANETS.items():
-        print(f"\n{planet}\n\n| workers | hours | dollars | busiest | share |\n|---|---|---|---|---|")
-        for workers in (1, 4, 16, 64, 128, 256, 512):
-            seconds, busy = simulated(costs, samples, read, workers)
-            most = max(busy, key=busy.__getitem__)
-            hours = seconds / 3600
-            print(f"| {workers} | {hours:.1f} | {hours * workers * PRICE:.0f} | {most} | {busy[most]:.0%} |")
+    found = [measured(files, levels) for levels in range(MOST + 1)]
+    costs, samples = [each for each, _ in found], found[0][1]
+    tell_costs(costs, samples)
+    print("\n| workers | " + " | ".join(f"{name}: hours | dollars" for name in PLANETS) + " | busiest |")
+    print("|---" * (2 + 2 * len(PLANETS)) + "|")
+    for workers in WORKERS:
+        runs = [simulated(costs, *planet, workers) for planet in PLANETS.values()]
+        hours = [run.seconds / 3600 for run in runs]
+        cells = " | ".join(f"{each:.1f} | {each * workers * PRICE:.0f}" for each in hours)
+        busy = runs[0].busy
+        most = max(busy, key=busy.__getitem__)
+        print(f"| {workers} | {cells} | {most} ({100 * busy[most]:.0f} %) |")
+    print(f"\nOf the work of the process that builds, {workers} workers, {next(iter(PLANETS))}:")
+    spent = runs[0].combined
+    for what, seconds in sorted(spent.items(), key=lambda each: -each[1]):
+        print(f"{what}: {seconds:.0f} s, {seconds / sum(spent.values()):.0%}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Processor time of a build by workers beside one thread, and the memory of all processes over thousands of tasks.
+"""A build by workers beside threads, an idle cluster, and the memory of all processes over thousands of tasks.
 
-    python bench/cluster_processor.py [--data ../shared/data] [--tiles 12] [--workers 2]
+    python bench/cluster_processor.py [--data ../shared/data] [--tiles 9] [--workers 2] [--tasks 3000]
 
-The same build by one thread and by workers, whose start and compiling are left out: seconds that all processes were at
-work, which does not depend on what else the machine does. Then builds of small shards, one after another; the memory
-of every process after so many tasks.
+The same build by threads and by as many workers, whose start and compiling are left out: seconds that all processes
+were at work, which hardly depend on what else the machine does, and on the clock. Before it, builds of small shards,
+one after another; the memory of every process after so many tasks.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ import psutil
 
 from orograph import store
 from orograph.store import clusters
+from orograph.store.executing import Threads
+from orograph.store.groups import group_levels
+from orograph.store.workforce import workforce
 
 ALL: dict[str, Any] = {"shard": 1024, "errors": ("exact", "midpoint"), "tins": 16, "chunked": (32, 0)}
 SMALL: dict[str, Any] = {"shard": 128, "chunk": 64}
@@ -36,14 +39,53 @@ def everybody(client: Any) -> list[psutil.Process]:
     return [psutil.Process(), *(psutil.Process(pid) for pid in client.run(__import__("os").getpid).values())]
 
 
-def beside_one_thread(files: list[str], folder: Path, client: Any) -> None:
-    for what, how in (("one thread", {}), ("workers", {"dask": client})):
-        store.build(files[:1], folder / "warm", overwrite=True, jobs=1, progress=False, **ALL, **how).close()
+def idle(client: Any, seconds: float = 10.0) -> None:
+    processes = everybody(client)
+    before = spent(processes)
+    time.sleep(seconds)
+    print(f"idle for {seconds:.0f} s: {spent(processes) - before:.2f} s of processors", flush=True)
+
+
+@contextmanager
+def by_stage(processes: list[psutil.Process]) -> Iterator[dict[str, tuple[float, float]]]:
+    """Seconds of processors of each stage of a build: of this process, and of the workers."""
+    found: dict[str, tuple[float, float]] = {}
+    runs = {kind: kind.run for kind in (Threads, clusters.Cluster)}
+
+    def timed(kind: type) -> Any:
+        def run(self: Any, stage: Any, progress: Any) -> None:
+            before = spent(processes[:1]), spent(processes[1:])
+            runs[kind](self, stage, progress)
+            own, rest = found.get(stage.name, (0.0, 0.0))
+            found[stage.name] = own + spent(processes[:1]) - before[0], rest + spent(processes[1:]) - before[1]
+
+        return run
+
+    for kind in runs:
+        kind.run = timed(kind)  # type: ignore[method-assign]
+    try:
+        yield found
+    finally:
+        for kind, run in runs.items():
+            kind.run = run  # type: ignore[method-assign]
+
+
+def beside_threads(files: list[str], folder: Path, client: Any, workers: int) -> None:
+    idle(client)
+    found = []
+    for what, how in ((f"{workers} threads", {"jobs": workers}), (f"{workers} workers", {"dask": client, "jobs": 1})):
+        store.build(files[:1], folder / "warm", overwrite=True, progress=False, **ALL, **how).close()
         processes, began = everybody(client), time.perf_counter()
         before = spent(processes)
-        store.build(files, folder / what, jobs=1, progress=False, **ALL, **how).close()
-        seconds = spent(processes) - before
-        print(f"{what}: {seconds:.1f} s of processors ({time.perf_counter() - began:.1f} s on the clock)", flush=True)
+        with by_stage(processes) as stages:
+            store.build(files, folder / what, progress=False, **ALL, **how).close()
+        found.append((spent(processes) - before, time.perf_counter() - began))
+        print(f"{what}: {found[-1][0]:.1f} s of processors, {found[-1][1]:.1f} s on the clock", flush=True)
+        print(
+            "of it: " + ", ".join(f"{name} {own:.1f} + {rest:.1f}" for name, (own, rest) in stages.items()), flush=True
+        )
+    (work, clock), (others, other) = found
+    print(f"workers take {others / work:.2f} times the processor time, {other / clock:.2f} times as long", flush=True)
 
 
 @contextmanager
@@ -75,16 +117,17 @@ def memory(files: list[str], folder: Path, client: Any, least: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--tiles", type=int, default=12)
+    parser.add_argument("--tiles", type=int, default=9)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--tasks", type=int, default=3000)
     given = parser.parse_args()
     files = sorted(map(str, (given.data / "california-3s-tiles").rglob("*.tif")))
-    with tempfile.TemporaryDirectory() as name, clusters.workforce(given.workers, None, 1, 4 << 30, 0) as client:
+    with tempfile.TemporaryDirectory() as name, workforce(given.workers, None, 1, 4 << 30, 0) as client:
         clusters.group_levels = lambda *_: 0  # shard by shard: as many tasks as there can be
         memory(files[:2], Path(name), client, given.tasks)
-    with tempfile.TemporaryDirectory() as name, clusters.workforce(given.workers, None, 1, 4 << 30, 0) as client:
-        beside_one_thread(files[: given.tiles], Path(name), client)
+    clusters.group_levels = group_levels
+    with tempfile.TemporaryDirectory() as name, workforce(given.workers, None, 1, 4 << 30, 0) as client:
+        beside_threads(files[: given.tiles], Path(name), client, given.workers)
 
 
 if __name__ == "__main__":

@@ -193,7 +193,7 @@ def main() -> None:
     row("focus lens", data=data, priority="T+D-U-", focus=orograph.Focus("lens", "T+D+U+"))
     row("a ghost", ghosts=orograph.Ghost(terrain, opacity=0.4))
     for sign in Sign.__args__:  # type: ignore[attr-defined]
-        if sign not in ("errorbars", "none"):
+        if sign not in ("errorbars", "members", "none"):
             doubt = orograph.Uncertainty("spread", style=sign)
             row(f"sign {sign}", data=data.but(style="continuous", uncertainty=doubt))
     found = quakes()

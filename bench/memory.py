@@ -1,22 +1,24 @@
 """The largest memory of every verb that keeps to ``--max-memory``, beside what it was allowed.
 
-    python bench/memory.py [--size 8193] [--allowed 512MiB] [--picture 4096x4096] [--only VERB]...
+    python bench/memory.py [--size 8193] [--allowed 512MiB] [--picture 4096x4096] [--cold] [--only VERB]...
 
-A synthetic terrain of so many samples a side is read by each verb in a process of its own; told are its seconds and its
-peak resident set. A peak counts what the interpreter and its libraries take, and what compiling takes where kernels are
-cold. ``kept``: from a store that is there.
+A synthetic terrain of so many samples a side is read by each verb in a process of its own; told are its seconds, its
+peak resident set, which counts the interpreter and its libraries, and that of the largest process that it starts to
+compile kernels. ``--cold``: each verb finds none compiled. ``kept``: from a store that is there.
 Where a software driver draws, its memory counts too: there 704 MiB is the least that a picture by tiles is allowed.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rasterio
@@ -72,19 +74,50 @@ def verbs(dem: str, store: str, work: Path, size: int, picture: str) -> dict[str
     }
 
 
-def peak(command: list[str], cache: Path) -> tuple[int, float, float]:
-    """(exit code, seconds, MiB) of one process."""
+class Peak(NamedTuple):
+    code: int
+    seconds: float
+    mib: float
+    compilers: float
+    """MiB of the largest process that it started."""
+
+
+def measured(command: list[str], cache: Path, kernels: Path | None) -> Peak:
+    """Run one process, with its kernels kept in a folder of their own."""
     began = time.perf_counter()
-    child = subprocess.Popen(
-        command, env={**os.environ, "OROGRAPH_CACHE": str(cache)}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
-    assert child.stderr is not None
-    said = child.stderr.read().decode(errors="replace")
-    _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
-        print(said.strip(), file=sys.stderr)
-    return child.returncode, time.perf_counter() - began, usage.ru_maxrss / 1024
+    own = {"OROGRAPH_CACHE": str(cache)} | ({"NUMBA_CACHE_DIR": str(kernels)} if kernels else {})
+    with tempfile.TemporaryFile() as said:
+        child = subprocess.Popen(command, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=said)
+        compilers, ended = 0.0, (0, 0, None)
+        while not ended[0]:
+            time.sleep(0.1)
+            compilers = max([compilers, *map(largest, started_by(child.pid))])
+            ended = os.wait4(child.pid, os.WNOHANG)
+        child.returncode = os.waitstatus_to_exitcode(ended[1])
+        if child.returncode:
+            said.seek(0)
+            print(said.read().decode(errors="replace").strip(), file=sys.stderr)
+    assert ended[2] is not None
+    return Peak(child.returncode, time.perf_counter() - began, ended[2].ru_maxrss / 1024, compilers)
+
+
+def started_by(parent: int) -> list[int]:
+    """The processes that one has started, as far as they still run."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                found.append(int(folder.name))
+    return found
+
+
+def largest(pid: int) -> float:
+    """MiB that a process took at most so far."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM:")), 0.0)
 
 
 def main() -> None:
@@ -92,6 +125,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=8193)
     parser.add_argument("--allowed", default="512MiB")
     parser.add_argument("--picture", default="4096x4096")
+    parser.add_argument("--cold", action="store_true", help="each verb compiles its kernels anew")
     parser.add_argument("--only", action="append", metavar="VERB")
     given = parser.parse_args()
     allowed = parse_bytes(given.allowed) / 2**20
@@ -105,17 +139,21 @@ def main() -> None:
         subprocess.run([*OROGRAPH, "build", dem, "-o", store], check=True, stdout=subprocess.DEVNULL)
         write_image(dem, str(work / "image.tif"))
         print(f"{given.size}² samples")
-        print("| verb | seconds | peak, MiB | allowed, MiB | of what is allowed |\n|---|---|---|---|---|")
+        titles = "verb", "seconds", "peak, MiB", "allowed, MiB", "of what is allowed", "compilers, MiB"
+        print(f"| {' | '.join(titles)} |", "|---" * len(titles) + "|", sep="\n")
         for name, command in verbs(dem, store, work, given.size, given.picture).items():
             if given.only and name.split(",")[0].split()[0] not in given.only:
                 continue
             most = max(allowed, 704) if "gpu" in name else allowed
             limit = ["--max-memory", f"{most:.0f}MiB"]
-            code, seconds, mib = peak([*OROGRAPH, *command, *limit], work / "cache")
-            failed += code != 0
+            kernels = work / "kernels" / name.replace(" ", "_") if given.cold else None
+            if kernels:
+                kernels.mkdir(parents=True)
+            run = measured([*OROGRAPH, *command, *limit], work / "cache", kernels)
+            failed += run.code != 0
             print(
-                f"| {name} | {seconds:.1f} | {mib:.0f} | {most:.0f} | {mib / most:.2f} |"
-                + f" failed ({code})" * bool(code),
+                f"| {name} | {run.seconds:.1f} | {run.mib:.0f} | {most:.0f} | {run.mib / most:.2f} "
+                f"| {run.compilers:.0f} |" + f" failed ({run.code})" * bool(run.code),
                 flush=True,
             )
     sys.exit(1 if failed else 0)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -38,3 +40,147 @@ def test_a_full_disk_keeps_no_kernel_and_stops_none(tmp_path: Path) -> None:
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)); import kernels"
     done = subprocess.run([sys.executable, "-c", full], cwd=tmp_path, capture_output=True, text=True)
     assert done.stdout == "42.0\n", done.stderr
+
+
+def run(code: str, cache: Path, **environment: str) -> str:
+    """What a program prints, with Numba's cache in a folder."""
+    cache.mkdir(exist_ok=True)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)} | environment,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+SUMS = """
+    import numpy as np
+    from orograph.compiling import COMPILING, _COMPILER
+    from orograph.store.levels import box_sums
+
+    heights, total, count = np.arange(16, dtype=np.float32).reshape(4, 4), np.zeros((2, 2)), np.zeros((2, 2), np.uint32)
+    {before}
+    box_sums(heights, total, count)
+    assert total.tolist() == [[10, 18], [42, 50]] and (count == 4).all()
+    compiled = next(iter(box_sums.overloads.values()))
+    print(compiled.metadata is not None, COMPILING.count)
+"""
+"""(Numba keeps metadata of what this process compiled; a cache has none.)"""
+
+
+def test_kernels_are_compiled_by_another_process(tmp_path: Path) -> None:
+    code = SUMS.format(before="")
+    assert run(code, tmp_path) == "False 1\n"
+    assert run(code, tmp_path) == "False 0\n"
+    assert run(code, tmp_path / "here", OROGRAPH_COMPILE_AHEAD="0") == "True 1\n"
+
+
+def test_a_compiler_that_was_ended_is_started_again(tmp_path: Path) -> None:
+    ended = """
+    from orograph.compiling import compiled_elsewhere
+    assert not compiled_elsewhere("orograph.store.levels", "there_is_none", ())
+    _COMPILER._process.kill()"""
+    assert run(SUMS.format(before=ended), tmp_path) == "False 1\n"
+
+
+@pytest.mark.parametrize(
+    "before", ["_COMPILER.compile = lambda request: False", "_COMPILER._ask = lambda request: b''"]
+)
+def test_what_no_other_process_compiles_is_compiled_here(tmp_path: Path, before: str) -> None:
+    assert run(SUMS.format(before=before), tmp_path) == "True 1\n"
+
+
+def test_a_compiler_that_does_not_start_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    from orograph import compiling
+
+    started = []
+    piped = compiling._piped
+    monkeypatch.setattr(compiling, "_piped", lambda program: started.append(program) or piped("there.is.none"))
+    compiler = compiling._Compiler()
+    assert not compiler.compile(b"") and not compiler.compile(b"")
+    assert len(started) == 2
+
+
+def test_an_interrupted_request_leaves_no_answer_behind(tmp_path: Path) -> None:
+    interrupted = """
+    import signal, threading, time, os
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    try:
+        box_sums(heights.astype(np.float64), total, count)
+        time.sleep(9)
+    except KeyboardInterrupt:
+        pass
+    assert _COMPILER._process is None or _COMPILER._process.poll() is None
+    total[:], count[:] = 0, 0"""
+    assert run(SUMS.format(before=interrupted), tmp_path).startswith("False")
+
+
+LINKED = """
+    import numpy as np
+    from numba import config
+    from orograph._numba import inlined, kernel, leaf, paired
+
+    @inlined
+    def squared(x):
+        return x * x
+
+    @leaf
+    def sum_of_squares(values, least=0.0):
+        total = least
+        for i in range(len(values)):
+            total += squared(values[i])
+        return total
+
+    @kernel
+    def rows(table):
+        sums = np.empty(len(table))
+        for i in range(len(table)):
+            sums[i] = sum_of_squares(table[i], 1.0)
+        return sums
+
+    @paired
+    def halved(values):
+        for i in range(len(values)):
+            values[i] /= 2.0
+
+    table = np.arange(6.0).reshape(2, 3)
+    halved(table[0])
+    print(rows(table).tolist(), sum_of_squares(table[1]), sum_of_squares(values=table[1], least=2.0), squared(3.0))
+"""
+"""(halved: 0, 0.5, 1)"""
+
+
+def test_a_helper_gives_the_same_within_a_kernel_and_to_python(tmp_path: Path) -> None:
+    """Compiled, read from the cache, and not compiled at all."""
+    (tmp_path / "helpers.py").write_text(textwrap.dedent(LINKED))
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import helpers"
+    expected = "[2.25, 51.0] 50.0 52.0 9.0\n"
+    for environment in ({}, {}, {"NUMBA_DISABLE_JIT": "1"}):
+        assert run(code, tmp_path / "cache", **environment) == expected
+
+
+def test_a_helper_within_kernels_has_no_machine_code(tmp_path: Path) -> None:
+    """That is what saves the time: its object file holds no function."""
+    code = (
+        LINKED
+        + """
+    linked = next(iter(sum_of_squares.overloads.values())).library
+    assert not linked.get_pointer_to_function(linked.name)
+    assert not [f for f in linked._final_module.functions if not f.is_declaration]
+    assert [f for f in linked._get_module_for_linking().functions if not f.is_declaration]
+    """
+    )
+    (tmp_path / "helpers.py").write_text(textwrap.dedent(code))
+    run(f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import helpers", tmp_path / "cache")
+
+
+def test_a_hastened_compiler_tells_numbas_options_apart(tmp_path: Path) -> None:
+    code = """
+    from numba.core.compiler import Flags
+    from orograph._compiler import hasten
+    hasten()
+    one, other = Flags(), Flags()
+    one.error_model, other.error_model = "numpy", "python"
+    assert one == one.copy() and one != other and hash(one) == hash(one.copy()) and one != "numpy"
+    """
+    assert run(code, tmp_path) == ""

@@ -1,7 +1,10 @@
 """The one place that says how kernels are compiled (see docs/architecture.md, *Kernels*).
 
-``@kernel`` releases the GIL and caches its machine code, so that a thread pool can run it on blocks of work;
-``@inlined`` is for small helpers inside kernels. ``fastmath`` stays off: a tie or a floor may decide an index.
+``@kernel`` releases the GIL and caches its machine code, so that a thread pool may run it on blocks of the work;
+``@inlined`` is for the small helpers inside kernels. ``fastmath`` stays off: a tie or a floor may decide an index.
+
+What Python calls is compiled by a process of its own (``compiling.compiled_elsewhere``) and loaded from Numba's cache:
+compiling takes hundreds of MiB, which the work's process would keep.
 """
 
 from __future__ import annotations
@@ -9,16 +12,18 @@ from __future__ import annotations
 import contextlib
 import pickle
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numba
 import numba.core.event
 import numba.extending
-from numba.core.compiler_lock import global_compiler_lock
+from numpy.typing import NDArray
 
-from orograph.compiling import COMPILING
+from orograph._linked import Linked
+from orograph.compiling import COMPILING, compiled_elsewhere
 
 Function = Callable[..., Any]
+Array = TypeVar("Array", bound=NDArray[Any])
 
 
 class _Listener(numba.core.event.Listener):
@@ -34,9 +39,13 @@ class _Listener(numba.core.event.Listener):
 numba.core.event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]
 
 
+_PLAIN: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_BARE = _PLAIN | {"_nrt": False}
+
+
 def kernel(function: Function) -> Function:
     """Compile ``function`` on first call (nopython, no GIL, cached on disk, NumPy's rules for division)."""
-    return _cached(numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    return _called(function, _PLAIN)
 
 
 def inlined(function: Function) -> Function:
@@ -45,8 +54,7 @@ def inlined(function: Function) -> Function:
     LLVM inlines it. Numba's own inlining copies the helper's code into each caller before types are inferred, which
     takes ten times as long to compile and runs no faster. It makes no arrays, slices included.
     """
-    options: Any = {"nogil": True, "error_model": "numpy", "forceinline": True, "no_cfunc_wrapper": True, "_nrt": False}
-    return cast(Function, numba.njit(**options)(function))
+    return _linked(function, _BARE | {"forceinline": True})
 
 
 def leaf(function: Function) -> Function:
@@ -54,19 +62,52 @@ def leaf(function: Function) -> Function:
 
     A small kernel that others call millions of times would spend most of its time on that.
     """
-    options: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
-    return _cached(numba.njit(**options)(function))
+    made: Any = _linked(function, _BARE)
+    if made is not function:
+        made.enable_caching()
+        _keep_safely(made._cache)
+    return cast(Function, made)
 
 
-def _cached(dispatcher: Any) -> Function:
-    """Make a dispatcher's cache start afresh if its index cannot be read, and ignore a full disk.
+def _linked(function: Function, options: dict[str, Any]) -> Function:
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    return cast(Function, Linked(function, options, lambda code: _called(code, options)))
+
+
+def _called(function: Function, options: dict[str, Any]) -> Function:
+    """The dispatcher of a function that Python calls."""
+    options = options | {"cache": True, "no_cfunc_wrapper": True}
+    dispatcher: Any = numba.njit(**options)(function)
+    if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT leaves the function as it is
+        _keep_safely(dispatcher._cache)
+        _compile_elsewhere(dispatcher)
+    return cast(Function, dispatcher)
+
+
+def _compile_elsewhere(dispatcher: Any) -> None:
+    """Have another process compile what is not in the cache; this one does if it cannot."""
+    function, context = dispatcher.py_func, dispatcher.targetctx
+    compile_here = dispatcher._compiler.compile
+
+    def compile(types: tuple[Any, ...], returned: object) -> Any:
+        name = function.__qualname__.removesuffix(".alone")
+        if returned is None and compiled_elsewhere(function.__module__, name, types):
+            found = dispatcher._cache.load_overload(types, context)
+            if found is not None:
+                context.insert_user_function(found.entry_point, found.fndesc, [found.library])
+                return found
+        return compile_here(types, returned)
+
+    dispatcher._compiler.compile = compile
+
+
+def _keep_safely(cache: Any) -> None:
+    """Let a cache begin anew where its index cannot be read, and lie on a disk that is full.
 
     Numba reads the whole index before it notices that the source has changed. An index that names a class that no
     longer exists (an argument's type in an older version) would make every call fail.
     """
-    cache = getattr(dispatcher, "_cache", None)
-    if cache is None:  # NUMBA_DISABLE_JIT leaves the function as it is
-        return cast(Function, dispatcher)
     file = cache._cache_file
     load = file._load_index
 
@@ -79,33 +120,44 @@ def _cached(dispatcher: Any) -> Function:
     file._load_index = load_index
     save = cache.save_overload
 
-    def save_overload(signature: object, data: object) -> None:
-        with contextlib.suppress(OSError):  # what cannot be cached is compiled again next time
-            save(signature, data)
+    def save_overload(signature: object, made: Any) -> None:
+        if made.metadata is None:  # another process has kept it
+            return
+        with contextlib.suppress(OSError):  # what cannot be kept is compiled again next time
+            save(signature, made)
 
     cache.save_overload = save_overload
-    return cast(Function, dispatcher)
 
 
 def paired(function: Function) -> Function:
-    """Compile a ``leaf`` that does the same work on two things with vector instructions where possible (LLVM's SLP
-    vectoriser). Numba turns it off because it has miscompiled before: use it only for kernels whose tests compare every
-    bit."""
-    dispatcher: Any = leaf(function)
-    compile_plainly = dispatcher.compile
+    """Compile a ``leaf`` that Python calls, whose work on two like things is done by vector instructions where that can
+    be (LLVM's SLP vectoriser). Numba leaves it off, for it has miscompiled before: only for kernels whose tests compare
+    every bit.
+    """
+    dispatcher: Any = _called(function, _BARE)
+    if not hasattr(dispatcher, "_compiler"):
+        return cast(Function, dispatcher)
+    compile_plainly = dispatcher._compiler.compile
 
-    def compile_paired(signature: object) -> object:
+    def compile_paired(types: tuple[Any, ...], returned: object) -> object:
         config: Any = numba.config
-        with global_compiler_lock:
-            before = config.SLP_VECTORIZE
-            config.SLP_VECTORIZE = 1
-            try:
-                return compile_plainly(signature)
-            finally:
-                config.SLP_VECTORIZE = before
+        before, config.SLP_VECTORIZE = config.SLP_VECTORIZE, 1
+        try:
+            return compile_plainly(types, returned)
+        finally:
+            config.SLP_VECTORIZE = before
 
-    dispatcher.compile = compile_paired
+    dispatcher._compiler.compile = compile_paired
     return cast(Function, dispatcher)
+
+
+def read_only(array: Array) -> Array:
+    """A view that may not be written to. Numba compiles a kernel anew for such arrays, and heights are some of them:
+    what kernels only read is always given to them so.
+    """
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def shared(function: Function) -> Function:

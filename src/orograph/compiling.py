@@ -3,16 +3,17 @@
 Compiling happens inside whatever needs a kernel first, once per machine: without this, its time would be attributed to
 that work. This module imports nothing of the package, so showing the counts does not load the compiler.
 
-Numba compiles one kernel at a time in a process. Long work therefore starts a second process that compiles the kernels
-needed last, while it compiles those needed first (``while_compiling``); each finds the other's kernels in Numba's
-cache. A command that spent long on compiling also leaves a process behind that compiles what the other verbs need
-(``compile_rest``).
+Kernels are compiled by a process that does nothing else (``compiled_elsewhere``), so that its memory is not the work's.
+Numba compiles one kernel at a time in a process. Long work therefore has a second one compile what it needs last, while
+it compiles what it needs first (``while_compiling``); each finds the other's kernels in Numba's cache. And a command
+that had to compile for long leaves a process behind that compiles what the other verbs need (``compile_rest``).
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -63,15 +64,15 @@ COMPILING = Compiling()
 def while_compiling(program: str, *arguments: str) -> Iterator[None]:
     """Inside this context, the first kernel that must be compiled starts ``python -m program``, once per process.
 
-    On one core, in a program that is not Python itself (its executable would start that program), or where
-    ``OROGRAPH_COMPILE_AHEAD`` is 0, nothing is started. The started process ends by itself.
+    On one core, in a program that is not Python itself (its executable would start that program), where
+    ``OROGRAPH_COMPILE_AHEAD`` is 0, or without arguments, nothing is started. What is started ends by itself.
     """
 
     def start() -> None:
         COMPILING.changed.remove(start)
         _start(program, *arguments)
 
-    if program in _STARTED or not _worthwhile():
+    if program in _STARTED or not arguments or not _worthwhile():
         yield
         return
     COMPILING.changed.append(start)
@@ -80,6 +81,66 @@ def while_compiling(program: str, *arguments: str) -> Iterator[None]:
     finally:
         if start in COMPILING.changed:
             COMPILING.changed.remove(start)
+
+
+class _Compiler:
+    """The process that compiles for this one: ``python -m orograph._compiler``, started when it is needed.
+
+    It ends by itself: when it has had nothing to do, when it has grown large, and with this process.
+    """
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner = 0
+        self._useless = False
+        self._lock = threading.Lock()
+
+    def compile(self, request: bytes) -> bool:
+        """Have a pickled (module, name, types) compiled; whether that was done."""
+        with self._lock:
+            if self._useless:
+                return False
+            answer = self._ask(request) or self._ask(request)  # (once more: it may just have ended)
+            self._useless = not answer  # it cannot be started as this process was
+        return answer == b"1"
+
+    def _ask(self, request: bytes) -> bytes:
+        if self._process is None or self._owner != os.getpid():
+            self._process, self._owner = _piped("orograph._compiler"), os.getpid()
+        process, self._process = self._process, None
+        if process is None or process.stdin is None or process.stdout is None:
+            return b"0"
+        try:
+            process.stdin.write(request)
+            process.stdin.flush()
+            answer = process.stdout.read(1)
+        except OSError:
+            answer = b""
+        except BaseException:  # interrupted: its answer would be taken for that of the next request
+            process.kill()
+            raise
+        if answer:
+            self._process = process
+        else:
+            process.wait()
+        return answer
+
+
+_COMPILER = _Compiler()
+
+
+def compiled_elsewhere(module: str, name: str, types: object) -> bool:
+    """Have another process compile a kernel of this package for arguments of these types; whether Numba's cache has it.
+
+    Where no process may be started (see ``while_compiling``; one core is enough) or it fails, nothing is done.
+    """
+    if not module.startswith("orograph.") or not _allowed():
+        return False
+    try:
+        request = pickle.dumps((module, name, types))
+    except Exception:  # a type that only this process knows
+        return False
+    return _COMPILER.compile(request)
 
 
 def compile_rest(program: str) -> bool:
@@ -95,15 +156,32 @@ def compile_rest(program: str) -> bool:
 
 def _worthwhile() -> bool:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores > 1 and _allowed()
+
+
+def _allowed() -> bool:
     wanted = os.environ.get("OROGRAPH_COMPILE_AHEAD", "1") != "0"
-    return wanted and cores > 1 and Path(sys.executable or "").stem.startswith("python")
+    return wanted and Path(sys.executable or "").stem.startswith("python")
 
 
 def _start(program: str, *arguments: str, **how: Any) -> None:
-    command = [sys.executable, "-P", "-m", program, *arguments]  # -P: keep the current folder's modules out of sys.path
+    process = _run(program, *arguments, **how)
+    if process is not None:
+        _STARTED[program] = process
+
+
+def _piped(program: str) -> subprocess.Popen[bytes] | None:
+    return _run(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+
+def _run(program: str, *arguments: str, **how: Any) -> subprocess.Popen[bytes] | None:
+    """Start ``python -m program``; None if it cannot be started."""
+    command = [sys.executable, "-P", "-m", program, *arguments]  # -P: modules of the folder one is in are not ours
     silent, alone = subprocess.DEVNULL, os.environ | {"OROGRAPH_COMPILE_AHEAD": "0"}
-    with contextlib.suppress(OSError):  # one process compiles everything, and then
-        _STARTED[program] = subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent, env=alone, **how)
+    try:
+        return subprocess.Popen(command, **{"stdin": silent, "stdout": silent, **how}, stderr=silent, env=alone)
+    except OSError:  # this process compiles all, then
+        return None
 
 
 _STARTED: dict[str, subprocess.Popen[bytes]] = {}

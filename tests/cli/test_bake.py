@@ -51,6 +51,24 @@ def test_a_bake_with_options_replaces(run, built):
             assert layer.bands[0].bits == 16
 
 
+def test_a_bake_in_parts(run, built):
+    given = ("bake", built, "--products", "visible-sky", "--azimuths", 4, "--radius", 300, "--quiet")
+    code, said, err = run(*given, "--part", "1/2", "--json")  # there is one shard: it is the second part's
+    assert code == 0 and err == ""
+    told = json.loads(said)
+    assert told.pop("seconds") >= 0 and told == {"path": str(built), "part": "1/2"}
+    code, _, err = run(*given, "--finish")
+    assert code == 4 and "Part 2 of 2 is missing" in err and "Run it again, then finish" in err
+    code, said, err = run(*given, "--part", "2/2")
+    assert code == 0 and "part 2/2 is baked" in said
+    code, said, err = run(*given, "--finish")
+    assert code == 0 and "visible-sky: 1 level" in said, err
+    code, _, err = run("bake", built, "--products", "sky-view-factor", "--part", "1/2")
+    assert code == 2 and "Horizons without a radius" in err and "--radius" in err and "--workers" in err
+    code, _, err = run(*given, "--part", "1/2", "--workers", 2)
+    assert code == 2 and "--workers and --part exclude each other" in err
+
+
 def test_build_and_bake_in_one(run, hilly, tmp_path):
     path = tmp_path / "both.oro"
     code, said, err = run("build", hilly, "-o", path, "--bake", "visible-sky", "--json", "--quiet")

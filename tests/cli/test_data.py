@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import rasterio
@@ -86,3 +88,16 @@ def test_films_have_data(run, files):
         assert code == 0, words
         films.append(out.read_bytes())
     assert films[0] != films[1]
+
+
+def test_films_say_what_they_play(run, files):
+    code, out, words = run(
+        "movie", files / "dem.tif", "-o", files / "f" / "%02d.png", "--still", "--seconds", "2", "--fps", "2",
+        "--data", f"{files / 'rain.tif'},band=all", "--uncertainty", "spread,style=members,rate=1", "--json",
+        "--size", "160x90",
+    )  # fmt: skip
+    assert code == 0, words
+    assert json.loads(out)["played"] == [{"members": 5, "changes_per_second": 1.0, "name": "rain"}]
+    assert len(list((files / "f").glob("*.png"))) == 4
+    assert "rain: 5 members in turn, 1 a second" in words
+    assert "Not every member of rain is seen: that takes 5 s" in words

@@ -13,8 +13,9 @@ from pyproj import CRS
 from orograph.errors import UsageError
 from orograph.lighting import sweep_lines
 from orograph.lighting.horizon import horizon
-from orograph.lighting.sweep import curvature_of, fold, horizons
+from orograph.lighting.sweep import curvature_of, fold, horizons, passes_of, ways
 from orograph.lighting.sweep import swept as done
+from orograph.lighting.sweep_pass import Terms, reach_of
 
 SQUARE = np.array([[1.0, 0.0], [0.0, -1.0]])
 
@@ -194,6 +195,21 @@ def test_upside_down():
     up, _ = swept(-h, SQUARE, np.array([77.0]))
     down, _ = swept(h, SQUARE, np.array([77.0]), below=True)
     assert np.array_equal(up, down)
+
+
+@pytest.mark.parametrize("azimuth", [45.0, 135.0, 225.0, 315.0, 80.0, 190.0])
+@pytest.mark.parametrize("radius", [None, 7.0, 40.0])
+def test_all_heights_that_a_band_is_made_of_are_read(azimuth, radius):
+    """Lines along diagonals look at cells that begin one step nearer to the light than the steps in reach."""
+    (way,) = ways(np.array([azimuth]), np.diag([1.0, -1.0]), (90, 120))
+    (each,) = passes_of(way, (90, 120), Terms(radius=radius), 1, 1 << 26, band=16)
+    (lines,) = way
+    for s0, s1 in each.bands:
+        strip = each.fetch(lambda r0, r1, c0, c1: np.zeros((r1 - r0, c1 - c0), np.float32), s0, s1, [])
+        h0, h1 = (s0, s1) if radius is None else reach_of(lines, radius, s0, s1)[1:]
+        wanted = (h0, min(h1 + 1, each.steps)) if each.backward else (max(h0 - 1, 0), h1)
+        steps = strip.wide if each.by_columns else -(-len(strip.flat) // strip.wide)
+        assert strip.first <= wanted[0] and strip.first + steps >= wanted[1]
 
 
 def test_a_radius_too_large_for_the_memory_is_refused():

@@ -8,8 +8,9 @@ from affine import Affine
 
 import orograph
 from orograph.errors import UsageError
+from orograph.geovis.data.derived import deviations, read_data
 from orograph.rendering.furniture.furnish import EDGE
-from orograph.rendering.panels import _boxes, deviations, panels_of, read_data
+from orograph.rendering.panels import _boxes, panels_of
 
 PLACE = Affine(50, 0, 500_000, 0, -50, 5_600_000)
 

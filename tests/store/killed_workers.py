@@ -12,7 +12,7 @@ import pytest
 
 from orograph.errors import StoreError
 from orograph.store import clusters
-from orograph.store.clusters import workforce
+from orograph.store.workforce import workforce
 
 KILLS = 40
 """Workers that are killed over a kind of work, at least."""

@@ -12,6 +12,7 @@ from test_clusters import written
 from test_in_parts import files
 
 from orograph import store
+from orograph.store.workforce import CALM
 
 SCRIPTS = Path(__file__).parents[2] / "docs/scripts"
 
@@ -32,6 +33,19 @@ def test_a_slurm_array(tmp_path):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+def test_light_by_a_slurm_array(tmp_path):
+    dem = written(tmp_path / "a.tif")
+    given = ["--products", "sky-view-factor", "--radius", "300", "--azimuths", "4"]
+    for name in ("whole", "s"):
+        store.build(dem, tmp_path / name, shard=64, chunk=32, errors=()).close()
+    run([sys.executable, "-m", "orograph", "bake", tmp_path / "whole", *given])
+    for index in (3, 1, 2):
+        task = {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_COUNT": "3"}
+        run(["bash", SCRIPTS / "bake_array.sh", tmp_path / "s", *given], **task)
+    run([sys.executable, "-m", "orograph", "bake", tmp_path / "s", *given, "--finish"])
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
 @pytest.mark.slow
 def test_a_dask_cluster(tmp_path):
     pytest.importorskip("distributed")
@@ -39,6 +53,18 @@ def test_a_dask_cluster(tmp_path):
     store.build(dem, tmp_path / "whole").close()
     run([sys.executable, SCRIPTS / "build_on_dask.py", "local:2", tmp_path / "s", dem])
     assert files(tmp_path / "s") == files(tmp_path / "whole")
+
+
+def test_the_settings_are_those_of_clusters_of_this_machine():
+    yaml = pytest.importorskip("yaml")
+    told = yaml.safe_load((SCRIPTS / "calm.yaml").read_text())
+
+    def flat(told, path=()):
+        if not isinstance(told, dict):
+            return {".".join(path): told}
+        return {key: value for name, below in told.items() for key, value in flat(below, (*path, name)).items()}
+
+    assert flat(told) == CALM
 
 
 STAND_INS = {

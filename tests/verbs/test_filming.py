@@ -68,7 +68,7 @@ def test_parts_make_the_video(terrain, tmp_path):
 
 def test_workers_make_the_film(terrain, whole, tmp_path):
     pytest.importorskip("distributed")
-    from orograph.store.clusters import workforce
+    from orograph.store.workforce import workforce
 
     with workforce(2, None, 1, 4 << 30, 0) as client:
         orograph.movie(terrain, tmp_path / "f" / "%03d.png", dask=client, **HOW)

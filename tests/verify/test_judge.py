@@ -483,3 +483,18 @@ def test_what_cannot_be_judged_is_refused(whole):
             judge_mesh(Tessellation(vertices, mesh.triangles), terrain, view)
     with pytest.raises(UsageError, match="exaggeration"):
         judge_mesh(mesh, terrain, view, exaggeration=0)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 25, 1000])
+def test_the_referee_sorts_as_numpy_does(count):
+    from orograph.verify.edges import sort
+    from orograph.verify.spans import sort_by
+
+    rng = np.random.default_rng(count)
+    keys, items = rng.integers(-9, 9, count), np.arange(count)
+    apart = np.concatenate([[7, -7], keys, [-8, 8]])
+    sort(apart, 2, 2 + count)
+    assert apart.tolist() == [7, -7, *np.sort(keys), -8, 8]
+    ordered = keys.astype(float)
+    sort_by(ordered, items)
+    assert (ordered == np.sort(keys)).all() and (keys[items] == ordered).all() and set(items) == set(range(count))

@@ -55,10 +55,13 @@ if TYPE_CHECKING:
 @memory_option
 @jobs_option
 @cluster_options("Bake", ", which share --max-memory")
+@click.option("--part", metavar="I/N", help="Bake only this part (for job arrays), such as 3/64.")
+@click.option("--finish", is_flag=True, help="Make the rest of a bake whose parts are all there.")
 @click.pass_context
 def command(
     ctx: click.Context, /, store: str, products: tuple[tuple[str, ...], ...], bits: str | None, overwrite: bool,
-    as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, **options: Any,
+    as_json: bool, max_memory: int, jobs: int | None, workers: int | None, dask: str | None, part: str | None,
+    finish: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Bake light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
 
@@ -76,6 +79,8 @@ def command(
       orograph bake area.oro --products sky-view-factor,aperture
       orograph bake area.oro --products ambient-occlusion --radius 600 --rho linear
       orograph bake area.oro --products sky-view-factor --workers 4 --max-memory 4GiB
+      orograph bake area.oro --products sky-view-factor --radius 5000 --part 3/64
+      orograph bake area.oro --products sky-view-factor --radius 5000 --finish
     """
     from orograph.lighting.context import Options
 
@@ -85,9 +90,13 @@ def command(
     chosen = Options(more=more_of(options), **options)
     terrain = run(
         store, wanted, progress_of(ctx), chosen, bits=None if bits is None else int(bits), overwrite=overwrite,
-        max_memory=max_memory, jobs=jobs, workers=workers, dask=dask,
+        max_memory=max_memory, jobs=jobs, workers=workers, dask=dask, part=part, finish=finish,
     )  # fmt: skip
     seconds = time.perf_counter() - began
+    if terrain is None:
+        said = {"path": store, "part": part, "seconds": round(seconds, 3)}
+        click.echo(json.dumps(said) if as_json else f"{store}: part {part} is baked  {seconds:.1f} s")
+        return
     if as_json:
         from orograph.cli.memory import peak_memory
         from orograph.store.layers import LAYERS
@@ -108,15 +117,16 @@ def command(
 
 
 def run(
-    store: str, names: Sequence[str], progress: Progress, options: Options | None = None, **how: Any
-) -> StoredTerrain:
+    store: str, names: Sequence[str], progress: Progress, options: Options | None = None, *, part: str | None = None,
+    **how: Any,
+) -> StoredTerrain | None:  # fmt: skip
     """As ``lighting.bake.bake``, but after Ctrl-C or on a full disk says how to continue."""
     from orograph.lighting.bake import bake
 
     resumes = "finished sweeps are kept" if "://" not in store else "it starts from the beginning"
-    again = f"orograph bake {store} again with the same products to finish ({resumes})."
+    again = f"orograph bake {store} again with the same {'part' if part else 'products'} to finish ({resumes})."
     try:
-        return bake(store, names, options, progress=progress, **how)
+        return bake(store, names, options, progress=progress, part=part, **how)
     except KeyboardInterrupt:
         click.echo(f"\n{store} is as it was; run {again}", err=True)
         raise

@@ -255,6 +255,7 @@ def command(
 
         terrain.close()
         terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs, workers=workers, dask=dask)
+        assert terrain is not None
     if color_errors:
         from orograph.geovis.color_store import store_colors
 

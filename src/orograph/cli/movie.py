@@ -24,7 +24,7 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
-from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
+from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene_options
 from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
@@ -97,7 +97,7 @@ def command(
     errors = check_scene(options, progress)
     if (tour_path is not None) == bool(chosen(options)):
         raise UsageError(
-            "Give either --tour or a kind of tour (--orbit, --turntable, --around, --line, --point).",
+            "Give either --tour or a kind of tour (--orbit, --turntable, --still, --plan, --around, --line, --point).",
             remedy="orograph tour new writes a tour to start from.",
         )
     check_outputs(
@@ -131,14 +131,15 @@ def command(
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
     else:
         size = options["size"] or (1280, 720)
-        tour = tour_of(terrain, size, options, (sun.azimuth, sun.altitude), options["exaggeration"])
+        way = (sun.azimuth, sun.altitude), options["exaggeration"], options["furniture"]
+        tour = tour_of(terrain, size, options, *way)
     check_movie(output, size, crf)
     check_memory(size, max_memory if "max_memory" in said else None)
-    scene = scene_of(terrain, tour.keys[0].view.resized(*size), options, max_memory, jobs)
-    draw = session(progress, backend=options["backend"])
-    film = Film(
-        tour, scene, draw=draw, fps=options["fps"], first=options["begin"], last=options["end"], progress=progress
-    )
+    looks = {**given_of(options), "max_memory": max_memory, "jobs": jobs}
+    film = Film.of(
+        tour, terrain, size, looks, draw=session(progress, backend=options["backend"]), fps=options["fps"],
+        first=options["begin"], last=options["end"], progress=progress,
+    )  # fmt: skip
     how: dict[str, Any] = {"crf": crf, "overwrite": overwrite, "jobs": jobs, "progress": progress}
     how["dpi"] = dpi_of(options["size"])
     if by is None:
@@ -153,6 +154,7 @@ def command(
             "movie": output, "frames": len(film), "drawn": shot.drawn, "fps": film.tour.fps, "width": size[0],
             "height": size[1], "tour_seconds": film.tour.duration, "seconds_in_all": round(seconds, 3),
             "lifted_m": round(film.course.lifted, 3), "imbalance": shot.imbalance, "part": part,
+            "played": [] if film.playing is None else film.playing.facts,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
     elif part is not None:

@@ -106,8 +106,8 @@ ORDER = "orograph.data"
 uncertainty_option = click.option(
     "--uncertainty", cls=DataOption, multiple=True, expose_value=False, metavar="FILE|spread|ci90[,KEY=VALUE…]",
     help="Uncertainty of the preceding --data: spread (standard deviation) or ci90 (half of the central 90 %) of its "
-         "members, or a raster of standard deviations. Keys: variable, band, time, member, range, style "
-         "(transparency, noise, blur, saturation, whiteness, palette, glyphs, hatching).",
+    "members, or a raster of standard deviations. Keys: variable, band, time, member, range, style (transparency, "
+    "noise, blur, saturation, whiteness, palette, glyphs, hatching; in films members: in turn, rate= a second).",
 )  # fmt: skip
 
 

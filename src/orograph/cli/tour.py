@@ -50,7 +50,8 @@ def new(
     check_tour(options)
     if not chosen(options):
         raise UsageError(
-            "Which kind of tour?", remedy="Give --orbit, --turntable, --around LON,LAT, --line FILE, or --point twice."
+            "Which kind of tour?",
+            remedy="Give --orbit, --turntable, --still, --plan, --around LON,LAT, --line FILE, or --point twice.",
         )
     check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
     source = source_of(options, WAY)

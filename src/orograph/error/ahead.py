@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 
+from orograph._compiler import hasten
 from orograph.error import KINDS, ErrorKind
 
 SIDE = 65
@@ -34,6 +35,7 @@ def bound_a_hill(kind: ErrorKind) -> None:
 
 
 if __name__ == "__main__":
+    hasten()
     for known in KINDS:
         if known in sys.argv[1:]:
             bound_a_hill(known)

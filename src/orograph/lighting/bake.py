@@ -12,9 +12,9 @@ last, each level by itself. How a product is averaged:
   of direction c and radius r is π sin² r c): a light seen by half of the samples is seen by half of the cap.
 
 A bake into a folder is made in ``layers/.partial``, keeps what has been swept there, and takes its place when all of it
-is complete; the store stays readable, with the layers it had, until then. At a URL there is no renaming: layers are
-taken out of the store's record first, and are in it again when they are complete; workers make them in a folder of
-this machine, and they are sent then.
+is complete (``bake_folder``); the store stays readable, with the layers it had, until then. Parts make it there
+together (``bake_parts``). At a URL there is no renaming: layers are taken out of the store's record first, and are in
+it again when they are complete; workers make them in a folder of this machine, and they are sent then.
 """
 
 from __future__ import annotations
@@ -22,33 +22,30 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, overload
 
-from orograph.errors import OutputError, StoreError, UsageError
-from orograph.folders import Amount, bytes_of, cache_folder
+from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
+from orograph.lighting.bake_folder import KEY, kept, publish, removed, scratch, send
 from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
 from orograph.lighting.products import Product, product
 from orograph.lighting.raster import trim
-from orograph.lighting.raster_resume import Checkpoint
-from orograph.parallel import map_ordered
+from orograph.parallel import threads_for
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import words
 from orograph.store.addresses import storage_at
-from orograph.store.bucket import BucketStorage
-from orograph.store.bucket_updates import tidy
 from orograph.store.clusters import check_workers, on_workers
-from orograph.store.derived import At
-from orograph.store.digests import Digests, Spot
+from orograph.store.digests import Spot
 from orograph.store.executing import Threads
-from orograph.store.layers import GROUP, LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
-from orograph.store.layout import Record, publish
+from orograph.store.in_parts import part_of
+from orograph.store.layers import LAYERS, PARTIAL, Bits, LayerBand, LayerRecord
+from orograph.store.layout import Record
 from orograph.store.lock import alone
-from orograph.store.publishing import AT_ONCE
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.writer import ShardWriter
@@ -85,8 +82,19 @@ BAKED: dict[str, Baked] = {
 """Products that can be baked. The others follow from heights at once, or hold for one sun only."""
 
 
+Store = StoredTerrain | str | Path
+
+
+@overload
 def bake(
-    store: StoredTerrain | str | Path,
+    store: Store, names: Sequence[str] | str, options: Options | None = None, *, part: str | tuple[int, int],
+    **more: Any,
+) -> None: ...  # fmt: skip
+
+
+@overload
+def bake(
+    store: Store,
     names: Sequence[str] | str,
     options: Options | None = None,
     *,
@@ -98,8 +106,36 @@ def bake(
     storage_options: dict[str, Any] | None = None,
     workers: int | None = None,
     dask: Any = None,
+    part: None = None,
+    finish: bool = False,
     **more: Any,
-) -> StoredTerrain:
+) -> StoredTerrain: ...
+
+
+@overload
+def bake(
+    store: Store, names: Sequence[str] | str, options: Options | None = None, *, part: str | tuple[int, int] | None,
+    **more: Any,
+) -> StoredTerrain | None: ...  # fmt: skip
+
+
+def bake(
+    store: Store,
+    names: Sequence[str] | str,
+    options: Options | None = None,
+    *,
+    bits: Bits | None = None,
+    overwrite: bool = False,
+    max_memory: Amount = MEMORY,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
+    storage_options: dict[str, Any] | None = None,
+    workers: int | None = None,
+    dask: Any = None,
+    part: str | tuple[int, int] | None = None,
+    finish: bool = False,
+    **more: Any,
+) -> StoredTerrain | None:
     """Put products of light into a store, as layers of their names, and open it again.
 
     A layer of the same name is replaced, unless it was made with the same options; then it is left as it is. An
@@ -117,12 +153,18 @@ def bake(
         storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
         workers: bake in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
+        part: bake only this part, "3/64" or (3, 64), and return nothing: for job arrays (``bake_parts``).
+        finish: make the rest of a bake whose parts are all there.
         more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…
 
     Raises:
         UsageError: there is no such product, it cannot be baked, or its options make no sense.
-        StoreError: there is no store, another bake is at work or was interrupted, or it cannot be written.
+        StoreError: there is no store, another bake is at work or was interrupted, parts are missing, or it cannot be
+            written.
     """
+    # (One function, though long: two thirds of it are its options and what they mean.)
+    from orograph.lighting import bake_parts
+
     progress, max_memory = reporting(progress), bytes_of(max_memory)
     if options is not None and more:
         raise UsageError("Give the products' options as Options, or by their names, not both.")
@@ -132,7 +174,8 @@ def bake(
         each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers must have 8 or 16 bits, not {bits}.")
-    check_workers(workers, dask, "A bake")
+    check_workers(workers, dask, "A bake", part, finish)
+    share = None if part is None else part_of(part)
     store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
     if dask is not None and not isinstance(storage, FolderStorage):
@@ -142,9 +185,16 @@ def bake(
         )
     if workers is not None and storage.url.startswith("memory:"):
         raise UsageError("Workers bake into stores in folders or buckets.", remedy="Omit `workers`.")
-    read_record(storage)  # a store that is not there is said before anything is written beside it
+    before = read_record(storage)  # a store that is not there is said before anything is written beside it
+    folder, shared = None, None
+    if share is not None or finish:
+        with open(store, storage_options=storage_options) as terrain:
+            folder = bake_parts.check(storage, terrain, products, chosen)
+    if share is not None:  # those of the same layers and number may be at work together
+        asked = [_record(p, chosen, bits, before).to_json() for p in products]
+        shared = hashlib.blake2b(json.dumps([asked, overwrite, share[1]]).encode(), digest_size=16).hexdigest()
     cache = min(64 << 20, max_memory // 16)
-    with alone(storage, "baking into this store"):
+    with alone(storage, "baking into this store", shared):
         before = read_record(storage)
         made = [_record(p, chosen, bits, before) for p in products]
         if not overwrite:
@@ -152,7 +202,11 @@ def bake(
             for layer in there:
                 progress.note(f"{layer.name} is already in {storage.url}, made with the same options.")
             made = [layer for layer in made if layer not in there]
-        if made and (workers is not None or dask is not None):
+        if folder is not None and share is None:
+            bake_parts.finish(folder, before, made, progress)
+        elif made and folder is not None and share is not None:
+            bake_parts.make(folder, made, chosen, before.shard, share, threads_for(jobs), max_memory, progress)
+        elif made and (workers is not None or dask is not None):
             _on_cluster(storage, before, made, chosen, overwrite, (workers, dask, jobs or 1, max_memory), progress)
         elif made:
             trim()  # what building the store has left
@@ -160,6 +214,8 @@ def bake(
                 context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress)
                 _make(context, storage, before, made, overwrite)
         storage.close()
+        if share is not None:
+            return None
         return open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options)
 
 
@@ -167,15 +223,15 @@ def _make(context: Context, storage: Storage, before: Record, made: list[LayerRe
     """Bake layers, and let them take their places."""
     writer = ShardWriter(storage, before.digests.keyed)
     if isinstance(storage, FolderStorage):
-        context.kept = _kept(storage, before, made, overwrite)
+        context.kept = kept(storage, before, made, overwrite)
         writer = ShardWriter(FolderStorage(storage.path / PARTIAL))
     else:
-        before = _removed(storage, before, {layer.name for layer in made})
+        before = removed(storage, before, {layer.name for layer in made})
     products = [product(layer.name) for layer in made]
     for layer, read in zip(made, readers(context, products), strict=True):
         stage = LayerStage(writer, before, layer, is_cap(layer), _of_all(read))
         Threads(max(1, min(context.jobs, context.budget // stage.memory())), False).run(stage, context.progress)
-    _publish(storage, before, made, {layer.name for layer in made}, writer.digests)
+    publish(storage, before, made, {layer.name for layer in made}, writer.digests)
     if context.kept is not None:
         context.kept.remove()
 
@@ -197,10 +253,13 @@ def _on_cluster(
     """
     from orograph.lighting.bake_state import on_cluster, recipe_of
 
-    folder = storage if isinstance(storage, FolderStorage) else _scratch(storage)
-    kept = _kept(folder, before, made, overwrite)
+    folder = storage if isinstance(storage, FolderStorage) else scratch(storage)
+    checkpoint = kept(folder, before, made, overwrite)
     workers, dask, jobs, max_memory = how
-    recipe = recipe_of(folder, storage.named(), options, made, before.shard, max_memory // ((workers or 1) * jobs))
+    recipe = recipe_of(
+        folder, storage.named(), options, made, folder.get(KEY) or b"", before.shard,
+        max_memory // ((workers or 1) * jobs),
+    )  # fmt: skip
     partial = FolderStorage(folder.path / PARTIAL, many=True)
     writer = ShardWriter(partial)
     with on_workers(recipe, workers, dask, jobs, max_memory, "A bake") as cluster:
@@ -208,34 +267,10 @@ def _on_cluster(
     partial.sweep()
     names = {layer.name for layer in made}
     if folder is not storage:
-        before = _removed(storage, before, names)
-        _send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), writer.digests, progress)
-    _publish(storage, before, made, names, writer.digests)
-    kept.remove()
-
-
-def _scratch(storage: Storage) -> FolderStorage:
-    """Where layers of a store in a bucket are made, the same for each bake of it on this machine."""
-    name = hashlib.blake2b(storage.url.encode(), digest_size=10).hexdigest()
-    folder = FolderStorage(cache_folder() / "bakes" / name)
-    try:
-        folder.path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=folder.url) from error
-    return folder
-
-
-def _send(made: FolderStorage, storage: Storage, record: Record, digests: Digests, progress: Progress) -> None:
-    """Put the shards of the record's layers into a bucket, whose own record does not name them yet."""
-    at, keyed = At(record.grid, record.shard, record.chunk), record.digests.joined(digests)
-    shards = [
-        (spec.key((i, j)), spec.place((i, j), keyed))
-        for spec, _ in LAYERS.arrays(LAYERS.of(record), at)
-        for i in range(spec.shards[0]) for j in range(spec.shards[1])
-    ]  # fmt: skip
-    with progress.task("Sending layers", total=len(shards)) as task:
-        for _ in map_ordered(lambda each: storage.put(each[1], [made.get(each[0]) or b""]), shards, AT_ONCE):
-            task.advance()
+        before = removed(storage, before, names)
+        send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), writer.digests, progress)
+    publish(storage, before, made, names, writer.digests)
+    checkpoint.remove()
 
 
 def check(names: Sequence[str]) -> None:
@@ -270,8 +305,11 @@ def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> 
         "refraction": options.bending(store.grid.crs) if options.curvature else None,
         **{key: options.more.get(key, default) for key, default in how.more},
     }  # fmt: skip
-    if made_with.get("method") == "rays":
-        made_with["rays"] = options.rays
+    made_with |= {
+        "rays": {"rays": options.rays, "seed": options.more.get("seed", 0)},
+        "shadow-maps": {"rays": options.rays},
+        "cone-tracing": {"cones": options.more.get("cones", 64)},
+    }.get(str(made_with.get("method")), {})
     if callable(made_with.get("rho")):
         raise UsageError("A store cannot hold a function: bake with rho 'step' or 'linear'.")
     bands = tuple(
@@ -279,62 +317,6 @@ def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> 
         for band in of.described(options)
     )
     return LayerRecord(of.name, of.doc, bands, SAID[how.averaging], made_with, store.source)
-
-
-def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Checkpoint:
-    """The folder of the bake under way: that of the same bake, interrupted, or a new one."""
-    plan = {layer.name: layer.to_json() for layer in made}
-    if overwrite or _finished(storage, record):
-        storage.remove(PARTIAL)
-    try:
-        (storage.path / GROUP).mkdir(exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=storage.url) from error
-    try:
-        return Checkpoint(storage.path / PARTIAL, plan)
-    except OutputError as error:
-        if storage.get(f"{PARTIAL}/plan.json") is None:
-            raise
-        raise StoreError(
-            "Another bake into this store was interrupted.",
-            path=storage.url,
-            remedy="Run it again with the same products and options to finish it, or restart with `overwrite=True`.",
-        ) from error
-
-
-def _finished(storage: FolderStorage, record: Record) -> bool:
-    """Whether all that was begun is in the store: a bake was cut off just before its very end."""
-    try:
-        plan: dict[str, Any] = json.loads(storage.get(f"{PARTIAL}/plan.json") or b"")
-    except ValueError:
-        return False
-    there = LAYERS.of(record)
-    return all(name in there and there[name].to_json() == layer for name, layer in plan.items())
-
-
-def _removed(storage: Storage, before: Record, gone: set[str]) -> Record:
-    """The record without these layers, which are removed where new ones would come into their place."""
-    there = LAYERS.of(before)
-    record = LAYERS.put(before, {name: layer for name, layer in there.items() if name not in gone})
-    if not gone & set(there) or before.digests.keyed:
-        return record
-    publish(storage, record)
-    for name in gone & set(there):
-        storage.remove(f"{GROUP}/{name}")
-    return read_record(storage)
-
-
-def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> None:
-    """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
-    record = _removed(storage, before, gone)
-    if isinstance(storage, FolderStorage):
-        for layer in made:
-            storage.remove(f"{GROUP}/{layer.name}")
-            storage.rename(f"{PARTIAL}/{GROUP}/{layer.name}", f"{GROUP}/{layer.name}")
-    layers = dict(sorted({**LAYERS.of(record), **{layer.name: layer for layer in made}}.items()))
-    publish(storage, replace(LAYERS.put(record, layers), digests=record.digests.joined(digests)))
-    if isinstance(storage, BucketStorage) and before.digests.keyed:
-        tidy(storage)
 
 
 __all__ = ["BAKED", "Baked", "bake"]

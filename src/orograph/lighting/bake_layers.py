@@ -167,6 +167,15 @@ class LayerStage(Stage[Handed]):
                 self.writer.array(spec, band.encode(plane))
 
 
+def layer_stages(writer: ShardWriter, record: Record, layers: list[LayerRecord]) -> list[LayerStage]:
+    """The stages of layers whose shards other processes make, for whoever adds up."""
+    return [LayerStage(writer, record, layer, is_cap(layer), _nothing, True, k) for k, layer in enumerate(layers)]
+
+
+def _nothing(spot: Spot) -> Callable[[Window], Values]:
+    raise AssertionError("others make shards")
+
+
 def _packed(made: Handed) -> bytes:
     named: dict[str, NDArray[np.generic]] = {"digests": np.frombuffer(b"".join(made.digests), np.uint8)}
     for b in range(len(made.digests)):

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import StoreError, UsageError
-from orograph.lighting.bake_layers import LayerStage, is_cap
+from orograph.lighting.bake_layers import LayerStage, is_cap, layer_stages
 from orograph.lighting.context import BASE, Context, Options, Values
 from orograph.lighting.gather import Sweep, Window
 from orograph.lighting.occlusion import ELSEWHERE
 from orograph.lighting.products import product
-from orograph.lighting.raster_resume import Checkpoint
+from orograph.lighting.raster_resume import PLAN, Checkpoint
 from orograph.lighting.sweep import Block, ways
 from orograph.lighting.sweep_lines import Lines
 from orograph.lighting.sweep_part import Hulls, Part
@@ -46,8 +46,6 @@ from orograph.store.storage import FolderStorage
 from orograph.store.stored import open as open_store
 from orograph.store.worker_state import guarded
 from orograph.store.writer import ShardWriter
-
-PLAN = "plan.json"
 
 CACHE = 64 << 20
 """Bytes of a worker's cache of heights."""
@@ -82,12 +80,12 @@ class BakeRecipe(NamedTuple):
 
 def recipe_of(
     folder: FolderStorage, named: tuple[str, dict[str, Any] | None], options: Options, layers: list[LayerRecord],
-    shard: int, memory: int,
+    plan: bytes, shard: int, memory: int,
 ) -> BakeRecipe:  # fmt: skip
-    """The recipe of a bake whose plan lies in its folder.
+    """The recipe of a bake.
 
     Args:
-        folder, named: as of the recipe.
+        folder, named, options, layers, plan: as of the recipe.
         shard: samples along the sides of the store's shards. memory: bytes for each task, if that is enough.
 
     Raises:
@@ -95,11 +93,11 @@ def recipe_of(
     """
     if any(layer.options.get("method") in ELSEWHERE for layer in layers):
         raise UsageError(
-            "Products of the GPU over a whole terrain cannot be made by workers.", remedy="Bake it without a cluster."
+            "What the GPU makes of a whole terrain is made by one process.",
+            remedy="Leave out `workers`, `dask` and `part`.",
         )
     bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
     needed = SWEEP + 3 * 4 * bands * shard * shard
-    plan = FolderStorage(folder.path / PARTIAL).get(PLAN) or b""
     return BakeRecipe(named, str(folder.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
 
 
@@ -151,10 +149,11 @@ class BakeState:
 
     def stage(self, name: str, number: int) -> Stage[Any]:
         if (name, number) not in self._stages:
-            self._stages[name, number] = self._layer(number) if name == LayerStage.name else SweepStage(self, number)
+            self._stages[name, number] = self.layer(number) if name == LayerStage.name else SweepStage(self, number)
         return self._stages[name, number]
 
-    def _layer(self, number: int) -> LayerStage:
+    def layer(self, number: int) -> LayerStage:
+        """The stage of a layer."""
         layer = self.recipe.layers[number]
         writer = ShardWriter(self.storage)
 
@@ -306,6 +305,12 @@ class SweepStage(Stage[bool]):
             return None
         return True
 
+    def forget(self, spot: Spot) -> None:
+        """Let go of the sums of a task that nothing follows from any more."""
+        self.state.storage.remove(self.key(spot))
+        for square in self.state.squares(self.window(spot)):
+            self.state.storage.remove(self.state.square(folder_of(self.group, self.way), square))
+
     def add(self, spot: Spot, found: bool) -> None:
         """Nothing is to be added up: sums lie in files."""
 
@@ -367,10 +372,7 @@ def on_cluster(cluster: Cluster, state: BakeState, writer: ShardWriter, progress
     Raises:
         StoreError: tasks were given up.
     """
-    layers = [
-        LayerStage(writer, state.record, layer, is_cap(layer), _nothing, True, k)
-        for k, layer in enumerate(state.recipe.layers)
-    ]  # fmt: skip
+    layers = layer_stages(writer, state.record, state.recipe.layers)
     for g, (group, of) in enumerate(state.groups):
         if all(layers[k].kept(spot) for k in group for spot in layers[k].tasks()):
             continue
@@ -390,7 +392,3 @@ def on_cluster(cluster: Cluster, state: BakeState, writer: ShardWriter, progress
                         state.storage.remove(folder_of(g, way - 1))
     for layer in layers:
         cluster.run(layer, progress)
-
-
-def _nothing(spot: Spot) -> Callable[[Window], Values]:
-    raise AssertionError("workers make shards")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, read_only
 from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
@@ -70,7 +70,7 @@ def gradient(heights: ArrayLike, linear: ArrayLike, jobs: int | None = None) -> 
     Returns:
         two arrays (rows, cols) float32; NaN where heights are; 0 along an axis on which both neighbours are missing.
     """
-    surface = np.ascontiguousarray(heights, np.float32)
+    surface = read_only(np.ascontiguousarray(heights, np.float32))
     inverse = np.linalg.inv(np.asarray(linear, np.float64))
     east, north = np.empty_like(surface), np.empty_like(surface)
 

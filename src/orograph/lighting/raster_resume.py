@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import shutil
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,15 @@ from numpy.typing import NDArray
 
 from orograph.errors import OutputError
 from orograph.lighting.raster import Canvas
+from orograph.output import remove
+from orograph.processes import host
 from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Terrain
 
 Values = NDArray[np.float32]
+
+PLAN = "plan.json"
+"""The first file of such a folder, and the last to be removed: what lies beside it belongs to it."""
 
 _CHUNK = 1 << 22
 """Values written at once."""
@@ -54,8 +60,8 @@ class Checkpoint:
 
     def __init__(self, folder: Path, plan: dict[str, Any]) -> None:
         self.folder = folder
-        text = json.dumps(plan, sort_keys=True)
-        file = folder / "plan.json"
+        text = text_of(plan)
+        file = folder / PLAN
         try:
             if file.is_file():
                 if file.read_text(encoding="utf-8") != text:
@@ -109,7 +115,7 @@ class Checkpoint:
     def window(self, key: str, row: int, col: int, make: Callable[[], Values]) -> Values:
         """A window (bands, rows, cols) of a product that is made window by window: as it was kept, or made and kept.
 
-        From any thread, for different windows.
+        From any thread and process: those that make the same window at once make the same bytes.
         """
         path = self.folder / f"{key}.{row}.{col}.npy"
         if path.is_file():
@@ -118,7 +124,7 @@ class Checkpoint:
             except (OSError, ValueError, EOFError):
                 pass  # cut off: made anew
         values = make()
-        part = path.with_suffix(".part")
+        part = path.with_suffix(f".{host()}.{os.getpid()}.{threading.get_ident()}.part")
         try:
             with part.open("wb") as file:
                 np.save(file, np.ascontiguousarray(values), allow_pickle=False)
@@ -129,7 +135,22 @@ class Checkpoint:
 
     def remove(self) -> None:
         """The map is complete."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        clear(self.folder)
+
+
+def text_of(plan: dict[str, Any]) -> str:
+    """A plan as it lies in its folder."""
+    return json.dumps(plan, sort_keys=True)
+
+
+def clear(folder: Path) -> None:
+    """Remove a folder of work, if it is there; nobody else may be at work in it."""
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != PLAN:
+            remove(path)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _parts(canvases: Sequence[Canvas]) -> Iterator[Values]:

@@ -178,10 +178,10 @@ class Pass:
         if self.radius is not None:
             reaches = [reach_of(a, self.radius, s0, s1) for a in self.lines]
             first, last = min(h0 for _, h0, _ in reaches), max(h1 for _, _, h1 in reaches)
-        if self.backward:  # samples' own cells reach one step farther towards the light
-            last = min(max(last, s1 + 1), self.steps)
+        if self.backward:  # cells reach one step farther towards the light
+            last = min(last + 1, self.steps)
         else:
-            first = max(min(first, s0 - 1), 0)
+            first = max(first - 1, 0)
         heights = read(*self.window(first, last))
         rows, cols = heights.shape
         wide, stride = self.pitch(cols), heights.strides[0] // 4

@@ -147,7 +147,8 @@ def thin(points, offsets, bound, keep):
                 keep[at] = True
                 if count + 2 > len(stack):
                     more = np.empty((2 * len(stack), 2), np.int64)
-                    more[: len(stack)] = stack
+                    for k in range(len(stack)):
+                        more[k, 0], more[k, 1] = stack[k, 0], stack[k, 1]
                     stack = more
                 stack[count, 0], stack[count, 1], stack[count + 1, 0], stack[count + 1, 1] = first, at, at, last
                 count += 2

@@ -142,7 +142,9 @@ def runs(heights, must, forced, limit):
                 simplify(line, size, limit, cost, origin)
                 while count + size > len(edges):
                     larger = np.empty((2 * len(edges), 4), np.int64)
-                    larger[:count] = edges[:count]
+                    for e in range(count):
+                        for k in range(4):
+                            larger[e, k] = edges[e, k]
                     edges = larger
                 end = size - 1
                 while end > 0:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import read_only
 from orograph.hierarchy.clip_stack import Rectangle
 from orograph.raycast.mips import Mips, build_mips
 from orograph.raycast.tables import Scene
@@ -63,7 +64,7 @@ class Stack:
     def build(cls, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> Stack:
         """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""
         check_diagonals(windows)
-        pyramids: list[Mips] = [build_mips(w.heights, jobs) for w in windows]
+        pyramids: list[Mips] = [build_mips(read_only(w.heights), jobs) for w in windows]
         ints = np.zeros((len(windows), 6), np.int64)
         floats = np.zeros((len(windows), 8), np.float64)
         base = mip = max_base = min_base = 0
@@ -82,7 +83,7 @@ class Stack:
             max_base += m.maxima.size
             min_base += m.minima.size
         ranges = [m.height_range for m in pyramids]
-        pool = _joined([w.heights for w in windows])
+        pool = read_only(_joined([w.heights for w in windows]))
         # The windows become views of the pool, so that heights are held once.
         views = [
             HeightWindow(w.level, w.col0, w.row0, pool[n[0] : n[0] + w.heights.size].reshape(w.heights.shape))

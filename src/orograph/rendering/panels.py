@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.geovis.data.dataset import Dataset, Uncertainty, datasets_of
-from orograph.geovis.data.derived import deviations, read_data
+from orograph.geovis.data.dataset import Dataset, datasets_of
 from orograph.geovis.data.features import has_features
 from orograph.geovis.data.listing import times_in
-from orograph.geovis.data.painting import MEASURES, image_grid
 from orograph.geovis.data.points import is_table
-from orograph.geovis.data.reading import Field, members_in, read
-from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import spanned
+from orograph.geovis.data.reading import members_in
+from orograph.geovis.data.series import OneScale, doubt_of
 from orograph.geovis.data.times import matches
 from orograph.geovis.layers import drawn as visible
 from orograph.progress import SILENT, Progress
@@ -42,9 +39,6 @@ PAPER, INK = (246, 244, 239), (36, 40, 46)
 EACH = ("view", "data", "member", "band", "time")
 MOST = 36
 """Panels: more are too small to read."""
-
-LOOKED_AT = 512
-"""Places along the terrain's longer side whose values make the scale of all panels."""
 
 CAPTION = 1.9
 """Heights of a caption, in units of type."""
@@ -155,21 +149,10 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
             f"Panels are 2 to {MOST}, and there {'is' if len(ones) == 1 else 'are'} {len(ones)}.",
             remedy=f"Choose some: {key}=1-6." if key != "time" else "Choose some: time=2019-03-01, time=T12.",
         )  # fmt: skip
-    doubt = _doubt_of(whole, ones[0][1], terrain)
+    doubt = doubt_of(whole, ones[0][1], terrain.grid)
     ones = [(title, one.but(uncertainty=doubt)) for title, one in ones]
-    values, sigmas, over = [], [], image_grid(terrain.grid, LOOKED_AT)
-    for _, one in ones:
-        field = read_data(one, terrain.grid)
-        values.append(Positions.of(over, field).values(field.shown).ravel())
-        found = deviations(one, field, terrain.grid)
-        if found is not None:
-            sigmas.append(Positions.of(over, found[0]).values(found[1]).ravel())
-    span = first.range or _ends(np.concatenate(values))
-    shared = doubt
-    if shared is not None and shared.range is None:
-        shared = replace(shared, range=(0.0, spanned(np.concatenate(sigmas), None)[1]))
-    breaks = "equal" if first.breaks == "quantiles" else first.breaks
-    return [Panel(title, (one.but(range=span, breaks=breaks, uncertainty=shared), *rest)) for title, one in ones]
+    scale = OneScale.of(whole, [one for _, one in ones], terrain.grid)
+    return [Panel(title, (scale.over(one), *rest)) for title, one in ones]
 
 
 def _of_several(data: tuple[Dataset, ...]) -> list[Panel]:
@@ -186,26 +169,6 @@ def _of_several(data: tuple[Dataset, ...]) -> list[Panel]:
         return (one.name or one.variable or source).replace("_", " ")
 
     return [Panel(title(k + 1, one), (one,)) for k, one in enumerate(data)]
-
-
-def _doubt_of(whole: Dataset, one: Dataset, terrain: Terrain) -> Uncertainty | None:
-    """The uncertainty of each panel: as given; of members their own where a panel (``one``) has several, else how all
-    that the data choose differ, which is the same in every panel."""
-    doubt = whole.uncertainty
-    if doubt is None or not doubt.of_members or len(read(one, terrain.grid).values) > 1:
-        return doubt
-    field = read(whole, terrain.grid)
-    found = Field(
-        field.uncertainty(doubt.source)[None], field.grid,
-        f"± {MEASURES[doubt.source]} of all {len(field.values)}", field.unit,
-    )  # fmt: skip
-    return replace(doubt, source=found)
-
-
-def _ends(values: NDArray[Any]) -> tuple[float, float]:
-    """The least and the greatest value, which never coincide."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return (low, high) if low < high else (low - 0.5, low + 0.5)
 
 
 def _boxes(

@@ -42,8 +42,9 @@ from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.parts import Surface as Surfacing
 from orograph.scene.scene import Scene
-from orograph.store.clusters import TRIES, Cluster, check_workers, workers_of, workforce
+from orograph.store.clusters import TRIES, Cluster, check_workers, workers_of
 from orograph.store.worker_state import opened
+from orograph.store.workforce import workforce
 from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]

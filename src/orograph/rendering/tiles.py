@@ -31,7 +31,7 @@ from orograph.rendering.backends import Session, session
 from orograph.rendering.large import COLUMNS, ROWS, Band, Box, Sheet, Tile, draw_large, draw_tile
 from orograph.rendering.memory import BYTES_PER_PIXEL, WORKER, worker_memory
 from orograph.scene.scene import Scene
-from orograph.store.clusters import Cluster, check_workers, threads_of, workforce
+from orograph.store.clusters import Cluster, check_workers, threads_of
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
 from orograph.store.layout import dumps
@@ -39,6 +39,7 @@ from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.worker_state import guarded
+from orograph.store.workforce import workforce
 
 EACH = 6
 """The fewest tiles per worker."""

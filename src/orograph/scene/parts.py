@@ -187,10 +187,11 @@ class Theme:
     data: tuple[Dataset, ...] = option(
         (),
         "Show values of a raster in any CRS, or of points, lines and polygons (GeoJSON, CSV, what OGR reads). Keys: "
-        "variable, band, time, member, value (of several: median, min, max, spread, p90), exceeds (probability of "
-        "exceeding this value), layer, geometry (which of several), style (continuous, segmented, isolines, "
-        "isobands, cells, hatching, stipple, arrows, lic, bivariate; standing: bars, spheres, cones, discs, flags; "
-        "of lines tubes, curtains; of tracks tubes, paths; of boreholes columns, logs; of volumes curtains, walls), "
+        "variable, band, time (2019-03-01T12, T12; A..B: a span, which films play), member, value (of several: median, "
+        "min, max, spread, p90), exceeds (probability of exceeding this value), layer, geometry (which of several), "
+        "style (continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; "
+        "standing: bars, spheres, cones, discs, flags; of lines tubes, curtains; of tracks tubes, paths; of boreholes "
+        "columns, logs; of volumes curtains, walls), "
         "colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: 0:5:10), height, above, "
         "depth (ATTRIBUTE[:km|ft]: metres of points over the heights' zero, or over or below the ground; from+to), "
         "group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks), level (of a volume), vertical "

@@ -68,7 +68,13 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     given = made_of("priority", options.get("priority"), terrain)
     aids = made_of("aids", options.get("aids"), terrain)
     if not data and given is None:
-        return Themed(made, _walls(terrain, (), None) if aids is not None and aids.walls else None)
+        return Themed(made, _walls(terrain, (), None, Priority()) if aids is not None and aids.walls else None)
+    for one in data:
+        if one.uncertainty is not None and one.uncertainty.style == "members":
+            raise UsageError(
+                "Members in turn are seen in films.", path=str(one.source),
+                remedy='In a picture they stand side by side (`each="member"`), or choose another style.',
+            )  # fmt: skip
     priority = given or Priority(data=True)
     around = [one for one in data if one.style == "walls"]
     if len(around) > 1:
@@ -93,7 +99,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     if things is not None and aids is not None and aids.standing:
         things = _aided(things, aids, terrain)
     if around or (aids is not None and aids.walls):
-        beside = _walls(terrain, flat, around[0] if around else None)
+        beside = _walls(terrain, flat, around[0] if around else None, priority, stretch)
         things = Things.joined([*([things] if things is not None else []), beside])
     return Themed(made | {"data": data, "priority": priority}, things, tuple(flat))
 
@@ -160,7 +166,7 @@ def _read(
             points = replace(points, level=base + points.level * (-1.0 if dataset.depth is not None else 1.0))
         return things_of(dataset, points, grid, priority, dataset.unit or "", "")
     if dataset.style == "curtains":
-        return curtains(dataset, grid, lambda x, y: _ground_at(terrain, x, y))
+        return curtains(dataset, grid, lambda x, y: _ground_at(terrain, x, y), stretch, priority.uncertainty)
     if stands(dataset):
         return _on_lattice(dataset, grid, priority)
     return shown(dataset, grid, texels, priority, lambda over: _heights(terrain, over))
@@ -225,7 +231,9 @@ def _aided(things: Things, aids: Aids, terrain: Terrain) -> Things:
     return Things.joined(found)
 
 
-def _walls(terrain: Terrain, painted: Sequence[Shown], volume: Dataset | None) -> Things:
+def _walls(
+    terrain: Terrain, painted: Sequence[Shown], volume: Dataset | None, priority: Priority, stretch: float = 1.0
+) -> Things:
     """Sections on walls around a terrain, in the colours of the uppermost painted data that are numbers everywhere,
     and with a volume's values."""
     from orograph.geovis.data import standing_walls as made
@@ -238,7 +246,8 @@ def _walls(terrain: Terrain, painted: Sequence[Shown], volume: Dataset | None) -
     low, high = terrain.height_range
     filling = None
     if volume is not None:
-        filling = Filling(volume, terrain.grid, ground, middle_lines(terrain.grid, made.COLUMNS))
+        filling = Filling(volume, terrain.grid, ground, middle_lines(terrain.grid, made.COLUMNS),
+                          priority.uncertainty)  # fmt: skip
         low, high = min(low, filling.span[0]), max(high, filling.span[1])
     below = [one for one in painted if one.cover is None and one.classes is None and one.square is None]
 
@@ -251,7 +260,7 @@ def _walls(terrain: Terrain, painted: Sequence[Shown], volume: Dataset | None) -
         return np.where(np.isfinite(values)[:, None], one.scale.color(values), bare)
 
     step = round_number(max(high - low, 1e-3) / 5)
-    return made.walls(terrain.grid, (low, max(high, low + 1e-3)), step, ground, paint, filling)
+    return made.walls(terrain.grid, (low, max(high, low + 1e-3)), step, ground, paint, filling, stretch)
 
 
 def _ground_at(terrain: Terrain, x: Any, y: Any) -> Any:

@@ -12,9 +12,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import os
 import queue
-import signal
 import threading
 import time
 import uuid
@@ -30,6 +28,7 @@ from orograph.store.executing import Stage
 from orograph.store.groups import group_levels
 from orograph.store.terrain import Shape
 from orograph.store.worker_state import Done, Recipe, do
+from orograph.store.workforce import workforce
 
 TRIES = 4
 """How often a task is begun before it is given up; Dask itself moves those of dead workers several times before."""
@@ -53,93 +52,6 @@ COUNTING = 1.0
 
 SILENCE = 60.0
 """Seconds without a word from the scheduler after which the build ends."""
-
-
-@contextlib.contextmanager
-def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed: int) -> Iterator[Any]:
-    """A client of a cluster: of one that is there, or of processes of this machine, which end with it.
-
-    Args:
-        workers: processes to start. dask: instead, a client, or the address of a scheduler.
-        jobs: threads of each process. max_memory: bytes of all of them together. needed: bytes that one must have.
-
-    Raises:
-        UsageError: Dask is not installed, or the scheduler does not answer.
-    """
-    try:
-        import distributed
-    except ImportError as error:
-        raise UsageError(
-            f"Clusters need Dask, which is not installed ({error}).", remedy="pip install 'orograph[cluster]'."
-        ) from error
-    made: Any = distributed.Client
-    local: Any = distributed.LocalCluster
-    if isinstance(dask, distributed.Client):
-        yield dask
-        return
-    if dask is not None:
-        try:
-            client = made(dask)
-        except (OSError, ValueError, TypeError) as error:
-            raise UsageError(
-                f"No scheduler of Dask answers at {dask!r}: {error}.", remedy="Give its address, tcp://HOST:8786."
-            ) from error
-        with client:
-            yield client
-        return
-    limit = max((max_memory // (workers or 1)), needed * 5 // 4)  # Dask ends processes that come near their limit
-    with (
-        _quiet_tracker(),
-        _loop_apart() as loop,
-        local(
-            n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
-            loop=loop,
-        ) as cluster,
-        made(cluster) as client,
-    ):  # fmt: skip
-        cluster.adapt(minimum=workers, maximum=workers)  # what dies as it starts is not started again otherwise
-        yield client
-
-
-@contextlib.contextmanager
-def _quiet_tracker() -> Iterator[None]:
-    """Python's tracker of semaphores, if it starts within: it tells nobody what a process that Ctrl-C ended left."""
-    name = "PYTHONWARNINGS"
-    before = os.environ.get(name)
-    os.environ[name] = ",".join(filter(None, (before, "ignore:resource_tracker")))
-    try:
-        from multiprocessing import resource_tracker
-
-        resource_tracker.ensure_running()
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
-    yield
-
-
-@contextlib.contextmanager
-def _loop_apart() -> Iterator[Any]:
-    """An event loop of Dask whose thread, and all threads and processes begun from there, do not hear Ctrl-C.
-
-    A terminal sends it to all processes of a command. Workers would tell of it with a traceback each, above all those
-    that are still starting; they end with this process instead.
-    """
-    from distributed.utils import LoopRunner
-
-    runner: Any = LoopRunner(asynchronous=False)
-    masks = getattr(signal, "pthread_sigmask", None)  # threads and processes inherit what is blocked
-    before = None if masks is None else masks(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        runner.start()
-    finally:
-        if masks is not None:
-            masks(signal.SIG_SETMASK, before)
-    try:
-        yield runner.loop
-    finally:
-        runner.stop()
 
 
 LOST = (OSError, AttributeError)
@@ -211,12 +123,14 @@ def on_workers(
         yield cluster
 
 
-def check_workers(workers: int | None, dask: Any, what: str) -> None:
-    """Raise UsageError where there are no workers, or of two kinds."""
+def check_workers(workers: int | None, dask: Any, what: str, part: Any = None, finish: bool = False) -> None:
+    """Raise UsageError where there are no workers, or work is shared in two ways (with workers, or in parts)."""
     if workers is not None and workers < 1:
         raise UsageError(f"{what} needs at least one worker, not {workers}.")
-    if workers is not None and dask is not None:
-        raise UsageError("`workers` and `dask` exclude each other.")
+    ways = {"workers": workers, "dask": dask, "part": part, "finish": finish or None}
+    said = [name for name, value in ways.items() if value is not None]
+    if len(said) > 1:
+        raise UsageError(f"`{said[0]}` and `{said[1]}` exclude each other.")
 
 
 class Cluster:

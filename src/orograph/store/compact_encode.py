@@ -341,7 +341,8 @@ def encode(numbers):
         at = write_mask(numbers, mode, head, at)
     head[1] = mode
     out = np.empty(at + 4 * LANES + 2 * (words.size - p), np.uint8)
-    out[:at] = head[:at]
+    for k in range(at):
+        out[k] = head[k]
     for lane in range(LANES):
         for k in range(4):
             out[at + 4 * lane + k] = np.uint8(states[lane] >> (8 * k) & 255)

@@ -12,6 +12,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from orograph.errors import StoreError, UsageError
@@ -108,7 +109,7 @@ def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite:
     there = storage.get(PLAN)
     if there is not None:
         if there != plan:
-            said = _said(there)
+            said = count_of(there)
             other = f" It is in {said} parts." if said not in (None, count) else ""
             raise StoreError(
                 f"Another build of this store was begun, with other files or options.{other}", path=final.url,
@@ -127,8 +128,8 @@ def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite:
     storage.put(PLAN, [plan])
 
 
-def _said(plan: bytes) -> int | None:
-    """In how many parts a build is made; None if in none."""
+def count_of(plan: bytes) -> int | None:
+    """In how many parts work is done, by its plan; None if it is not in parts."""
     try:
         found = json.loads(plan).get("parts")
     except (ValueError, AttributeError):
@@ -142,7 +143,7 @@ def parts_begun(final: Storage, storage: Storage) -> int:
     Raises:
         StoreError: none was begun, or it is not in parts.
     """
-    count = _said(storage.get(PLAN) or b"")
+    count = count_of(storage.get(PLAN) or b"")
     if storage.exists(ROOT) or (is_store(final) and not begun(storage)):
         return 0
     if count is None:
@@ -171,29 +172,44 @@ class Gathering:
         Raises:
             StoreError: parts are missing.
         """
-        if stage.name != Pyramid.name:
+        if stage.name == Pyramid.name:
+            gather([stage], self.count, self.url, progress)
+        else:
             self.then.run(stage, progress)
-            return
-        left: list[Spot] = [spot for spot in stage.tasks() if not stage.kept(spot)]
-        if left:
-            raise missing_parts(stage, left, self.count, self.url)
-
-        def take(spot: Spot) -> None:
-            found = stage.found(spot, proof=False)
-            if found is None:
-                left.append(spot)
-            else:
-                stage.add(spot, found)
-
-        go_through("Gathering the parts", stage.tasks(), take, 1, progress)
-        if left:
-            raise missing_parts(stage, left, self.count, self.url)
-        stage.finish()
 
 
-def missing_parts(stage: Stage[Any], left: Sequence[Spot], count: int, url: str) -> StoreError:
-    """What says in which of ``count`` parts of a stage there are tasks left."""
-    parts = [i for i in range(1, count + 1) if set(share(stage.tasks(), (i, count))) & set(left)]
+def gather(stages: Sequence[Stage[Any]], count: int, url: str, progress: Progress) -> None:
+    """Add up what parts have made, and finish the stages.
+
+    Args:
+        stages: of the same tasks, which parts have shared. count: of parts. url: of what is made, for errors.
+
+    Raises:
+        StoreError: parts are missing, or what they made is damaged; all of them are named.
+    """
+    tasks = stages[0].tasks()
+    left = {spot for stage in stages for spot in tasks if not stage.kept(spot)}
+    if left:
+        raise missing_parts(tasks, left, count, url)
+
+    def take(stage: Stage[Any], spot: Spot) -> None:
+        found = stage.found(spot, proof=False)
+        if found is None:
+            left.add(spot)
+        else:
+            stage.add(spot, found)
+
+    for stage in stages:
+        go_through("Gathering the parts", tasks, partial(take, stage), 1, progress)
+        if not left:
+            stage.finish()
+    if left:
+        raise missing_parts(tasks, left, count, url)
+
+
+def missing_parts(tasks: Sequence[Spot], left: set[Spot], count: int, url: str) -> StoreError:
+    """What says in which of ``count`` parts of tasks some are left."""
+    parts = [i for i in range(1, count + 1) if left.intersection(share(tasks, (i, count)))]
     many = len(parts) > 1
     return StoreError(
         f"{'Parts' if many else 'Part'} {_runs(parts)} of {count} {'are' if many else 'is'} missing, "

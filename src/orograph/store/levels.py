@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, shared
+from orograph._numba import inlined, kernel, read_only, shared
 from orograph.error.deviation import bits, distance
 from orograph.error.diamonds import halve
 from orograph.store.terrain import TILE, Heights, Shape
@@ -108,7 +108,7 @@ class BoxMeans:
     def add(self, row: int, heights: Heights) -> None:
         """Sum up the rows from ``row``, an even number, on."""
         strip = slice(row // 2, row // 2 + (len(heights) + 1) // 2)
-        box_sums(heights, self.total[strip], self.count[strip])
+        box_sums(read_only(heights), self.total[strip], self.count[strip])
 
     @classmethod
     def of_sums(cls, total: F64, count: Counts) -> BoxMeans:
@@ -268,7 +268,7 @@ def extrema(heights: Heights) -> tuple[Heights, Heights, NDArray[np.uint8]]:
     rows, cols = heights.shape
     shape = max(1, -(-(rows - 1) // TILE)), max(1, -(-(cols - 1) // TILE))
     low, high, count = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int64)
-    tile_extrema(heights, TILE, low, high, count)
+    tile_extrema(read_only(heights), TILE, low, high, count)
     down = np.minimum(np.arange(shape[0]) * TILE + TILE + 1, rows) - np.arange(shape[0]) * TILE
     across = np.minimum(np.arange(shape[1]) * TILE + TILE + 1, cols) - np.arange(shape[1]) * TILE
     valid = np.where(count == np.outer(down, across), 2, np.minimum(count, 1)).astype(np.uint8)
@@ -319,7 +319,7 @@ def tile_errors(heights: Heights, level: int, origin: Shape = (0, 0)) -> F64:
     worst = np.zeros((shape[0], shape[1]))
     parity = (origin[0] // step + origin[1] // step) & 1
     if level == 1:
-        deviations_of_two(heights, TILE, parity, worst)
+        deviations_of_two(read_only(heights), TILE, parity, worst)
     elif level:
-        deviations(heights, step, TILE, parity, worst)
+        deviations(read_only(heights), step, TILE, parity, worst)
     return worst

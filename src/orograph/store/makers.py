@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
 from orograph.store.chunked import Kind
@@ -68,8 +67,7 @@ def make_diamonds(record: Record, work: Work) -> Record:
     sizes = record.shard, record.chunk
     survey = Errors(record.grid, work.writer, *sizes, first, work.errors, record.coding)
     levels = work.executor.groups(survey.name, record.grid.shape, record.shard)
-    with while_compiling("orograph.error.ahead", *work.errors):
-        work.executor.run(ErrorGroups(survey, levels) if levels else survey, work.progress)
+    work.executor.run(ErrorGroups(survey, levels) if levels else survey, work.progress)
     return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))
 
 

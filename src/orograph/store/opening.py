@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
+from orograph.compiling import while_compiling
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
@@ -72,9 +73,10 @@ def terrain(
             return source
         return part_of(source, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     files = files_of(source)
-    if files is not None and not {"transform", "name"} & set(said):
-        return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)
-    return in_memory(source_of(source, progress, called=called, **said), progress)
+    with while_compiling("orograph.error.ahead", *errors):
+        if files is not None and not {"transform", "name"} & set(said):
+            return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)
+        return in_memory(source_of(source, progress, called=called, **said), progress)
 
 
 def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:

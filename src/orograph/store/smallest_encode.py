@@ -367,7 +367,8 @@ def encode(numbers, classes):
         head[1] = 1 if one <= two else 2
         at = write_mask(numbers, head[1], head, at)
     out = np.empty(at + 12 * parts - 8 + 2 * (words.size - end), np.uint8)
-    out[:at] = head[:at]
+    for k in range(at):
+        out[k] = head[k]
     if parts == PARTS:
         _write_u32(out, at, np.int64(above[1]))
         _write_u32(out, at + 4, begins[1] - begins[0])

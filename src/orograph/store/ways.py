@@ -64,7 +64,8 @@ def executor_of(
         yield Threads(at_once.jobs, going_on)
         return
     from orograph.store.build_state import recipe_of
-    from orograph.store.clusters import Cluster, levels_of, workforce
+    from orograph.store.clusters import Cluster, levels_of
+    from orograph.store.workforce import workforce
 
     begun = storage.get(PLAN) or b""
     recipe = recipe_of(raster, storage, storage_options, plan, coding, begun, at_once.task, at_once.base)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,8 +24,10 @@ from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
 from orograph.scene.contours import Contours
 from orograph.scene.flying import Flown
-from orograph.scene.scene import Scene, Variant
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
 from orograph.touring.course import Course, Grading
+from orograph.touring.playing import Playing
 from orograph.touring.tour import Tour
 
 PACE, INSTANT = 3.0, 0.1
@@ -45,6 +47,7 @@ class Film:
         draw: the backend; None: the CPU caster.
         fps: frames per second; None: the tour's.
         first, last: the part of the tour that is wanted, seconds; None: from its beginning, to its end.
+        playing: data that change while it runs, the scene's being those of the first frame; None: none change.
         progress: gets the progress of preparations.
 
     Attributes:
@@ -56,7 +59,8 @@ class Film:
 
     def __init__(
         self, tour: Tour, scene: Scene, *, draw: Session | None = None, fps: float | None = None,
-        first: float | None = None, last: float | None = None, progress: Progress = SILENT,
+        first: float | None = None, last: float | None = None, playing: Playing | None = None,
+        progress: Progress = SILENT,
     ) -> None:  # fmt: skip
         self.tour = replace(tour.resized(scene.view.width, scene.view.height), fps=tour.fps if fps is None else fps)
         self.base, self.given, self.draw = scene, scene, session() if draw is None else draw
@@ -69,13 +73,35 @@ class Film:
                              f"{self.tour.fps:g} frames per second.")  # fmt: skip
         self.numbers = range(begin, end)
         self.course = Course(self.tour, scene.terrain, progress)
-        if scene.annotations.contours is not None:
-            self.base = scene.but(contours=self._lines(scene.annotations.contours))
-        self.base = replace(self.base, variants=tuple(self._lined(one) for one in self.base.variants))
+        self.playing = playing
+        self._lines: dict[Contours, Contours] = {}
+        self.base = self._lined(scene)
+        self._shown: tuple[Any, Scene] = (None if playing is None else playing.key(0), self.base)
         graded = (scene.lighting.relief is None and "relief" not in self.tour.settings(0.0)) or (
             scene.lighting.sky and scene.lighting.depths is None
         )
         self.grading = Grading(self.course, self._scene, progress) if graded else None
+
+    @classmethod
+    def of(
+        cls, tour: Tour, terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], *, draw: Session,
+        fps: float | None, first: float | None, last: float | None, progress: Progress,
+    ) -> Film:  # fmt: skip
+        """The film of a tour over a terrain.
+
+        Args:
+            size: (width, height) of its frames. options: of its scene, by name. Others: as of a film.
+
+        Raises: as ``Scene.of`` and ``Playing.of``; a UsageError also as a film.
+        """
+        moving = tour if fps is None else replace(tour, fps=fps)
+        playing = Playing.of(options, terrain, len(moving), moving.fps)
+        shown = options if playing is None else playing.at(playing.key(0), terrain.grid)
+        scene = Scene.of(terrain, tour.keys[0].view.resized(*size), **shown)
+        made = cls(tour, scene, draw=draw, fps=fps, first=first, last=last, playing=playing, progress=progress)
+        if playing is not None:
+            playing.tell(progress)
+        return made
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -83,7 +109,7 @@ class Film:
     def scene(self, number: int) -> Scene:
         """The scene of a frame."""
         time = number / self.tour.fps
-        scene = self._scene(time)
+        scene = self._scene(time, self._base(number))
         if self.grading is None:
             return scene
         graded = self.grading.settings(time)
@@ -111,32 +137,45 @@ class Film:
     def fingerprint(self) -> str:
         """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
         told = {"tour": self.tour.to_dict(), **self.base.told()}
+        if self.playing is not None:
+            told["played"] = self.playing.data
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
-    def _lines(self, contours: Contours) -> Contours:
-        """Contour lines for a film: one interval for all of it (the median of what suits along the way), labels that
-        come and go by degrees."""
-        memo = Memo()
-        times = [self.tour.duration * k / (WAYPOINTS - 1) for k in range(WAYPOINTS)]
-        suits = sorted(
-            contours.fitted(self.base.terrain, self.course.at(t), memo).interval or 1.0 for t in times
-        )  # fmt: skip
-        return replace(contours, interval=suits[WAYPOINTS // 2], fading=True)
+    def _base(self, number: int) -> Scene:
+        """The scene of a frame but for its camera, and what else the tour says."""
+        if self.playing is None:
+            return self.base
+        key = self.playing.key(number)
+        if key != self._shown[0]:
+            made = Scene.of(self.base.terrain, self.base.view, **self.playing.at(key, self.base.terrain.grid))
+            self._shown = key, self._lined(made)
+        return self._shown[1]
 
-    def _lined(self, one: Variant) -> Variant:
-        """A variant of the scene with such lines, if it has any."""
-        lines = one.scene.annotations.contours
-        return one if lines is None else replace(one, scene=one.scene.but(contours=self._lines(lines)))
+    def _lined(self, scene: Scene) -> Scene:
+        """A scene, and its variants, with contour lines for a film: one interval for all of it (the median of what
+        suits along the way), labels that come and go by degrees."""
+        variants = tuple(replace(one, scene=self._lined(one.scene)) for one in scene.variants)
+        contours = scene.annotations.contours
+        if contours is None:
+            return replace(scene, variants=variants)
+        if contours not in self._lines:
+            memo = Memo()
+            times = [self.tour.duration * k / (WAYPOINTS - 1) for k in range(WAYPOINTS)]
+            suits = sorted(contours.fitted(scene.terrain, self.course.at(t), memo).interval or 1.0 for t in times)
+            self._lines[contours] = replace(contours, interval=suits[WAYPOINTS // 2], fading=True)
+        lined = replace(scene, annotations=replace(scene.annotations, contours=self._lines[contours]))
+        return replace(lined, variants=variants)
 
-    def _scene(self, time: float) -> Scene:
+    def _scene(self, time: float, base: Scene | None = None) -> Scene:
+        base = self.base if base is None else base
         settings: dict[str, Any] = self.tour.settings(time)
         sun = self.tour.sun(time)
         if sun is not None:
-            settings["sun"] = sun.over(self.base.terrain.grid)
+            settings["sun"] = sun.over(base.terrain.grid)
         layers = self.tour.layers(time)
         if layers is not None:
             settings["layers"] = layers
-        scene = self.base.but(view=self.course.at(time), **settings)
+        scene = base.but(view=self.course.at(time), **settings)
         if not any(isinstance(one.weight, Flown) for one in scene.variants):
             return scene
         flown = [one.weight for one in scene.variants if isinstance(one.weight, Flown)]

@@ -22,10 +22,11 @@ from orograph.rendering.memory import WORKER, worker_memory
 from orograph.scene.scene import Scene
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
-from orograph.store.in_parts import Part, missing_parts, share
+from orograph.store.in_parts import Part, share
 from orograph.store.worker_state import WorkerState
 from orograph.touring.encode import Pictures, Pixels, Video
 from orograph.touring.film import Film
+from orograph.touring.playing import Playing
 from orograph.touring.tour import Tour
 
 Warned = tuple[str, ...]
@@ -37,7 +38,7 @@ class FilmRecipe(NamedTuple):
     Attributes:
         tour, scene: of the film, its frames per second being the tour's. numbers: of its first frame, and the one
             behind its last. backend: that draws. path: of the pictures. dpi: that they say. fingerprint: of the film.
-        memory, base: as of all recipes.
+        memory, base: as of all recipes. playing: of the film.
     """
 
     tour: Tour
@@ -49,10 +50,12 @@ class FilmRecipe(NamedTuple):
     fingerprint: str
     memory: int
     base: int = WORKER
+    playing: Playing | None = None
 
     def open(self) -> WorkerState:
         first, last = (number / self.tour.fps for number in self.numbers)
-        film = Film(self.tour, self.scene, draw=session(backend=self.backend), first=first, last=last)
+        draw = session(backend=self.backend)
+        film = Film(self.tour, self.scene, draw=draw, first=first, last=last, playing=self.playing)
         if film.fingerprint() != self.fingerprint:
             raise StoreError(
                 "A worker has another terrain, or another release of Orograph, than the process that films.",
@@ -71,7 +74,9 @@ def recipe_of(film: Film, path: str, backend: str, dpi: float | None, max_memory
     needed = worker_memory(view.width * view.height, film.base.terrain, max_memory)
     numbers = film.numbers.start, film.numbers.stop
     where = str(Path(path).absolute())
-    return FilmRecipe(film.tour, film.given, numbers, backend, where, dpi, film.fingerprint(), needed)
+    return FilmRecipe(
+        film.tour, film.given, numbers, backend, where, dpi, film.fingerprint(), needed, playing=film.playing
+    )
 
 
 def pictures_of(path: str, film: Film, dpi: float | None, overwrite: bool = False) -> Pictures:
@@ -161,21 +166,6 @@ def draw_part(stage: Frames, part: Part, progress: Progress) -> int:
                 drawn += 1
             task.advance()
     return drawn
-
-
-def gather(stage: Frames, count: int, film: str, progress: Progress) -> None:
-    """Go through the frames that parts have drawn; ``film``: what an error calls it.
-
-    Raises:
-        StoreError: some are missing; the parts that lack them are named.
-    """
-    left = [spot for spot in stage.tasks() if not stage.kept(spot)]
-    if left:
-        raise missing_parts(stage, left, count, film)
-    with progress.task("Gathering the frames", total=len(stage.tasks())) as task:
-        for spot in stage.tasks():
-            stage.add(spot, ())
-            task.advance()
 
 
 def pixels_of(path: Path) -> Pixels:

@@ -2,6 +2,7 @@
 
 - ``orbit``: the camera goes once round the terrain, all of it in the picture from every side; a loop.
 - ``turntable``: the same, but the light turns with the camera, as if the terrain were turned before it.
+- ``still``: the camera stays, for data that change.
 - ``flyover``: along a line (a road, a valley, a GPX track) at an even speed and a height above the ground, looking
   ahead along the line.
 
@@ -109,6 +110,30 @@ def turntable(
         light = Placed((sun[0] + 360.0 * k / TURNTABLE_KEYS) % 360.0, sun[1])
         keys.append(Key(once.at(time), time, path="orbit", sun=light))
     return Tour(tuple(keys), seconds=seconds, loop=True, ease=False, above_ground=once.above_ground)
+
+
+@takes_terrain
+def still(
+    terrain: Terrain, size: tuple[int, int], *, seconds: float = SECONDS, plan: bool = False, azimuth: float = 180.0,
+    pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0, exaggeration: float = 1.0,
+    around: Sequence[float] | None = None, insets: camera.Insets = camera.NO_INSETS,
+) -> Tour:  # fmt: skip
+    """A camera that stays. Arguments as for ``orbit``.
+
+    Args:
+        insets: parts of the picture to leave free, as for ``camera.around``.
+        plan: it looks straight down on the whole terrain, as on a map; nothing else then says where it is.
+    """
+    if not 0 < seconds < math.inf:
+        raise UsageError(f"A film takes some seconds, more than 0, not {seconds:g}.")
+    if plan:
+        view = camera.plan(terrain, size, insets=insets)
+    elif around is not None:
+        view = _about(terrain, size, around, azimuth, pitch, distance, fov_y, exaggeration)
+    else:
+        view = camera.around(terrain, size, azimuth=azimuth, pitch=pitch, distance=distance, fov_y=fov_y,
+                             exaggeration=exaggeration, insets=insets)  # fmt: skip
+    return Tour((Key(view, 0.0),), seconds=seconds, ease=False)
 
 
 @takes_terrain

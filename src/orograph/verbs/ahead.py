@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from affine import Affine
 
+from orograph._compiler import hasten
 from orograph.folders import temporary
 
 SIDE = 300
@@ -90,4 +91,5 @@ def compile_verbs() -> None:
 
 
 if __name__ == "__main__":
+    hasten()
     compile_verbs()

@@ -7,10 +7,10 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from orograph.errors import StoreError, UsageError
+from orograph.errors import StoreError
 from orograph.progress import Progress
 from orograph.store.clusters import check_workers, on_workers
-from orograph.store.in_parts import Part, part_of
+from orograph.store.in_parts import Part, gather, part_of
 from orograph.store.lock import alone
 from orograph.store.storage import FolderStorage
 from orograph.touring.encode import Pictures, Video, is_numbered
@@ -21,7 +21,6 @@ from orograph.touring.frames import (
     draw_part,
     encoder,
     frames_of,
-    gather,
     pictures_of,
     recipe_of,
 )
@@ -48,14 +47,10 @@ class By(NamedTuple):
         Raises:
             UsageError: arguments exclude each other, or a part is invalid.
         """
-        check_workers(workers, dask, "A film")
-        said = [
-            name for name, value in
-            (("workers", workers), ("dask", dask), ("part", part), ("finish", finish or None)) if value is not None
-        ]  # fmt: skip
-        if len(said) > 1:
-            raise UsageError(f"`{said[0]}` and `{said[1]}` exclude each other.")
-        return cls(workers, dask, None if part is None else part_of(part), finish) if said else None
+        check_workers(workers, dask, "A film", part, finish)
+        if workers is None and dask is None and part is None and not finish:
+            return None
+        return cls(workers, dask, None if part is None else part_of(part), finish)
 
 
 class Shot(NamedTuple):
@@ -98,7 +93,7 @@ def shoot_by(
         with writer or nullcontext():
             frames = Frames(film, pictures, encoder(writer, pictures) if writer else _nothing)
             if by.finish:
-                gather(frames, count, path, progress)
+                gather([frames], count, path, progress)
                 imbalance = None
             else:
                 imbalance = _by_workers(by, frames, jobs, max_memory or MEMORY * (by.workers or 1), backend, progress)

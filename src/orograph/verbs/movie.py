@@ -17,7 +17,6 @@ from orograph.reporting import reporting
 from orograph.scene import given
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
-from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
@@ -55,7 +54,7 @@ def movie(
         terrain: whatever ``orograph.terrain`` takes, with its options.
         output: the film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.
         tour: the key frames (``orograph.tour``), or their file; None: the tour that ``options`` describe as for
-            ``orograph.tour`` (orbit, turntable, around, line, points…), or an orbit.
+            ``orograph.tour`` (orbit, turntable, still, plan, around, line, points…), or an orbit.
         size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames per second; None: the tour's.
         begin, end: the part of the tour to film, seconds; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
@@ -84,7 +83,7 @@ def movie(
     if conservative:
         check_promise(options.get("method", "auto"), backend)
     if tour is not None and any(way.values()):
-        raise UsageError("Give a tour or describe one (orbit, turntable, around, line, points), not both.")
+        raise UsageError("Give a tour or describe one (orbit, turntable, still, plan, around, line, points), not both.")
     if tour is None and not chosen(way):
         way["orbit"] = True
     check_tour(way)
@@ -101,16 +100,16 @@ def movie(
     if tour is None:
         sun = given.sun(options.get("sun"), ground)
         way_size = size or (1280, 720)
-        keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), options.get("exaggeration", 1.0))
+        stretch, furniture = options.get("exaggeration", 1.0), bool(options.get("furniture"))
+        keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), stretch, furniture)
     else:
         keys = without(tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs), options)
     view = keys.keys[0].view
     pixels = size or (view.width, view.height)
     check_movie(path, pixels, crf)
     check_memory(pixels, max_memory)
-    scene = Scene.of(ground, view.resized(*pixels), **options)
     draw = session(heard, backend=backend)
-    film = Film(keys, scene, draw=draw, fps=fps, first=begin, last=end, progress=heard)
+    film = Film.of(keys, ground, pixels, options, draw=draw, fps=fps, first=begin, last=end, progress=heard)
     if by is None:
         shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
     elif sort_last:

@@ -22,6 +22,8 @@ def tour(
     size: Size = (1280, 720),
     orbit: bool = False,
     turntable: bool = False,
+    still: bool = False,
+    plan: bool = False,
     line: Any = None,
     points: Sequence[Sequence[float] | str] = (),
     around: Numbers | None = None,
@@ -45,6 +47,8 @@ def tour(
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         size: (width, height) of the pictures.
         orbit: once around the terrain, all of it in view (the default). turntable: the same with the light turning too.
+            still: the camera stays, all of the terrain in view, for data that change. plan: the same straight down, as
+            a map.
         line: a GPX or GeoJSON file: fly along its longest line. points: (longitude, latitude): fly over them.
         line_crs: the CRS of the line or the points; None: EPSG:4326.
         around: (longitude, latitude[, radius]): orbit this place rather than the terrain, with a radius in metres of
@@ -63,7 +67,8 @@ def tour(
     """
     max_memory, size = bytes_of(max_memory), size_of(size)
     options = said_of({
-        "orbit": orbit, "turntable": turntable, "line": line, "points": points, "around": around,
+        "orbit": orbit, "turntable": turntable, "still": still, "plan": plan,
+        "line": line, "points": points, "around": around,
         "azimuth": azimuth, "pitch": pitch, "distance": distance, "fov": fov, "seconds": seconds,
         "height": height, "speed": speed,
         "line_crs": line_crs,

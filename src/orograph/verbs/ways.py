@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
     from orograph.touring.tour import Tour
 
-KINDS = ("orbit", "turntable", "line", "points")
+KINDS = ("orbit", "turntable", "still", "plan", "line", "points")
 WAY = (*KINDS, "around", "azimuth", "pitch", "distance", "fov", "seconds", "height", "speed", "line_crs")
 """All options that describe a tour's path."""
 
@@ -28,7 +28,8 @@ def chosen(options: Mapping[str, Any]) -> list[str]:
 
 def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
     """The path that options describe, with places parsed from text ("7.6,45.9,2000")."""
-    way = {**dict.fromkeys(WAY), "orbit": False, "turntable": False, "points": (), **options}
+    flags = dict.fromkeys(("orbit", "turntable", "still", "plan"), False)
+    way = {**dict.fromkeys(WAY), **flags, "points": (), **options}
     if way["around"] is not None:
         way["around"] = numbers(way["around"], "around")
     way["points"] = tuple(numbers(point, "points") for point in way["points"])
@@ -41,8 +42,9 @@ def check_tour(options: Mapping[str, Any]) -> None:
     if len(kinds) > 1:
         raise UsageError(f"{kinds[0]} and {kinds[1]} are two tours: choose one.")
     kind = (chosen(options) or [""])[0]
-    only = {"orbit": ("height", "speed", "line_crs"), "turntable": ("height", "speed", "line_crs"),
-            "line": ROUND, "points": ROUND}  # fmt: skip
+    along = ("height", "speed", "line_crs")
+    only = {"orbit": along, "turntable": along, "still": along, "plan": (*ROUND, *along, "fov"), "line": ROUND,
+            "points": ROUND}  # fmt: skip
     for name in only.get(kind, WAY[len(KINDS) :]):
         if options[name] is not None:
             raise UsageError(f"`{name}` does not apply to {kinds[0] if kinds else 'a tour from a file'}.")
@@ -57,9 +59,11 @@ def check_tour(options: Mapping[str, Any]) -> None:
 
 
 def tour_of(
-    terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], sun: tuple[float, float], exaggeration: float
-) -> Tour:
-    """The tour that the options describe (see ``check_tour``); an orbit, if they describe none."""
+    terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], sun: tuple[float, float], exaggeration: float,
+    furniture: bool = False,
+) -> Tour:  # fmt: skip
+    """The tour that the options describe (see ``check_tour``); an orbit, if they describe none. A camera that stays
+    leaves room for ``furniture``."""
     from orograph.touring import make
 
     given = {new: options[old] for old, new in
@@ -69,6 +73,12 @@ def tour_of(
     kind = (chosen(options) or ["orbit"])[0]
     if kind == "turntable":
         return make.turntable(terrain, size, sun=sun, exaggeration=exaggeration, **given)
+    if kind in ("still", "plan"):
+        if furniture:
+            from orograph.rendering.furniture.furnish import insets
+
+            given["insets"] = insets(size, terrain.attribution)
+        return make.still(terrain, size, plan=kind == "plan", exaggeration=exaggeration, **given)
     if kind == "orbit":
         return make.orbit(terrain, size, exaggeration=exaggeration, **given)
     crs = terrain.grid.crs

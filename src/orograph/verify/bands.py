@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import read_only
 from orograph.errors import UsageError
 from orograph.store.terrain import TILE, Terrain
 from orograph.tessellation import Tessellation, turn
@@ -129,7 +130,7 @@ class Band:
         """The samples of the band and of the rows beside it."""
         rows, cols = terrain.grid.shape
         top, bottom = max(self.first - 1, 0), min(self.last + 3, rows)
-        heights = np.ascontiguousarray(terrain.read(0, top, bottom, self.west, self.east))
+        heights = read_only(np.ascontiguousarray(terrain.read(0, top, bottom, self.west, self.east)))
         return Ground(heights, top, self.west, rows, cols)
 
     def blocks(self, mesh: Mesh, ground: Ground, interpolating: bool) -> Iterator[tuple[Ground, Block]]:

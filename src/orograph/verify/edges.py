@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import kernel, leaf
+from orograph.verify.spans import GAPS
 
 Ints = NDArray[np.int64]
 
@@ -32,6 +33,19 @@ def survey(corners, turn):
         if area != 0:
             used[a], used[b], used[c] = 1, 1, 1
     return signs, used
+
+
+@leaf
+def sort(values, begin, end):
+    """Shellsort of ``values[begin:end]``; of a few an insertion sort."""
+    for k in range(0 if end - begin > 24 else len(GAPS) - 1, len(GAPS)):
+        gap = GAPS[k]
+        for i in range(begin + gap, end):
+            value, j = values[i], i
+            while j >= begin + gap and values[j - gap] > value:
+                values[j] = values[j - gap]
+                j -= gap
+            values[j] = value
 
 
 @kernel
@@ -62,15 +76,7 @@ def classify_edges(triangles, count):
     n_crowded, n_alone = 0, 0
     for v in range(count):
         begin, end = start[v], start[v + 1]
-        if end - begin > 24:
-            other[begin:end] = np.sort(other[begin:end])
-        else:
-            for i in range(begin + 1, end):
-                value, j = other[i], i
-                while j > begin and other[j - 1] > value:
-                    other[j] = other[j - 1]
-                    j -= 1
-                other[j] = value
+        sort(other, begin, end)
         i = begin
         while i < end:
             j = i + 1

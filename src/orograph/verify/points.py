@@ -190,7 +190,9 @@ def _height(u, v, w, x, y):
 @kernel
 def _clip(a, b, c, u, v, w, p, q):
     """The polygon that two triangles share, in ``p``; its corners (Sutherland & Hodgman 1974)."""
-    p[0], p[1], p[2], count = a[:2], b[:2], c[:2], 3
+    for axis in range(2):
+        p[0, axis], p[1, axis], p[2, axis] = a[axis], b[axis], c[axis]
+    count = 3
     turn = (v[0] - u[0]) * (w[1] - u[1]) - (v[1] - u[1]) * (w[0] - u[0])
     for k in range(3):
         e, f = (u, v) if k == 0 else (v, w) if k == 1 else (w, u)
@@ -200,13 +202,16 @@ def _clip(a, b, c, u, v, w, p, q):
             one = ((f[0] - e[0]) * (p[j, 1] - e[1]) - (f[1] - e[1]) * (p[j, 0] - e[0])) * turn
             two = ((f[0] - e[0]) * (p[n, 1] - e[1]) - (f[1] - e[1]) * (p[n, 0] - e[0])) * turn
             if one >= 0:
-                q[kept] = p[j]
+                q[kept, 0], q[kept, 1] = p[j, 0], p[j, 1]
                 kept += 1
             if (one > 0 and two < 0) or (one < 0 and two > 0):
-                q[kept] = p[j] + (p[n] - p[j]) * (one / (one - two))
+                share = one / (one - two)
+                for axis in range(2):
+                    q[kept, axis] = p[j, axis] + (p[n, axis] - p[j, axis]) * share
                 kept += 1
         count = kept
-        p[:count] = q[:count]
+        for j in range(count):
+            p[j, 0], p[j, 1] = q[j, 0], q[j, 1]
     return count
 
 

@@ -21,7 +21,7 @@ from orograph._numba import inlined, kernel, leaf
 from orograph.verify.frustum import drop_factor, outcode, pixel_factor, place
 from orograph.verify.gaps import sweep_strip
 from orograph.verify.ground import existing_units, on_surface, unit_in_view
-from orograph.verify.spans import Line, find_junctions, ordered, sort_west_to_east, span_row, west_of
+from orograph.verify.spans import Line, find_junctions, ordered, sort_by, sort_west_to_east, span_row, west_of
 from orograph.verify.strips import R0, R2, Strip, sides
 
 SAMPLES, UNCOVERED, HOLES, BRIDGED, DUPLICATES, WRONG_HEIGHTS, COUNTS = range(7)
@@ -170,7 +170,7 @@ def begin(table, block, active):
         for i in range(n):
             wn, wstep, wd, _, _, _ = sides(table, active[i], y, block.rows[1])
             middle[i] = (2 * wn + wstep) / (2.0 * wd)
-        active[:n] = active[:n][np.argsort(middle)]
+        sort_by(middle, active)
         sort_west_to_east(table, active, 0, n, y, block.rows[1])
     return n, head
 

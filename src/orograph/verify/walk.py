@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, read_only
 from orograph.parallel import for_each, map_ordered
 from orograph.store.terrain import TILE, Terrain
 from orograph.verify.frustum import Camera
@@ -80,7 +80,7 @@ def true_depth(terrain: Terrain, camera: Camera, view: View, jobs: int | None) -
         rows, cols = terrain.grid.shape
         top, west = max(i * TILE - 1, 0), max(j * TILE - 1, 0)
         bottom, east = min((i + 1) * TILE + 2, rows), min((j + 1) * TILE + 2, cols)
-        heights = np.ascontiguousarray(terrain.read(0, top, bottom, west, east))
+        heights = read_only(np.ascontiguousarray(terrain.read(0, top, bottom, west, east)))
         return Ground(heights, top, west, rows, cols), span
 
     for ground, span in map_ordered(read, tiles(terrain, camera, view), jobs):

@@ -231,3 +231,11 @@ def test_before_a_track_begins_nothing_of_it_is_there():
     data = Dataset(table(), group="who", style="paths")
     found = things(data.but(time="2019-01-01"))
     assert not np.isfinite(found.values).any() and len(found.marks) > 2
+
+
+def test_an_even_speed_has_a_scale_that_can_be_read():
+    from orograph.geovis.data.scales import spanned
+
+    speeds = 71.9 + np.random.default_rng(0).normal(0, 1e-12, 50)
+    assert spanned(speeds, None) == pytest.approx((71.4, 72.4))
+    assert spanned(np.array([1e-9, 2e-9]), None) == pytest.approx((1e-9, 2e-9), rel=0.1)

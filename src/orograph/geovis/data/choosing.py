@@ -11,7 +11,7 @@ import numpy as np
 
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty
-from orograph.geovis.data.times import matches, times_of
+from orograph.geovis.data.times import is_span, matches, times_of
 from orograph.geovis.data.vertical import levels_of
 from orograph.geovis.keys import written_unit
 
@@ -34,7 +34,7 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
                 f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
                 path=str(given.source), remedy="Give the beginning of a time, or an hour of all days: T12.",
             )  # fmt: skip
-        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[bands[0] - 1].replace("T", " "))
+        words.append(time_words(given.time, [times[band - 1] for band in bands]))
     if given.level is not None:
         own = levels_of(file, getattr(given, "vertical", None))
         bands = [band for band in bands if own is not None and is_level(own.values[band - 1], given.level)]
@@ -51,9 +51,19 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
         bands = bands[:1]
     if len(bands) > 1:
         words.insert(0, f"mean of {len(bands)}")
+    elif given.member is not None:
+        words.insert(0, f"member {given.member}")
     elif file.count > 1 and not words:
         words.append(file.descriptions[bands[0] - 1] or f"band {bands[0]}")
     return bands, " ".join(words)
+
+
+def time_words(asked: str, times: Sequence[str]) -> str:
+    """Times that were asked for, in words; ``times``: those found, in order."""
+    if asked.startswith("T"):
+        return f"at {asked[1:]} h"
+    first, last = (time.replace("T", " ") for time in (times[0], times[-1]))
+    return f"from {first} to {last}" if is_span(asked) and first != last else first
 
 
 def is_level(value: float, asked: str | float) -> bool:

@@ -32,9 +32,13 @@ Vertical = Literal["height", "above", "depth", "pressure"]
 """What a vertical dimension counts: metres above the heights' zero, above or below the ground, or hPa."""
 
 Sign = Literal[
-    "transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching", "errorbars", "none"
+    "transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching", "errorbars", "members",
+    "none",
 ]  # fmt: skip
-"""Ways of showing uncertainty; the first six are intrinsic."""
+"""Ways of showing uncertainty; the first six are intrinsic. "members": one after the other, in films."""
+
+FASTEST = 3.0
+"""Changes a second that nobody is harmed by (WCAG 2.2, criterion 2.3.1: three flashes)."""
 
 LEVELS = ("height", "above", "depth")
 """Options that say how high points are."""
@@ -45,6 +49,9 @@ BELOW = 0.65
 Measure = Literal["spread", "ci90"]
 """Uncertainties of the members of an ensemble: their standard deviation (n − 1), or half the width between their 5 %
 and 95 % quantiles (linear between members)."""
+
+MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
+"""What uncertainties of members are, in words."""
 
 T = TypeVar("T")
 
@@ -64,6 +71,7 @@ class Uncertainty:
         variable, band, time, member, level: as of a ``Dataset``.
         style: see ``Sign``; None: what the priority says.
         range: the uncertainties at the ends of its scale; None: from 0 to the 98th percentile.
+        rate: of members in turn, how many are shown a second, at most 3; None: 2.
 
     Raises:
         UsageError: a value makes no sense.
@@ -77,15 +85,33 @@ class Uncertainty:
     level: str | float | None = None
     style: Sign | None = None
     range: tuple[float, float] | None = None
+    rate: float | None = None
 
     def __post_init__(self) -> None:
         _check_choice("style of an uncertainty", self.style, get_args(Sign))
         _check_range(self.range, "uncertainties")
+        if self.style == "members" and not self.of_members:
+            raise UsageError("Members in turn are those of the data.", remedy='Say "spread" instead of a source.')
+        if self.rate is None:
+            return
+        if self.style != "members":
+            raise UsageError("rate= is of members in turn.", remedy="Give it with style=members.")
+        if not 0 < self.rate <= FASTEST:
+            raise UsageError(
+                f"Members change more than 0 and at most {FASTEST:g} times a second, not {self.rate:g}: faster "
+                "flicker harms some people.",
+                remedy="Leave out rate=, or give 3 or less.",
+            )
 
     @property
     def of_members(self) -> bool:
         """Whether it follows from the data's own members."""
         return isinstance(self.source, str) and self.source in get_args(Measure)
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        return "± " + MEASURES[self.source if self.of_members else "spread"]
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -94,7 +120,7 @@ class Uncertainty:
         Raises:
             UsageError: a key is unknown or its value makes no sense.
         """
-        return _parsed(cls, text, {"range": _range})
+        return _parsed(cls, text, {"range": _range, "rate": _number})
 
 
 @named("A dataset")
@@ -109,7 +135,8 @@ class Dataset:
         variable: of several (NetCDF, HDF5), or the attribute of features that is shown; for arrows and lic two,
             "u10+v10": the components to the east and to the north (or so the band).
         band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
-            (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
+            (``2019-03-01T12``), an hour of all days (``T12``), or a span (``2019-03-01..2019-03-03``; ``..``: all),
+            which films play. member: as ``band``, of an ensemble.
             Where several are chosen their mean is shown.
         value: what is shown of several members or times instead of their mean: "median", "min", "max", "spread", or a
             quantile, "p90". exceeds: instead of values, how probably they are above this one: the part of the members,

@@ -52,9 +52,6 @@ OUTLINE, CASING = 0.8, 0.65
 FLOWS = ("arrows", "lic")
 """Styles of two components."""
 
-MEASURES = {"spread": "standard deviation", "ci90": "half of the central 90 %"}
-"""What uncertainties of members are, in words."""
-
 DARKER, LIGHTER = 0.75, 0.22
 """How much darker the darkest streaks of a flow are than its colours, and how much lighter the lightest."""
 
@@ -105,11 +102,9 @@ class Shown:
         """What else a reader must know."""
         parts = [self.field.chosen]
         if self.sigma is not None:
-            source = self.dataset.uncertainty.source if self.dataset.uncertainty is not None else None
-            if isinstance(source, Field):
-                parts.append(source.name)
-            else:
-                parts.append(f"± {MEASURES.get(source if isinstance(source, str) else '', MEASURES['spread'])}")
+            doubt = self.dataset.uncertainty
+            if doubt is not None:
+                parts.append(doubt.source.name if isinstance(doubt.source, Field) else doubt.words)
         told = ", ".join(filter(None, parts))
         return f"{self.title}: {told}" if told else ""
 

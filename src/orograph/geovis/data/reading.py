@@ -23,7 +23,7 @@ from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.attribute_table import Named, named_beside
-from orograph.geovis.data.choosing import chosen_bands, is_level, picked, wants_members
+from orograph.geovis.data.choosing import chosen_bands, is_level, picked, time_words, wants_members
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.listing import array_of, subdataset, times_in
 from orograph.geovis.data.statistics import statistic
@@ -124,15 +124,20 @@ def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
 def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, part: float) -> Field:
     """Values at a moment between two times."""
     first, last = (read(replace(given, time=time), grid) for time in (before, after))
-    named = first.palette is not None or first.named is not None or "flag_meanings" in first.tags
-    named = named or getattr(given, "style", None) == "classes"
-    moment, way = str(given.time).replace("T", " "), "nearest" if named else "linear"
-    if named:
+    classes = has_classes(given, first)
+    moment, way = str(given.time).replace("T", " "), "nearest" if classes else "linear"
+    if classes:
         values = (first if part < 0.5 else last).values
     else:
         values = np.asarray(first.values + (last.values - first.values) * np.float32(part), np.float32)
     words = f"at {moment}, {way} between {before.replace('T', ' ')} and {after.replace('T', ' ')}"
     return replace(first, values=values, chosen=words)
+
+
+def has_classes(given: Dataset | Uncertainty, found: Field) -> bool:
+    """Whether values stand for names, which have nothing between them."""
+    said = found.palette is not None or found.named is not None or "flag_meanings" in found.tags
+    return said or getattr(given, "style", None) == "classes"
 
 
 def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
@@ -263,6 +268,8 @@ def _members(values: Values, given: Dataset | Uncertainty, name: str) -> tuple[V
         values = values[[i - 1 for i in picked(range(1, len(values) + 1), str(asked), name)]]
     elif given.time is None and not wants_members(given):
         values = values[:1]
+    if len(values) == 1 and given.member is not None:
+        return values, f"member {given.member}"
     return values, f"mean of {len(values)}" if len(values) > 1 else ""
 
 
@@ -282,7 +289,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
         if not keep:
             raise UsageError(f"It has no time {given.time}; its times go from {times[0]} to {times[-1]}.")
         array = array.isel(time=keep) if "time" in array.dims else array
-        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[keep[0]].replace("T", " "))
+        words.append(time_words(given.time, [times[i] for i in keep]))
     if given.level is not None:
         found = vertical_dimension(array, getattr(given, "vertical", None))
         levels = np.empty(0) if found is None else np.asarray(array.coords[found[0]].values, np.float64)

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 PERCENTILES = (2.0, 98.0)
 """The default ends of a scale, from the values over a terrain."""
 
+ALIKE = 1e-7
+"""Of their size, differences between values that float32 hardly tells apart."""
+
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
 
@@ -114,7 +117,8 @@ def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[flo
     low, high = (float(v) for v in np.percentile(known, PERCENTILES))
     if low == high:
         low, high = float(known.min()), float(known.max())
-    return (low, high) if low < high else (low - 0.5, low + 0.5)
+    alike = high - low <= ALIKE * max(abs(low), abs(high))  # (by rounding only)
+    return (low - 0.5, low + 0.5) if alike else (low, high)
 
 
 def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:

@@ -19,8 +19,11 @@ from orograph.geovis.data.scales import ColorScale, suppressed
 Array = NDArray[np.float64]
 Colors = NDArray[np.float32]
 
-CLEAREST = 0.15
-"""Opacity of what is most uncertain."""
+CLEAREST = 0.3
+"""Opacity of what is most uncertain: classes can still be told apart where all is uncertain."""
+
+PALEST = 0.8
+"""How much of its colour the most uncertain loses to white."""
 
 GRAIN = 3
 """Texels of a grain of noise."""
@@ -82,7 +85,7 @@ def colored(values: Array, u: Array, scale: ColorScale, sign: str) -> Colors:
     if sign == "saturation":
         return np.asarray(rgb + (np.sum(rgb * LUMINANCE, -1, keepdims=True) - rgb) * less, np.float32)
     if sign == "whiteness":
-        return rgb + (np.float32(0.93) - rgb) * less * np.float32(0.95)
+        return rgb + (np.float32(0.93) - rgb) * less * np.float32(PALEST)
     return rgb
 
 

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import linear_to_srgb
-from orograph.geovis.data.dataset import Dataset, Standing
+from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import INK, colored
+from orograph.geovis.data.standing_marks import MARKS, swatch
 from orograph.geovis.keys import Legend, Scale
 
 Array = NDArray[np.float64]
@@ -36,6 +37,9 @@ SLENDER = {"bars": 0.07, "cones": 0.13, "flags": 0.42}
 
 LATTICE = 28
 """Things along the longer side that show a raster's values."""
+
+PALER = ("saturation", "whiteness", "palette", "none")
+"""Signs of uncertainty that change the colours of things."""
 
 FLOOR = 0.06
 """Of the largest, what the least value still is."""
@@ -217,9 +221,15 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
 
 def _sign(dataset: Dataset, priority: Priority, style: str) -> str:
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
-    if given is not None:
-        return given
-    return "errorbars" if priority.uncertainty and style in ("bars", "cones") else "whiteness"
+    high = style in ("bars", "cones")
+    known = (*PALER, *["errorbars"] * high)
+    if given is not None and given not in known:
+        why = ": they grow with the value, but not evenly" if given == "errorbars" else ""
+        raise UsageError(
+            f"The uncertainty of {style} cannot be shown by {given}{why}.", path=str(dataset.source),
+            remedy=f"There are {', '.join(known)}{'' if high else '; error bars are for bars and cones'}.",
+        )  # fmt: skip
+    return given or ("errorbars" if priority.uncertainty and high else "whiteness")
 
 
 def _shape(style: str, size: float, part: Array) -> tuple[Array, Array]:
@@ -271,10 +281,15 @@ def key_of(
     swatches: list[tuple[str, Any]] = []
     if sign not in ("none", "errorbars"):
         middle = np.full(len(SWATCHES), (scale.low + scale.high) / 2)
-        shades = linear_to_srgb(colored(middle, np.array(SWATCHES), scale, sign))
+        shades: Any = linear_to_srgb(colored(middle, np.array(SWATCHES), scale, sign))
+        if sign in MARKS:
+            shades = [swatch(scale.color(middle[:1])[0], part, sign) for part in SWATCHES]
         for part, shade in zip(SWATCHES, shades):
             sigma = doubt[0] + part * (doubt[1] - doubt[0])
             swatches.append((f"± {rounded(sigma, doubt[1])} {unit}".rstrip(), shade))
+    if sign != "none" and isinstance(dataset.uncertainty, Uncertainty):
+        bars = "error bars " if sign == "errorbars" else ""
+        note = ", ".join(filter(None, (note, bars + dataset.uncertainty.words)))
     told = f"{title}: {note}" if note else ""
     if classes is None:
         return Legend((colors,), tuple(swatches), note=told)

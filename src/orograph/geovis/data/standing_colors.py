@@ -11,12 +11,11 @@ from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import colored
-from orograph.geovis.data.standing import key_of
+from orograph.geovis.data.standing import PALER, key_of
+from orograph.geovis.data.standing_marks import MARKS
 from orograph.geovis.keys import Legend
 
 Array = NDArray[np.float64]
-
-SIGNS = ("saturation", "whiteness", "palette", "none")
 
 
 class Told(NamedTuple):
@@ -32,13 +31,25 @@ class Told(NamedTuple):
     classes: tuple[str, ...] | None = None
 
 
-def colors_of(
-    dataset: Dataset, values: Array, sigma: Array | None, told: Told
-) -> tuple[NDArray[np.float32], Legend]:  # fmt: skip
-    """Linear colours (n, 3) of values (n,), and their legend.
+class Colored(NamedTuple):
+    """Values as they are shown.
+
+    Attributes:
+        rgb: (n, 3) linear. legend: what they mean. u: (n,) uncertainties along their scale. sign: that shows them.
+    """
+
+    rgb: NDArray[np.float32]
+    legend: Legend
+    u: Array
+    sign: str
+
+
+def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, marked: bool | None = None) -> Colored:
+    """Colours of values (n,), and their legend.
 
     Args:
         sigma: (n,) standard deviations; None: nothing is known.
+        marked: whether signs that lie over them are the usual ones; None: there is no place for such.
 
     Raises:
         UsageError: the sign of an uncertainty cannot be shown so.
@@ -47,14 +58,18 @@ def colors_of(
         ColorScale.of_classes(told.classes, dataset.colormap) if told.classes else
         ColorScale.of(values, dataset.plain_colormap, dataset.range)
     )  # fmt: skip
-    sign = "none" if dataset.uncertainty is None else dataset.uncertainty.style or "whiteness"
-    if sign not in SIGNS:
+    usual = "glyphs" if marked else "whiteness"
+    sign = "none" if dataset.uncertainty is None else dataset.uncertainty.style or usual
+    known = PALER if marked is None else (*MARKS, *PALER)
+    if sign not in known:
+        why = "they show values by colour, and nothing along which a bar could stand" if sign == "errorbars" else ""
         raise UsageError(
-            f"The uncertainty of {dataset.style} cannot be shown by {sign}.", remedy=f"There are {', '.join(SIGNS)}."
-        )
+            f"The uncertainty of {dataset.style} cannot be shown by {sign}{': ' * bool(why)}{why}.",
+            path=str(dataset.source), remedy=f"There are {', '.join(known)}.",
+        )  # fmt: skip
     doubt = (0.0, 1.0)
     if sigma is not None and dataset.uncertainty is not None:
         doubt = dataset.uncertainty.range or (0.0, spanned(sigma, None)[1])
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
     legend = key_of(dataset, told.name, scale, told.unit, told.note, sign, doubt, told.classes)
-    return colored(values, u, scale, sign), legend
+    return Colored(colored(values, u, scale, sign), legend, u, sign if sigma is not None else "none")

@@ -79,7 +79,7 @@ def things_of_profiles(dataset: Dataset, points: Points, grid: Grid, ground: Arr
     values = points.values[parts.of]
     sigma = None if points.sigma is None else points.sigma[parts.of]
     told = Told(points.name, dataset.unit or "", ", ".join(notes), points.classes)
-    rgb, legend = colors_of(dataset, values, sigma, told)
+    rgb, legend, *_ = colors_of(dataset, values, sigma, told)
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[str(dataset.style)]
     if logs:
         return _logs(parts, values, size, rgb, Things.plain(legend))

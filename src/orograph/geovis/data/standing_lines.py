@@ -18,6 +18,8 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shapes import Shapes, read_shapes
 from orograph.geovis.data.standing import Kind, Things, longer
 from orograph.geovis.data.standing_colors import Told, colors_of
+from orograph.geovis.data.standing_marks import BEFORE, MARKS, Face, Marks, marks_on
+from orograph.geovis.keys import Legend
 
 Array = NDArray[np.float64]
 
@@ -59,16 +61,35 @@ def things_of_lines(dataset: Dataset, features: Features, grid: Grid, priority: 
     at, owner, values = at[known], owner[known], values[known]
     sigma = None if shapes.sigma is None else shapes.sigma[owner]
     told = Told(name, dataset.unit or ("m" if by_height else ""), ", ".join(shapes.notes), classes)
-    rgb, legend = colors_of(dataset, values, sigma, told)
+    marked = priority.uncertainty if style == "curtains" else None
+    rgb, legend, u, sign = colors_of(dataset, values, sigma, told, marked)
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     full, tube = np.ones(len(at)), style == "tubes"
     level = at[:, [2, 5]] if tube else np.full((len(at), 2), np.nan)
     lift = np.where(np.isfinite(level[:, 0]), 0.0, size / 2) if tube else -SUNK * size * full
-    return Things(
+    made = Things(
         np.full(len(at), STYLES[style], np.int8), at[:, 0], at[:, 1], lift, size / 2 * full,
         (size if tube else (1 + SUNK) * size) * full, rgb, values, legend,
         np.column_stack([level[:, 0], at[:, 3:5], level[:, 1]]),
     )  # fmt: skip
+    if sign not in MARKS:
+        return made
+    each = np.arange(len(at))
+    face = Face(at[:, :2], at[:, 3:5], each, np.zeros(len(at)), size * full, u, values)
+    return Things.joined([made, *_marks(marks_on(face, sign, size, 1.0), BEFORE * longer(grid))])
+
+
+def _marks(found: Marks, gap: float) -> list[Things]:
+    """Signs on both sides of curtains, at heights above the ground."""
+    n, sides = len(found.low), []
+    none = np.full(n, np.nan)
+    for out in (gap, -gap):
+        start, end = found.before(out)
+        sides.append(Things(
+            np.full(n, Kind.WALL, np.int8), start[:, 0], start[:, 1], found.low, np.zeros(n), found.top - found.low,
+            found.rgb, found.values, Legend(), np.column_stack([none, end, none]),
+        ))  # fmt: skip
+    return sides
 
 
 def pieces(shapes: Shapes, step: float) -> tuple[Array, NDArray[np.int64]]:

@@ -14,8 +14,9 @@ from orograph.geovis.data.dataset import BELOW, Dataset
 from orograph.geovis.data.features import read_features
 from orograph.geovis.data.shapes import read_shapes
 from orograph.geovis.data.standing import Kind, Things, longer
-from orograph.geovis.data.standing_colors import Told, colors_of
+from orograph.geovis.data.standing_colors import Colored, Told, colors_of
 from orograph.geovis.data.standing_lines import pieces
+from orograph.geovis.data.standing_marks import ACROSS, BEFORE, MARKS, Face, Marks, marks_on
 from orograph.geovis.data.volume import Cells, Volume, cells, read_volume
 from orograph.geovis.keys import Legend
 
@@ -28,11 +29,12 @@ COLUMNS, ROWS = 360, 120
 """Cells of a section along the terrain's longer side, and from its lowest to its highest place."""
 
 
-def curtains(dataset: Dataset, grid: Grid, ground: Ground) -> Things:
+def curtains(dataset: Dataset, grid: Grid, ground: Ground, stretch: float = 1.0, marked: bool = False) -> Things:
     """Curtains through a volume, along the dataset's lines.
 
     Args:
-        ground: heights (n,) at places (n,), NaN where there are none.
+        ground: heights (n,) at places (n,), NaN where there are none. stretch: of heights in the picture.
+        marked: whether uncertainty has usually signs of its own.
 
     Raises:
         ReadError, UsageError: the volume or the line cannot be read, or do not meet the terrain.
@@ -44,12 +46,27 @@ def curtains(dataset: Dataset, grid: Grid, ground: Ground) -> Things:
         raise ReadError("No value of the volume is over the line.", path=volume.fields[0].name,
                         remedy="Choose another line: along=.")  # fmt: skip
     n, of = len(cut.low), cut.column
-    rgb, legend = _colors(dataset, volume, cut)
+    rgb, legend, u, sign = _colors(dataset, volume, cut, marked)
     through = BELOW if dataset.hidden is None and volume.kind == "depth" else dataset.through
-    return Things.plain(legend).but(
+    made = Things.plain(legend).but(
         kind=np.full(n, Kind.SECTION, np.int8), x=start[of, 0], y=start[of, 1], lift=np.zeros(n), radius=np.zeros(n),
         height=np.zeros(n), rgb=rgb, values=cut.values, ends=np.column_stack([cut.low, end[of], cut.top]),
         hidden=np.full(n, through),
+    )  # fmt: skip
+    if sign not in MARKS:
+        return made
+    found = marks_on(Face(start, end, of, cut.low, cut.top, u, cut.values), sign, longer(grid) / ACROSS, stretch)
+    both = (of_marks(found, gap * BEFORE * longer(grid), Kind.SECTION) for gap in (1, -1))
+    return Things.joined([made, *(one.but(hidden=np.full(len(one), through)) for one in both)])
+
+
+def of_marks(found: Marks, gap: float, kind: Kind) -> Things:
+    """Signs as things, each layer ``gap`` to the left of the one behind it."""
+    n = len(found.low)
+    start, end = found.before(gap)
+    return Things.plain(Legend()).but(
+        kind=np.full(n, kind, np.int8), x=start[:, 0], y=start[:, 1], lift=np.zeros(n), radius=np.zeros(n),
+        height=np.zeros(n), rgb=found.rgb, values=found.values, ends=np.column_stack([found.low, end, found.top]),
     )  # fmt: skip
 
 
@@ -57,10 +74,15 @@ class Filling:
     """What fills the walls around the block: a volume, in one scale of colours for all sections.
 
     Args:
-        lines: (pieces + 1, 2) places of each section.
+        lines: (pieces + 1, 2) places of each section. marked: as of ``curtains``.
+
+    Attributes:
+        cuts: the sections. rgb, u: of their cells, colours and uncertainties along their scale. sign: of these.
     """
 
-    def __init__(self, dataset: Dataset, grid: Grid, ground: Ground, lines: list[Array]) -> None:
+    def __init__(
+        self, dataset: Dataset, grid: Grid, ground: Ground, lines: list[Array], marked: bool = False
+    ) -> None:  # fmt: skip
         volume = read_volume(dataset, grid)
         self.cuts = [section(volume, grid, line[:-1], line[1:], ground) for line in lines]
         low, top, column, values = (np.concatenate([cut[k] for cut in self.cuts]) for k in range(4))
@@ -68,8 +90,9 @@ class Filling:
         joined = Cells(low, top, column, values, np.concatenate(doubts) if doubts else None)
         if not len(joined.low):
             raise ReadError("No value of the volume is over the terrain's middle.", path=volume.fields[0].name)
-        rgb, self.legend = _colors(dataset, volume, joined)
-        self.rgb = np.split(rgb, np.cumsum([len(cut.low) for cut in self.cuts])[:-1])
+        rgb, self.legend, u, self.sign = _colors(dataset, volume, joined, marked)
+        borders = np.cumsum([len(cut.low) for cut in self.cuts])[:-1]
+        self.rgb, self.u = np.split(rgb, borders), np.split(u, borders)
         self.span = float(joined.low.min()), float(joined.top.max())
 
 
@@ -83,14 +106,14 @@ def section(volume: Volume, grid: Grid, start: Array, end: Array, ground: Ground
     return cells(volume, (np.where(here, levels, np.nan), values, sigma), base, ROWS)
 
 
-def _colors(dataset: Dataset, volume: Volume, cut: Cells) -> tuple[NDArray[np.float32], Legend]:
+def _colors(dataset: Dataset, volume: Volume, cut: Cells, marked: bool) -> Colored:
     field = volume.fields[0]
     of = "probability" if dataset.exceeds is not None else ""
     shown = dataset.but(range=dataset.range or (0.0, 1.0), uncertainty=None) if of else dataset
     unit = field.unit if of or dataset.unit is None else dataset.unit
     chosen = field.chosen.rpartition(" at ")[0] if " at " in field.chosen else ""
     note = ", ".join(filter(None, [chosen, volume.note]))
-    return colors_of(shown, cut.values, cut.sigma, Told(field.name, unit, note))
+    return colors_of(shown, cut.values, cut.sigma, Told(field.name, unit, note), marked)
 
 
 def _pieces(dataset: Dataset, grid: Grid) -> tuple[Array, Array]:

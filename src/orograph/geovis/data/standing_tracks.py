@@ -19,7 +19,7 @@ from orograph.geovis.data.standing import Kind, Mark, Things, longer
 from orograph.geovis.data.standing_aids import OTHER_BAND
 from orograph.geovis.data.standing_colors import Told, colors_of
 from orograph.geovis.data.standing_lines import PIECES
-from orograph.geovis.data.times import ticks
+from orograph.geovis.data.times import ticks, written
 from orograph.geovis.data.tracks import Tracks, until
 from orograph.geovis.keys import Legend
 
@@ -81,9 +81,10 @@ def things_of_tracks(
     values = tracks.values[pieces.of]
     sigma = None if tracks.sigma is None else tracks.sigma[pieces.of]
     count = f"{tracks.tracks} track{'s' * (tracks.tracks != 1)}"
-    note = f"{count}, height is time (UTC)" if paths else count
-    rgb, legend = colors_of(_of_all(dataset, whole), values, sigma,
-                            Told(tracks.name, dataset.unit or tracks.unit, note, tracks.classes))  # fmt: skip
+    when = "" if moment is None else f"until {written(moment)[:16].replace('T', ' ')}"
+    note = ", ".join(filter(None, (count, when, "height is time (UTC)" if paths else "")))
+    rgb, legend, *_ = colors_of(_of_all(dataset, whole), values, sigma,
+                                Told(tracks.name, dataset.unit or tracks.unit, note, tracks.classes))  # fmt: skip
     wide = longer(grid) / ACROSS["tubes"] if paths else size
     n = len(values)
     lift = np.where(np.isfinite(levels[0]), 0.0, wide / 2)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from orograph.geo.grid import Grid
 from orograph.geovis.data.signs import INK
 from orograph.geovis.data.standing import Kind, Things, longer
-from orograph.geovis.data.standing_sections import Filling
+from orograph.geovis.data.standing_marks import ACROSS, MARKS, Face, marks_on
+from orograph.geovis.data.standing_sections import Filling, of_marks
 from orograph.geovis.keys import Legend
 
 Array = NDArray[np.float64]
@@ -43,14 +44,16 @@ def plain(x: Array, y: Array) -> Colors:
 
 
 def walls(
-    grid: Grid, span: tuple[float, float], step: float, ground: Ground, paint: Paint, filling: Filling | None = None
-) -> Things:
+    grid: Grid, span: tuple[float, float], step: float, ground: Ground, paint: Paint, filling: Filling | None = None,
+    stretch: float = 1.0,
+) -> Things:  # fmt: skip
     """The walls, and where the two sections run on the ground.
 
     Args:
         span: the least and the greatest height. step: metres between lines of height.
         ground: heights (n,) at places (n,), NaN where there are none. paint: linear colours (n, 3) there.
         filling: a volume's sections along ``middle_lines(grid, COLUMNS)``, shown over and in the ground.
+        stretch: of heights in the picture.
     """
     low, high = span
     top = high + OVER * (high - low)
@@ -81,7 +84,9 @@ def walls(
             found.append(_panels(at(1), level, level + thick, np.asarray(INK), middle, known))
             if filling is not None:
                 found.append(_filled(at(-1), filling, number, middle))
-            ends = at(2 if filling is None else -2)[[0, -1]]
+                if filling.sign in MARKS:
+                    found.append(_marked(at(-2), filling, number, middle, longer(grid), stretch))
+            ends = at(2 if filling is None else -5)[[0, -1]]
             for height in np.arange(math.ceil(low / step), math.floor(top / step) + 1) * step:
                 rule = np.array([height])
                 found.append(_panels(ends, rule - thick / 4, rule + thick / 4, np.asarray(RULE), middle))
@@ -100,6 +105,17 @@ def _filled(line: Array, filling: Filling, number: int, middle: Array) -> Things
         start, end = end, start
     made = _made(Kind.PANEL, start, np.column_stack([cut.low, end, cut.top]), 0.0, filling.rgb[number])
     return made.but(values=cut.values)
+
+
+def _marked(line: Array, filling: Filling, number: int, middle: Array, longest: float, stretch: float) -> Things:
+    """Signs of uncertainty on a section's cells, on the seen side of a wall along a line (m, 2)."""
+    cut = filling.cuts[number]
+    face = Face(line[:-1], line[1:], cut.column, cut.low, cut.top, filling.u[number], cut.values)
+    found = marks_on(face, filling.sign, longest / ACROSS, stretch)
+    way, inward = line[-1] - line[0], middle - line[0]
+    if way[0] * inward[1] - way[1] * inward[0] < 0:
+        found = found._replace(start=found.end, end=found.start)
+    return of_marks(found, BEHIND * longest, Kind.PANEL)
 
 
 def _panels(line: Array, low: Array, top: Array, rgb: Colors | Array, middle: Array, known: Any = None) -> Things:

@@ -17,8 +17,44 @@ _SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 
 
 
 def matches(time: str, asked: str) -> bool:
-    """Whether a time, ISO 8601 in UTC, is the one asked for: by its beginning, or (``T12``) by its hour."""
+    """Whether a time, ISO 8601 in UTC, is asked for: by its beginning, by its hour (``T12``), or by a span."""
+    if is_span(asked):
+        first, last = _ends(asked)
+        return bool(time) and first <= time and (not last or time <= last or time.startswith(last))
     return asked in time if asked.startswith("T") else time.startswith(asked.replace(" ", "T"))
+
+
+def is_span(asked: str) -> bool:
+    """Whether two times are asked for, and what lies between them: ``A..B``, ``A..``, ``..B``, ``..``."""
+    return ".." in asked
+
+
+def span_within(times: Sequence[str], asked: str) -> tuple[float, float]:
+    """The moments, seconds since 1970, at the ends of a span: of A the first time that begins so, of B the last one,
+    or the moments A and B themselves between times; an open end is that of the times.
+
+    Args:
+        times: those known, ISO 8601, in order.
+
+    Raises:
+        ReadError: an end is no moment, or lies outside of the times, or the first is not before the last.
+    """
+    first, last = _ends(asked)
+    begins = next((time for time in times if time.startswith(first)), first)
+    ends = next((time for time in reversed(times) if time.startswith(last)), last)
+    low, high = (float(value) for value in seconds_of([begins, ends], "", "span of times"))
+    known = seconds_of([times[0], times[-1]], "", "")
+    if not known[0] <= low < high <= known[1]:
+        raise ReadError(
+            f"time={asked} is no span within its times, which go from {times[0]} to {times[-1]}.",
+            remedy="Give the earlier one first: time=A..B, or time=.. for all.",
+        )
+    return low, high
+
+
+def _ends(asked: str) -> tuple[str, str]:
+    first, _, last = asked.partition("..")
+    return first.strip().replace(" ", "T"), last.strip().replace(" ", "T")
 
 
 def times_of(file: Any) -> list[str]:
@@ -44,7 +80,7 @@ def neighbours(times: Sequence[str], asked: str) -> tuple[str, str, float] | Non
     """The times (ISO 8601, in order) before and after a moment between two of them, and how far it is from the one to
     the other, 0 to 1; None where one of them is meant, or it lies outside, or is not a time.
     """
-    if len(times) < 2 or asked.startswith("T") or any(matches(time, asked) for time in times):
+    if len(times) < 2 or asked.startswith("T") or is_span(asked) or any(matches(time, asked) for time in times):
         return None
     try:
         second = seconds_of([asked], "", "")[0]

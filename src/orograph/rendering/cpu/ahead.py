@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import sys
 
+from orograph._compiler import hasten
+
 SIDE = 33
 """Samples of the hill along a side."""
 
@@ -41,4 +43,5 @@ def color_a_hill(light: str) -> None:
 
 
 if __name__ == "__main__":
+    hasten()
     color_a_hill(sys.argv[1])

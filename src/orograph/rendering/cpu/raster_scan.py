@@ -118,7 +118,8 @@ def sort_by_pixel(level, left, top, px, py, order, starts):
         k = ((np.int64(py[i]) - top) << level) + np.int64(px[i]) - left
         starts[k + 1] -= 1
         order[starts[k + 1]] = i
-    starts[:-1] = starts[1:]
+    for k in range(len(starts) - 1):
+        starts[k] = starts[k + 1]
     starts[-1] = len(px)
 
 

@@ -91,7 +91,10 @@ def _typed(window: Window, name: str, ends: tuple[float, float]) -> None:
         window.texts[key] = f"{values[0]!r} {values[1]!r}"
     if imgui.is_item_deactivated_after_edit():
         window.texts.pop(key, None)
-        select(window, ranges={**window.brush.ranges, name: (values[0], values[1])})
+        low, high = values[0], values[1]
+        if low > high:  # what was typed counts, and the other end follows
+            low, high = (low, low) if low != given[0] else (high, high)
+        select(window, ranges={**window.brush.ranges, name: (low, high)})
     elif not imgui.is_item_active():
         window.texts.pop(key, None)
 

@@ -56,8 +56,9 @@ VERTEX, TRIANGLE, NODE = 20, 12, 32
 HUNG = np.uint32(1 << 31)
 """Of a corner: the lower end of the skirt."""
 
-SCRATCH = 32 << 20
-"""Bytes of scratch that one dispatch takes; the last of its chunks may need more."""
+SCRATCH = 32 << 20, 512 << 20
+"""Bytes of scratch that one dispatch takes, on software and on hardware, where dispatches wait for one another; the
+last of its chunks may need more."""
 
 COARSER = 1.25
 """By how much a tolerance grows until its chunks fit."""
@@ -101,7 +102,8 @@ class Decoder:
         self.device = device
         software = device.adapter.software
         threads, run = SOFTWARE if software else HARDWARE
-        self._large = LARGE[0 if software else 1]
+        self._large, scratch = (of[0 if software else 1] for of in (LARGE, SCRATCH))
+        self._scratch = min(scratch, device.largest // 2)
         self._program = Program(device, "chunk_code", BLOCK=BLOCK, PARTS=PARTS, THREADS=threads, RUN=run)
         self._pipeline: Any = None
 
@@ -124,7 +126,7 @@ class Decoder:
                 continue
             jobs.append((k, size))
             size += -(-(int(words[VERTICES]) - 4) // BLOCK) + 2 * int(words[WIDEST]) * NODE // 4
-            if 4 * size > SCRATCH:
+            if 4 * size > self._scratch:
                 self._dispatch(jobs, size, layout, names, coded, places, vertices, triangles)
                 jobs, size = [], 0
         if jobs:

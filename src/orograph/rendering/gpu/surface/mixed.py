@@ -43,8 +43,9 @@ RARELY = 60
 WORTH = 0.02
 """Part of a frame that blocks could save by rays for which windows are looked for in every frame."""
 
-ROUNDS = 4
-"""How often each draw is timed; the fastest counts."""
+ROUNDS, TIMES = 4, 8
+"""How often each draw is timed, the fastest counts; and how many times a timed submission of hardware does it, which
+would else take little longer than any submission."""
 
 MOVED = 0.01
 """Part of the distance to what a camera looks at that it may go, or turn, before blocks are decided upon anew."""
@@ -271,7 +272,10 @@ class Mixer:
         by_rays = [Mixed(patches.instances[:0], Cast(rays, half, screen.side)) for half in halves]
         triangles, ground = len(patches.instances) * self.legs**2, float(frame.ground.sum())
         least = ground * small[0] * small[1] / (size[0] * size[1])
-        took = self._seconds([(by_patches, size), (by_patches, small), *((one, size) for one in by_rays)])
+        nothing = Mixed(patches.instances[:0], Cast(rays, none, screen.side))
+        draws = [(by_patches, size), (by_patches, small), *((one, size) for one in by_rays), (nothing, small)]
+        *took, idle = self._seconds(draws)
+        took = [max(seconds - idle, 0.1 * seconds) for seconds in took]
         return Costs(
             *_solved([(triangles, ground), (triangles, least)], took[:2], STATED[:2]),
             *_solved(
@@ -286,19 +290,22 @@ class Mixer:
 
         On software that is what processors work, if it is less: the clock runs while they work for others, too.
         """
+        software = self.device.adapter.software
+        times = 1 if software else TIMES
         took: list[list[float]] = [[] for _ in draws]
         targets = [Targets(self.device, *size) for _, size in draws]
         for _ in range(1 + ROUNDS):
-            for (what, _), target, times in zip(draws, targets, took, strict=True):
+            for (what, _), target, found in zip(draws, targets, took, strict=True):
                 self.device.wait()
                 begun, worked = time.perf_counter(), time.process_time()
                 encoder = self.device.handle.create_command_encoder()
-                self.draws.draw(encoder, target, what, DEPTH_ONLY)
+                for _ in range(times):
+                    self.draws.draw(encoder, target, what, DEPTH_ONLY)
                 self.device.queue.submit([encoder.finish()])
                 self.device.wait()
                 seconds = time.perf_counter() - begun
-                times.append(min(seconds, time.process_time() - worked) if self.device.adapter.software else seconds)
-        return [min(times[1:]) for times in took]  # (the first ones compile)
+                found.append(min(seconds, time.process_time() - worked) if software else seconds / times)
+        return [min(found[1:]) for found in took]  # (the first ones compile)
 
 
 def _hardly_moved(last: _Decided, view: View, windows: MixableWindows) -> bool:

@@ -1,0 +1,138 @@
+"""Where a bake is made, what it is made of, and how its layers take their places in the store.
+
+The folder ``layers/.partial`` holds a plan (the layers, and in how many parts they are made, if in parts) and whatever
+has been done. The plan is the first thing there and the last to go, so what lies beside it belongs to it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from typing import Any
+
+from orograph.errors import OutputError, StoreError
+from orograph.folders import cache_folder
+from orograph.lighting.raster_resume import PLAN, Checkpoint, clear
+from orograph.parallel import map_ordered
+from orograph.progress import Progress
+from orograph.store.bucket import BucketStorage
+from orograph.store.bucket_updates import tidy
+from orograph.store.derived import At
+from orograph.store.digests import Digests
+from orograph.store.in_parts import count_of
+from orograph.store.layers import GROUP, LAYERS, PARTIAL, LayerRecord
+from orograph.store.layout import Record
+from orograph.store.layout import publish as publish_record
+from orograph.store.publishing import AT_ONCE
+from orograph.store.storage import FolderStorage, Storage
+from orograph.store.stored import read_record
+
+KEY = f"{PARTIAL}/{PLAN}"
+"""Where its plan lies."""
+
+
+def plan_of(made: list[LayerRecord], count: int | None = None) -> dict[str, Any]:
+    """The plan of a bake of layers, in ``count`` parts."""
+    layers = {layer.name: layer.to_json() for layer in made}
+    return {"layers": layers} if count is None else {"layers": layers, "parts": count}
+
+
+def kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Checkpoint:
+    """The folder of the bake under way: that of the same bake, interrupted, or a new one.
+
+    Raises:
+        StoreError: another bake was interrupted there, or it cannot be written.
+    """
+    if overwrite or finished(storage, record):
+        clear(storage.path / PARTIAL)
+    group(storage)
+    try:
+        return Checkpoint(storage.path / PARTIAL, plan_of(made))
+    except OutputError as error:
+        there = storage.get(KEY)
+        if there is None:
+            raise
+        raise another(storage, there, "begin anew with `overwrite=True`") from error
+
+
+def another(storage: FolderStorage, there: bytes, anew: str) -> StoreError:
+    """What says that another bake was begun.
+
+    Args:
+        there: its plan. anew: what is done to begin anew.
+    """
+    count = count_of(there)
+    said = "was interrupted" if count is None else f"was begun in {count} parts"
+    again = (
+        "Run it again with the same products and options to finish it" if count is None
+        else f"Run the parts of {count}, with the products and options of those before, and then finish"
+    )  # fmt: skip
+    return StoreError(f"Another bake into this store {said}.", path=storage.url, remedy=f"{again}, or {anew}.")
+
+
+def group(storage: FolderStorage) -> None:
+    """See that there is a folder for layers."""
+    try:
+        (storage.path / GROUP).mkdir(exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=storage.url) from error
+
+
+def finished(storage: FolderStorage, record: Record) -> bool:
+    """Whether all that was begun is in the store: a bake was cut off just before its very end."""
+    try:
+        plan: dict[str, Any] = json.loads(storage.get(KEY) or b"")["layers"]
+    except (ValueError, KeyError):
+        return False
+    there = LAYERS.of(record)
+    return all(name in there and there[name].to_json() == layer for name, layer in plan.items())
+
+
+def removed(storage: Storage, before: Record, gone: set[str]) -> Record:
+    """The record without these layers, which are removed where new ones would come into their place."""
+    there = LAYERS.of(before)
+    record = LAYERS.put(before, {name: layer for name, layer in there.items() if name not in gone})
+    if not gone & set(there) or before.digests.keyed:
+        return record
+    publish_record(storage, record)
+    for name in gone & set(there):
+        storage.remove(f"{GROUP}/{name}")
+    return read_record(storage)
+
+
+def publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> None:
+    """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
+    record = removed(storage, before, gone)
+    if isinstance(storage, FolderStorage):
+        for layer in made:
+            storage.remove(f"{GROUP}/{layer.name}")
+            storage.rename(f"{PARTIAL}/{GROUP}/{layer.name}", f"{GROUP}/{layer.name}")
+    layers = dict(sorted({**LAYERS.of(record), **{layer.name: layer for layer in made}}.items()))
+    publish_record(storage, replace(LAYERS.put(record, layers), digests=record.digests.joined(digests)))
+    if isinstance(storage, BucketStorage) and before.digests.keyed:
+        tidy(storage)
+
+
+def scratch(storage: Storage) -> FolderStorage:
+    """Where layers of a store in a bucket are made, the same for each bake of it on this machine."""
+    name = hashlib.blake2b(storage.url.encode(), digest_size=10).hexdigest()
+    folder = FolderStorage(cache_folder() / "bakes" / name)
+    try:
+        folder.path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=folder.url) from error
+    return folder
+
+
+def send(made: FolderStorage, storage: Storage, record: Record, digests: Digests, progress: Progress) -> None:
+    """Put the shards of the record's layers into a bucket, whose own record does not name them yet."""
+    at, keyed = At(record.grid, record.shard, record.chunk), record.digests.joined(digests)
+    shards = [
+        (spec.key((i, j)), spec.place((i, j), keyed))
+        for spec, _ in LAYERS.arrays(LAYERS.of(record), at)
+        for i in range(spec.shards[0]) for j in range(spec.shards[1])
+    ]  # fmt: skip
+    with progress.task("Sending layers", total=len(shards)) as task:
+        for _ in map_ordered(lambda each: storage.put(each[1], [made.get(each[0]) or b""]), shards, AT_ONCE):
+            task.advance()

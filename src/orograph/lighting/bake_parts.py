@@ -1,0 +1,132 @@
+"""Bakes in parts, for job arrays: processes that know nothing of each other, as ``store.in_parts`` builds.
+
+Part I of N makes its share of the shards of level 0, of all layers, and keeps what the coarser levels need of them;
+``finish`` makes those and lets the layers take their places. That takes shards that follow from heights alone: rays,
+walks, and horizons within a radius. Those without one are swept across the whole terrain, row of shards by row, so no
+part could do its own without waiting for others.
+
+What is swept of a shard is kept until its layers are made: a part that was killed goes on there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orograph.errors import StoreError, UsageError
+from orograph.lighting.bake_folder import KEY, another, finished, group, plan_of, publish
+from orograph.lighting.bake_layers import layer_stages
+from orograph.lighting.bake_state import SweepStage, recipe_of
+from orograph.lighting.context import BASE, Context, Options
+from orograph.lighting.gather import Sweep
+from orograph.lighting.occlusion import ELSEWHERE
+from orograph.lighting.products import Product
+from orograph.lighting.raster_resume import clear, text_of
+from orograph.progress import Progress
+from orograph.store.digests import Spot
+from orograph.store.in_parts import Part, count_of, gather, share
+from orograph.store.layers import PARTIAL, LayerRecord
+from orograph.store.layout import Record
+from orograph.store.shards import go_through
+from orograph.store.storage import FolderStorage, Storage
+from orograph.store.terrain import Terrain
+from orograph.store.writer import ShardWriter
+
+
+def check(storage: Storage, terrain: Terrain, products: Sequence[Product], options: Options) -> FolderStorage:
+    """Where parts of a bake are made.
+
+    Raises:
+        UsageError: it cannot be made in parts.
+    """
+    if not isinstance(storage, FolderStorage):
+        raise UsageError(
+            "Parts bake into stores in folders, where what they leave for one another lies beside the layers.",
+            remedy="Use `workers`, or bake a copy in a folder and publish that.",
+        )
+    elsewhere = options.more.get("method") in ELSEWHERE  # which is refused as for workers (``recipe_of``)
+    unlimited = [
+        each.name for each in products
+        if options.radius is None and not elsewhere and isinstance(each.make(Context(terrain, options)), Sweep)
+    ]  # fmt: skip
+    if unlimited:
+        raise UsageError(
+            f"Horizons without a radius reach across the whole terrain, so no part can sweep its own alone: "
+            f"{', '.join(unlimited)}.", remedy="Give a `radius`, or use `workers` or `dask`.",
+        )  # fmt: skip
+    return storage
+
+
+def make(
+    storage: FolderStorage, made: list[LayerRecord], options: Options, shard: int, part: Part, jobs: int,
+    max_memory: int, progress: Progress,
+) -> None:  # fmt: skip
+    """Make a part of layers.
+
+    Args:
+        made: the layers. options: of the products. shard: samples along the sides of the store's shards.
+        jobs: threads. max_memory: bytes the process should stay within.
+
+    Raises:
+        StoreError: another bake was begun, or it cannot be written. UsageError: a product is made by the GPU.
+    """
+    index, count = part
+    room = max_memory - BASE
+    plan = text_of(plan_of(made, count)).encode()
+    recipe = recipe_of(storage, storage.named(), options, made, plan, shard, BASE + room // jobs)
+    group(storage)
+    there = storage.get(KEY)
+    if there is None:
+        FolderStorage(storage.path, many=True).put(KEY, [plan])
+    elif there != plan:
+        raise another(storage, there, f"remove {storage.path / PARTIAL} to begin anew")
+    state = recipe.open()
+    layers = [state.layer(k) for k in range(len(made))]
+    sweeps = [SweepStage(state, n) for n in range(len(state.numbers))]
+
+    def do(spot: Spot) -> None:
+        left = {layer.number: layer for layer in layers if layer.found(spot) is None}
+        for sweep in sweeps:
+            wanted = [left.pop(number) for number in sweep.products if number in left]
+            if wanted and sweep.found(spot) is None:
+                sweep.make(spot)
+            for layer in wanted:
+                layer.make(spot)
+            sweep.forget(spot)
+        for layer in left.values():
+            layer.make(spot)
+
+    with state.terrain:
+        threads = max(1, min(jobs, room // recipe.memory))
+        go_through(f"Baking part {index} of {count}", share(layers[0].tasks(), part), do, threads, progress)
+
+
+def finish(storage: FolderStorage, before: Record, made: list[LayerRecord], progress: Progress) -> None:
+    """Make what is left of layers whose parts are all there, and let them take their places.
+
+    Args:
+        before: the store's record. made: the layers that are not there yet.
+
+    Raises:
+        StoreError: parts are missing, none was made, or another bake was begun.
+    """
+    if not made:  # all of it may be in the store, if whoever finished it before was killed at the very end
+        if finished(storage, before):
+            clear(storage.path / PARTIAL)
+        return
+    there = storage.get(KEY)
+    if there is None:
+        raise StoreError("No part of it was baked.", path=storage.url, remedy="Bake its parts first: `part=(1, N)`.")
+    count = count_of(there)
+    if count is None:
+        raise StoreError(
+            "A bake was begun there that is not in parts.", path=storage.url,
+            remedy="Run it again with the same products and options, and without `finish`.",
+        )  # fmt: skip
+    if there != text_of(plan_of(made, count)).encode():
+        raise another(storage, there, f"remove {storage.path / PARTIAL} to begin anew")
+    partial = FolderStorage(storage.path / PARTIAL, many=True)
+    writer = ShardWriter(partial)
+    gather(layer_stages(writer, before, made), count, storage.url, progress)
+    partial.sweep()
+    publish(storage, before, made, {layer.name for layer in made}, writer.digests)
+    clear(partial.path)

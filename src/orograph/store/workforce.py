@@ -1,0 +1,111 @@
+"""The workers of a Dask cluster: of one that is there, or processes of this machine that end with the work."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+from orograph.errors import UsageError
+
+CALM = {
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.disk": False,
+    "distributed.scheduler.active-memory-manager.start": False,
+}
+"""How Dask watches itself in clusters of this machine. By default its processes wake up to a hundred times a second,
+whatever tasks do, which for two workers takes eight times the processor time of these."""
+
+
+@contextlib.contextmanager
+def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed: int) -> Iterator[Any]:
+    """A client of a cluster: of one that is there, or of processes of this machine, which end with it.
+
+    Args:
+        workers: processes to start. dask: instead, a client, or the address of a scheduler.
+        jobs: threads of each process. max_memory: bytes of all of them together. needed: bytes that one must have.
+
+    Raises:
+        UsageError: Dask is not installed, or the scheduler does not answer.
+    """
+    try:
+        import dask as own
+        import distributed
+    except ImportError as error:
+        raise UsageError(
+            f"Clusters need Dask, which is not installed ({error}).", remedy="pip install 'orograph[cluster]'."
+        ) from error
+    made: Any = distributed.Client
+    local: Any = distributed.LocalCluster
+    if isinstance(dask, distributed.Client):
+        yield dask
+        return
+    if dask is not None:
+        try:
+            client = made(dask)
+        except (OSError, ValueError, TypeError) as error:
+            raise UsageError(
+                f"No scheduler of Dask answers at {dask!r}: {error}.", remedy="Give its address, tcp://HOST:8786."
+            ) from error
+        with client:
+            yield client
+        return
+    limit = max((max_memory // (workers or 1)), needed * 5 // 4)  # Dask ends processes that come near their limit
+    with (
+        own.config.set(CALM),
+        _quiet_tracker(),
+        _loop_apart() as loop,
+        local(
+            n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
+            loop=loop,
+        ) as cluster,
+        made(cluster) as client,
+    ):  # fmt: skip
+        cluster.adapt(minimum=workers, maximum=workers)  # what dies as it starts is not started again otherwise
+        yield client
+
+
+@contextlib.contextmanager
+def _quiet_tracker() -> Iterator[None]:
+    """Python's tracker of semaphores, if it starts within: it tells nobody what a process that Ctrl-C ended left."""
+    name = "PYTHONWARNINGS"
+    before = os.environ.get(name)
+    os.environ[name] = ",".join(filter(None, (before, "ignore:resource_tracker")))
+    try:
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+    yield
+
+
+@contextlib.contextmanager
+def _loop_apart() -> Iterator[Any]:
+    """An event loop of Dask whose thread, and all threads and processes begun from there, do not hear Ctrl-C.
+
+    A terminal sends it to all processes of a command. Workers would tell of it with a traceback each, above all those
+    that are still starting; they end with this process instead.
+    """
+    from distributed.utils import LoopRunner
+
+    runner: Any = LoopRunner(asynchronous=False)
+    masks = getattr(signal, "pthread_sigmask", None)  # threads and processes inherit what is blocked
+    before = None if masks is None else masks(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        runner.start()
+    finally:
+        if masks is not None:
+            masks(signal.SIG_SETMASK, before)
+    try:
+        yield runner.loop
+    finally:
+        runner.stop()

@@ -1,0 +1,249 @@
+"""Data that change while a film runs: those of a span of times, and members in turn.
+
+Moments go evenly from one end of the span to the other; between two times of a series values are linear in time (of
+classes, those of the nearer), places of tracks too. Members are shown one after the other, again and again, each for as
+many frames as keep their changes to at most ``Uncertainty.rate`` a second. Whatever is shown, colours keep one scale.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+from orograph.geovis.data.choosing import picked
+from orograph.geovis.data.dataset import Dataset, Uncertainty, datasets_of
+from orograph.geovis.data.listing import times_in
+from orograph.geovis.data.reading import has_classes, read
+from orograph.geovis.data.series import OneScale, doubt_of
+from orograph.geovis.data.times import is_span, span_within, written
+from orograph.geovis.data.tracks import span_of
+from orograph.progress import Progress
+from orograph.store.terrain import Terrain
+
+RATE = 2.0
+"""Members a second, where nothing is said."""
+
+LOOKED_AT = 24
+"""Frames, evenly from all, whose values make the scale."""
+
+LOOKS = ("value", "exceeds", "style", "colormap", "range", "classes", "breaks", "hidden", "size", "opacity", "unit",
+         "name", "uncertainty")  # fmt: skip
+"""What of a raster holds for its values, however they are found."""
+
+Key = tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """One dataset of a film.
+
+    Attributes:
+        whole: as given, with the uncertainty that all frames share.
+        span: the first and the last moment, seconds since 1970; None: time stands still.
+        members: numbers of those in turn, none where they are not. hold: frames that each is shown.
+        scale: that all frames share; None: frames have the same anyway.
+        words: of rasters, which members there are, and how values between times are found; "": none are read ahead.
+        told: what a reader must know (``Playing.facts``).
+    """
+
+    whole: Dataset
+    span: tuple[float, float] | None = None
+    members: tuple[int, ...] = ()
+    hold: int = 1
+    scale: OneScale | None = None
+    words: str = ""
+    told: Mapping[str, Any] | None = None
+
+    def key(self, number: int, last: int) -> tuple[str, int]:
+        """The moment and the member of a frame, of those numbered 0 to ``last``; "" and 0: none."""
+        moment = ""
+        if self.span is not None:
+            first, end = self.span
+            moment = written(first + (end - first) * number / max(last, 1))
+        return moment, self.members[number // self.hold % len(self.members)] if self.members else 0
+
+    def at(self, key: tuple[str, int], grid: Grid) -> Dataset:
+        """The data of a moment and a member; of rasters they are read, and say what they are in words that change as
+        little as can be from frame to frame."""
+        one = self.bare(key)
+        if self.words:
+            field = read(one, grid)
+            which = f"member {key[1]}" if key[1] else f"mean of {len(field.values)}" if len(field.values) > 1 else ""
+            own = " ".join(filter(None, (which, key[0][:16].replace("T", " ")))) if key[0] else field.chosen
+            chosen = f"{own}, {self.words}"
+            looks = {name: getattr(one, name) for name in LOOKS}
+            one = Dataset(replace(field, chosen=chosen), **looks)
+        return one if self.scale is None else self.scale.over(one)
+
+    def bare(self, key: tuple[str, int]) -> Dataset:
+        """The same, not read and with no scale."""
+        moment, member = key
+        one = self.whole
+        if moment:
+            one = one.but(time=moment)
+            doubt = one.uncertainty
+            if doubt is not None and doubt.time is not None and is_span(doubt.time):
+                one = one.but(uncertainty=replace(doubt, time=moment))
+        if member:
+            one = one.but(member=str(member), uncertainty=None)
+        return one
+
+
+class Playing(NamedTuple):
+    """The data of a film, of which some change.
+
+    Attributes:
+        options: of the film's scene, its data as given. data: each as it is played. last: the number of the last frame.
+        fps: frames a second.
+    """
+
+    options: Mapping[str, Any]
+    data: tuple[Played, ...]
+    last: int
+    fps: float
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any], terrain: Terrain, frames: int, fps: float) -> Playing | None:
+        """What a film of so many frames plays; None: nothing changes.
+
+        Raises:
+            UsageError: there is no such span, or there are no members. Others: as ``reading.read``.
+        """
+        given = datasets_of(options.get("data"))
+        if not any(changes(one) for one in given):
+            return None
+        return cls(options, tuple(_played(one, terrain.grid, frames, fps) for one in given), frames - 1, fps)
+
+    def key(self, number: int) -> Key:
+        """What is shown in a frame, in short: frames of the same key show the same data."""
+        return tuple(one.key(number, self.last) for one in self.data)
+
+    def at(self, key: Key, grid: Grid) -> dict[str, Any]:
+        """The scene's options in a frame."""
+        return {**self.options, "data": tuple(one.at(part, grid) for one, part in zip(self.data, key))}
+
+    @property
+    def facts(self) -> list[dict[str, Any]]:
+        """Of each dataset that changes: ``name``; of a span ``from``, ``to``, ``times`` (how many are known) and
+        ``between``, how values are found between them ("linear" or "nearest"); of members in turn ``members``, and
+        ``changes_per_second``."""
+        return [dict(one.told) for one in self.data if one.told is not None]
+
+    def tell(self, progress: Progress) -> None:
+        """Note what is played, in words."""
+        for fact in self.facts:
+            words = []
+            if "from" in fact:
+                some = f"its {fact['times']} times" if fact["times"] else "its samples"
+                words.append(f"{fact['from']} to {fact['to']}, {fact['between']} between {some}")
+            if "members" in fact:
+                words.append(f"{fact['members']} members in turn, {fact['changes_per_second']:.3g} a second")
+                needed = fact["members"] / fact["changes_per_second"]
+                if (self.last + 1) / self.fps < needed - 1e-6:
+                    progress.warn(f"Not every member of {fact['name']} is seen: that takes {needed:.3g} s.")
+            progress.note(f"{fact['name']}: {'; '.join(words)}")
+
+
+def changes(one: Dataset) -> bool:
+    """Whether data change in a film: by a span of times, or by members in turn."""
+    return _spans(one) or _in_turn(one)
+
+
+def _spans(one: Dataset) -> bool:
+    return one.time is not None and is_span(one.time)
+
+
+def _in_turn(one: Dataset) -> bool:
+    return one.uncertainty is not None and one.uncertainty.style == "members"
+
+
+def _played(one: Dataset, grid: Grid, frames: int, fps: float) -> Played:
+    if not changes(one):
+        return Played(one)
+    moving = None if times_in(one) else span_of(one, grid)
+    if moving is not None and not _in_turn(one):
+        return _track(one, moving)
+    told: dict[str, Any] = {}
+    words: list[str] = []
+    made = Played(one)
+    if _spans(one):
+        made = replace(made, span=_span(one))
+    bare = made.bare((made.key(0, 1)[0], 0)).but(uncertainty=None)
+    if _in_turn(one):
+        made = _turning(made, bare, grid, fps)
+        told |= {"members": len(made.members), "changes_per_second": fps / made.hold}
+        words.append(f"of {len(made.members)} in turn")
+    else:
+        made = replace(made, whole=one.but(uncertainty=doubt_of(one, made.bare(made.key(0, 1)), grid)))
+    alone = "+" not in str(one.variable or one.band or "") and one.style not in ("curtains", "walls")
+    field = read(bare, grid) if alone else None
+    classes = field is not None and has_classes(one, field)
+    told["name"] = one.name or (field.name if field is not None else str(one.variable or one.band))
+    if made.span is not None:
+        first, last = (written(moment) for moment in made.span)
+        known = [time for time in times_in(one) if first <= time <= last]
+        told |= _span_told(made.span, len(known), "nearest" if classes else "linear")
+        words.append("nearest of its times" if classes else "linear between its times")
+    if not classes:
+        keys = {made.key(round(k), frames - 1) for k in np.linspace(0, frames - 1, LOOKED_AT)}
+        made = replace(made, scale=OneScale.of(made.whole, [made.bare(key) for key in sorted(keys)], grid))
+    return replace(made, told=told, words=", ".join(words) if alone else "")
+
+
+def _turning(made: Played, bare: Dataset, grid: Grid, fps: float) -> Played:
+    """Data whose members are shown in turn; ``bare``: those of the first moment.
+
+    Raises:
+        UsageError: there is one member, or a statistic of several is asked for.
+    """
+    one, doubt = made.whole, made.whole.uncertainty
+    if one.derived:
+        raise UsageError(
+            "Members in turn are shown one by one, and value= or exceeds= is taken over several.",
+            path=str(one.source), remedy="Leave it out, or choose another style of uncertainty.",
+        )  # fmt: skip
+    rate = doubt.rate if isinstance(doubt, Uncertainty) and doubt.rate is not None else RATE
+    return replace(made, members=_members(bare, grid), hold=max(1, math.ceil(fps / rate - 1e-9)))
+
+
+def _track(one: Dataset, moving: tuple[float, float]) -> Played:
+    """Tracks, whose scale is of all their samples whatever the moment."""
+    span = span_within([written(moment) for moment in moving], str(one.time))
+    name = one.name or one.variable or "tracks"
+    return Played(one, span, told={"name": name, **_span_told(span, 0, "linear")})
+
+
+def _span_told(span: tuple[float, float], times: int, between: str) -> dict[str, Any]:
+    return {"from": written(span[0]), "to": written(span[1]), "times": times, "between": between}
+
+
+def _span(one: Dataset) -> tuple[float, float]:
+    times = times_in(one)
+    if len(times) < 2:
+        raise UsageError("It has no series of times.", path=str(one.source), remedy="Leave out time=.")
+    try:
+        return span_within(times, str(one.time))
+    except ReadError as error:
+        raise UsageError(error.what, path=str(one.source), remedy=error.remedy) from None
+
+
+def _members(one: Dataset, grid: Grid) -> tuple[int, ...]:
+    """Numbers, from 1, of the members that a dataset of one moment means: all where it says none.
+
+    Raises:
+        UsageError: there is one.
+    """
+    count = len(read(one.but(member="all"), grid).values)
+    numbers = picked(range(1, count + 1), str(one.member or "all"), str(one.source))
+    if len(numbers) < 2:
+        raise UsageError(
+            "Members in turn are of an ensemble, and it has one member.", path=str(one.source),
+            remedy="Name data with several (band=all, member=all), or another style of uncertainty.",
+        )  # fmt: skip
+    return tuple(numbers)
