@@ -44,7 +44,7 @@ def work(target: str, which: int, how: str, delay: float) -> int:
         store.build(source(HEIGHTS[which]), target, jobs=1, **flags, **SIZES).close()
     except StoreError as error:
         said = str(error)
-        known = ("Another process", "there already", "interrupted build", "cut off", "sources or options differ",
+        known = ("Another process", "there already", "interrupted build", "into place", "sources or options differ",
                  "other sources")  # fmt: skip
         if any(words in said for words in known):
             return 4

@@ -221,7 +221,7 @@ def _made(name: str, entries: Mapping[str, Mapping[str, Any]], below: frozenset[
         else:
             made[key] = str(value)
         if key in CHOICES and made[key] not in CHOICES[key]:
-            raise UsageError(f"{key} of the product {name} is one of {', '.join(CHOICES[key])}, not {value!r}.")
+            raise UsageError(f"{key} of the product {name} must be one of {', '.join(CHOICES[key])}, not {value!r}.")
     _check_rule(name, made)
     return Product(**{**made, "name": name})
 

@@ -85,7 +85,7 @@ class Key:
         for name in ("tolerance", "relief"):
             value = getattr(self, name)
             if value is not None and not 0 <= value < math.inf:
-                raise UsageError(f'The "{name}" is a number, 0 or more, not {value:g}.')
+                raise UsageError(f'The "{name}" must be a number, 0 or more, not {value:g}.')
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], *, crs: Any = None) -> Key:

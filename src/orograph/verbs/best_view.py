@@ -102,4 +102,4 @@ def check_best_view(k: int, target_height: float, apart: float, pieces: int) -> 
     if not 0 <= target_height < float("inf"):
         raise UsageError(f"`target_height` is metres above the ground, 0 or more, not {target_height!r}.")
     if not 0 <= apart <= 180:
-        raise UsageError(f"`apart` is an angle of 0 to 180 degrees, not {apart!r}.")
+        raise UsageError(f"`apart` must be an angle of 0 to 180 degrees, not {apart!r}.")
