@@ -214,7 +214,7 @@ def test_parts_share_the_store_with_each_other_only(target):
         first.start()
         try:
             assert waiting.wait(60)
-            with pytest.raises(StoreError, match=r"Another process.*Its plan is another"):
+            with pytest.raises(StoreError, match=r"Another process.*Its plan is different"):
                 bake(target, NAMES, OPTIONS, part=(1, 3))
             with pytest.raises(StoreError, match="Another process"):
                 bake(target, NAMES, OPTIONS, finish=True)
