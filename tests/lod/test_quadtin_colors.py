@@ -11,7 +11,7 @@ from orograph import verify
 from orograph.errors import UsageError
 from orograph.lod.method import Goal, Resources
 from orograph.lod.registry import chosen
-from orograph.scene.camera import whole
+from orograph.scene.camera import around, whole
 from orograph.viewpoint import Camera
 
 
@@ -58,12 +58,13 @@ def test_color_errors_are_those_of_all_samples_and_saturated():
         assert found[v] == pytest.approx(max([bare[v], *below]), abs=1e-4)
 
 
-def test_colors_are_kept_down_to_the_finest_triangles():
+@pytest.mark.parametrize("name", ["quadtin", "hyperblock,cells=8"])
+def test_colors_are_kept_down_to_the_finest_triangles(name):
     t = plain.terrain(plain.rough(np.random.default_rng(32), (129, 129)))
     painted, view = Painted((129, 129)), whole(t, (1600, 1200))
     counts = []
     for gamma in (40.0, 15.0, 6.0):
-        method = chosen(f"quadtin,color-tolerance={gamma}").make(t, Resources(color=painted))
+        method = chosen(f"{name},color-tolerance={gamma}").make(t, Resources(color=painted))
         found = method.refined(Camera.over(t.grid, view), Goal(500.0))
         counts.append(found.triangles)
         for leaf in found.leaves:
@@ -74,4 +75,26 @@ def test_colors_are_kept_down_to_the_finest_triangles():
         assert verify.judge_mesh(mesh, t, view).defects == {}
     assert counts[0] < counts[1] < counts[2]
     with pytest.raises(UsageError, match="needs colours"):
-        chosen("quadtin,color-tolerance=2").make(t)
+        chosen(f"{name},color-tolerance=2").make(t)
+
+
+def test_blocks_are_as_fine_as_single_vertices_where_colors_ask_for_it():
+    """From near and far, and on flat ground, whose heights ask for nothing: all that QuadTIN splits, blocks split."""
+    z = plain.rough(np.random.default_rng(33), (97, 129))
+    z[:, 60:] = 500.0
+    t, painted = plain.terrain(z), Painted((97, 129))
+    single, blocks = (
+        chosen(f"{name},cull=no,color-tolerance=8").make(t, Resources(color=painted))
+        for name in ("quadtin", "hyperblock,cells=8,levels=1")
+    )
+    plainly = chosen("hyperblock,cells=8,levels=1,cull=no").make(t)
+    more = []
+    for away in (0.6, 2.0, 8.0, 40.0):
+        camera = Camera.over(
+            t.grid, around(t, (400, 300), pitch=30, azimuth=40, distance=away * 129 * t.grid.spacing[0])
+        )
+        needed, made, bare = (method.refined(camera, Goal(2.0)) for method in (single, blocks, plainly))
+        corners = [np.unique(m.tree.corners[r.leaves]) for m, r in ((single, needed), (blocks, made))]
+        assert np.isin(*corners).all()
+        more.append(made.triangles - bare.triangles)
+    assert min(more) > 0 and made.triangles < 1.5 * needed.triangles

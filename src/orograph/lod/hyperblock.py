@@ -28,10 +28,11 @@ from orograph.lod.hyperblock_blocks import (
     depth_for,
     joined,
     triangulate,
+    weigh_colors,
 )
 from orograph.lod.method import MethodInfo
 from orograph.lod.options import option
-from orograph.lod.quadtin import QuadTin, QuadTinOptions, Refined
+from orograph.lod.quadtin import ColoredOptions, QuadTin, Refined
 from orograph.lod.smart_blocks import thresholds, weigh_boxes
 from orograph.parallel import map_ordered, threads_for
 from orograph.raycast.select import Boxes, distances, in_frustum, off_axis
@@ -41,7 +42,7 @@ Key = tuple[int, bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HyperBlockOptions(QuadTinOptions):
+class HyperBlockOptions(ColoredOptions):
     """Options of ``hyperblock``."""
 
     cells: int = option(32, "Approximate vertices along a side of a block at its finest level.", least=4, most=512)
@@ -66,7 +67,8 @@ class HyperBlock(QuadTin):
     def _prepare(self) -> None:
         self._ends = thresholds(self.options.levels)
         tree = self.tree
-        self.blocks = blocks_of(tree, depth_for(len(tree.vertices), self.options.cells), self._ends)
+        colored = self._color_errors() > self.color_tolerance
+        self.blocks = blocks_of(tree, depth_for(len(tree.vertices), self.options.cells), self._ends, colored)
         blocks = self.blocks
         count = len(blocks.roots)
         self.levels = np.zeros(count, np.uint8)
@@ -117,7 +119,10 @@ class HyperBlock(QuadTin):
             boxes = Boxes(*(getattr(self._boxes, one.name)[which] for one in fields(Boxes)))
             ranges[:] = len(self._ends) - 1
             away = distances(self.terrain, view, up, boxes)
-            weigh_boxes(lens, self._ends, self.blocks.boxes[which], away, math.sqrt(off_axis(view)), ranges)
+            cosine = math.sqrt(off_axis(view))
+            weigh_boxes(lens, self._ends, self.blocks.boxes[which], away, cosine, ranges)
+            if self.color_tolerance < math.inf:
+                weigh_colors(lens, self.blocks.boxes[which], away, cosine, self.blocks.reach[which], ranges)
         self.levels[which] = 1 + ranges
         return seen
 

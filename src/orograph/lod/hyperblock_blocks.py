@@ -45,6 +45,8 @@ class Blocks(NamedTuple):
         rest: (r,) int32, triangles on ground that lie in no block: their squares are not split that far.
         rank: (v,) uint8. blocks: (v,) uint16, a bit for each colour.
         sizes: (b,) int32, triangles at the finest level.
+        reach: (b, levels) float64, metres: the largest radius of the block's vertices that a level leaves out though
+            their colors are off by more than γ; 0 where there are none.
     """
 
     roots: Integers
@@ -57,6 +59,7 @@ class Blocks(NamedTuple):
     rank: Bytes
     blocks: NDArray[np.uint16]
     sizes: Integers
+    reach: Floats
 
 
 class Triangulation(NamedTuple):
@@ -91,11 +94,13 @@ def depth_for(vertices: int, cells: int) -> int:
     return 2 * min(max(round(float(np.log2(max(vertices, 1) ** 0.5 / cells))), 0), MOST)
 
 
-def blocks_of(tree: Hierarchy, depth: int, thresholds: Floats) -> Blocks:
+def blocks_of(tree: Hierarchy, depth: int, thresholds: Floats, colored: NDArray[np.bool_]) -> Blocks:
     """The blocks that the triangles of an even depth are.
 
     Args:
         thresholds: ε of the levels from 1 on, metres, falling.
+        colored: (v,), whether a vertex's colors are off by more than γ. What counts then is how large it is seen, so
+            it is split as if its heights were off by its radius.
     """
     fronts = _by_depth(tree.child)
     at, ids = _places(tree, fronts[: depth + 1])
@@ -120,7 +125,7 @@ def blocks_of(tree: Hierarchy, depth: int, thresholds: Floats) -> Blocks:
     split = np.flatnonzero((owner >= 0) & (tree.node >= 0))
     of = owner[split]
     reached = _reached(tree, fronts[depth:], owner, color)
-    rank = ranks_of(tree.error, thresholds)
+    rank = ranks_of(np.maximum(tree.error, np.where(colored, tree.radius, 0.0)), thresholds)
     present = np.zeros((count, 9, len(thresholds) + 2), np.uint8)
     v = tree.node[split]
     for place in range(9):
@@ -128,6 +133,9 @@ def blocks_of(tree: Hierarchy, depth: int, thresholds: Floats) -> Blocks:
         there = (other >= 0) & (reached[v] >> color[other] & 1 == 1)
         present[of[there], place, rank[v[there]]] = rank[v[there]]
     steps = np.maximum.accumulate(present, axis=2)[:, :, :-1]
+    left_out = np.zeros((count, len(thresholds) + 2))  # by the first level that has them, then by those that have not
+    np.maximum.at(left_out, (of, rank[v]), np.where(colored[v], tree.radius[v], 0.0))
+    reach = np.maximum.accumulate(left_out[:, ::-1], axis=1)[:, ::-1][:, 1:]
 
     mine = np.flatnonzero(owner >= 0)
     ends = tree.child < 0
@@ -137,7 +145,8 @@ def blocks_of(tree: Hierarchy, depth: int, thresholds: Floats) -> Blocks:
     room = np.bincount(owner[mine[ends[mine]]], minlength=count).astype(np.int32)
     rest = np.flatnonzero((owner < 0) & ends & (tree.state == LIVE)).astype(np.int32)
     boxes = _boxes(tree, owner, mine, count)
-    return Blocks(roots, near, color, boxes, off, np.ascontiguousarray(steps), rest, rank, reached, room)
+    return Blocks(roots, near, color, boxes, off, np.ascontiguousarray(steps), rest, rank, reached, room,
+                  np.ascontiguousarray(reach))  # fmt: skip
 
 
 def _by_depth(child: Integers) -> list[Integers]:
@@ -268,3 +277,28 @@ def bound_of(camera, tree, leaves):
     for t in leaves:
         worst = max(worst, finest_bound(camera, tree, t))
     return worst
+
+
+@kernel
+def weigh_colors(camera, boxes, away, cosine, reach, ranges):
+    """Raise ranges until their levels leave out no vertex that ``color_exceeds``.
+
+    A vertex out of view whose sphere is in view may be nearer than all of its block that is in view, by a radius.
+
+    Args:
+        boxes: float64 (k, 6), away (k,) and cosine: as ``smart_blocks.box_bound`` has them. reach: (k, levels), of
+            ``Blocks``. ranges: int16 (k,), one less than the levels; in and out.
+    """
+    right, down, up = camera.depth[0], camera.depth[1], camera.depth[2]
+    for i in range(len(ranges)):
+        west, east, north, south, low, high = boxes[i]
+        w = camera.depth[3] + right * (west if right > 0 else east) + down * (north if down > 0 else south)
+        w += up * (low if up > 0 else high)
+        w = max(w, away[i] * cosine, camera.near)
+        level = np.int64(ranges[i]) + 1
+        while reach[i, level] > 0.0:
+            r = reach[i, level] * camera.stretch
+            if r <= camera.texel * (w - 2.0 * r):
+                break
+            level += 1
+        ranges[i] = level - 1

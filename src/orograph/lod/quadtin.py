@@ -169,12 +169,16 @@ class QuadTin(Method):
         """Room for a refinement."""
         self._prepared = self.tree
         count = len(self.tree.vertices)
-        self._colors = np.zeros(count, np.float32)
-        if self.color_tolerance < math.inf:
-            self._colors = color_errors(self.tree, self.terrain.grid.shape, self.resources.color.colors)
+        self._colors = self._color_errors()
         self._active, self._met = np.zeros(count, np.uint8), np.zeros(count + 1, np.int32)
         self._stack, self._leaves = np.empty(count + 1, np.int32), np.empty(1 << 12, np.int32)
         self._depth = np.empty((1024, 2), np.int32)
+
+    def _color_errors(self) -> NDArray[np.float32]:
+        """Of all vertices (v,), ΔE; 0 where colors do not count."""
+        if self.color_tolerance == math.inf:
+            return np.zeros(len(self.tree.vertices), np.float32)
+        return color_errors(self.tree, self.terrain.grid.shape, self.resources.color.colors)
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TriangleMesh:
         """The mesh for a camera. Its bound is the tolerance, or what the finest triangles are off, if that is more; of
