@@ -23,6 +23,7 @@ from orograph.rendering.gpu.draw import draw
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.gpu.shade.ray_field import HeightWindow, RayField, blocked
 from orograph.rendering.gpu.shade.ssao import screen_occlusion
+from orograph.rendering.gpu.surface import rays
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
@@ -98,6 +99,17 @@ def test_compute_shaders_show_what_fragments_show(device: Device, monkeypatch: p
     computed = draw(scene, device=open_device(portable=True)).pixels.astype(int)
     assert np.abs(by_fragments - computed).mean() < 0.05
     assert computed.std() > 10
+
+
+@pytest.mark.parametrize("name", ["cast", "both"])
+def test_hits_that_no_buffer_holds_are_those_of_fragments(
+    device: Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    scene = seen(ground(), **SCENES[name])
+    monkeypatch.setattr(Device, "computes", True)
+    computed = draw(scene, device=device).pixels
+    monkeypatch.setattr(rays, "HIT", 1 << 24)
+    np.testing.assert_array_equal(draw(scene, device=device).pixels, computed)
 
 
 def move(device: Device, scene: Scene) -> None:

@@ -56,6 +56,9 @@ BLOCKS = {
 BLOCK, SPACING, BEAM = 64, 16, 16
 """Pixels along a block, unless it is said, between the rays whose steps are counted, and along a beam."""
 
+HIT = 16
+"""Bytes of a pixel's hit, where compute shaders cast rays."""
+
 BREAK = 0.01
 """Of its depth, by how much what is beside a pixel has to be off a plane to be a break."""
 
@@ -237,27 +240,26 @@ class RayPass:
         self.device = device
         self.stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
         self._buffer, self._beams, self._breaks = camera, Beams(device), Breaks(device)
-        self._camera = self._program(BLOCK, "exact").bind({"camera": camera})
-        self._pipelines: dict[tuple[bool, str, int, RaySurface], Any] = {}
+        self._computes = device.computes
+        self._pipelines: dict[tuple[bool, str, int, RaySurface, bool], Any] = {}
         self._held: tuple[list[Any], Any] = ([], None)
-        self._group: Any = None
+        self._groups: tuple[Any, Any] = (None, None)
         self._surface: RaySurface = "exact"
         self._hits: tuple[tuple[int, int], Any] = ((0, 0), None)
         self._blocks: tuple[bytes, Any] = (b"", device.buffer(8, "VERTEX|STORAGE", "blocks"))
 
     def _program(self, side: int, surface: RaySurface, breaks: bool = False, slopes: bool = False) -> Program:
-        computes = self.device.computes
         return Program(
             self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=int(surface == "bilinear"),
-            CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(computes),
-            FRAGMENTS=int(not computes),
+            CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(self._computes),
+            FRAGMENTS=int(not self._computes),
         )  # fmt: skip
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; it has no edges, and what lines are of the terrain is what is drawn."""
         slopes = bool(left.slopes)
         self.bring(encoder, targets, selection)
-        if self.device.computes:
+        if self._computes:
             across, down = (-(-n // 8) for n in (targets.width, targets.height))
             self._compute(encoder, slopes, "all breaks" if left.at_breaks else "all", BLOCK, (across, down))
         pass_ = cleared(targets, self.device, slopes).begin(encoder)
@@ -273,17 +275,20 @@ class RayPass:
         """Have the windows at which rays are cast next, and find where rays begin."""
         self._surface = selection.surface
         size = targets.width, targets.height
+        room = HIT * size[0] * size[1]
+        self._computes = self.device.computes and room <= self.device.largest  # (else fragments do)
         starts = self._beams.starts(size)
         if self._held[1] is not selection.stack:
             write(self.device, self.stack, selection.stack.tobytes())
         bound = {"stack": self.stack, "pool": selection.pool, "starts": starts, "breaks": self._breaks.found}
-        if self.device.computes:
+        if self._computes:
             if self._hits[0] != size:
-                self._hits = size, self.device.buffer(16 * size[0] * size[1], "STORAGE", "hits of rays")
+                self._hits = size, self.device.buffer(room, "STORAGE", "hits of rays")
             bound |= {"hits": self._hits[1], "blocks": self._blocks[1]}
         asked = list(bound.values())
         if len(asked) != len(self._held[0]) or any(a is not b for a, b in zip(asked, self._held[0], strict=True)):
-            self._group = self._program(BLOCK, "exact").bind(bound, 1)
+            program = self._program(BLOCK, "exact")
+            self._groups = program.bind({"camera": self._buffer}), program.bind(bound, 1)
         self._held = asked, selection.stack
         self._beams.encode(encoder, self._buffer, self.stack, selection.pool, size)
 
@@ -297,7 +302,7 @@ class RayPass:
 
     def compute_blocks(self, encoder: Any, count: int, side: int, slopes: bool) -> None:
         """Where compute shaders cast rays: cast those of the blocks, before the pass that copies them."""
-        if self.device.computes:
+        if self._computes:
             self._compute(encoder, slopes, "blocks", side, (count, side // 8, side // 8))
 
     def _compute(self, encoder: Any, slopes: bool, what: str, side: int, groups: tuple[int, ...]) -> None:
@@ -320,13 +325,13 @@ class RayPass:
 
     def _record(self, pass_: Any, slopes: bool, what: str, side: int = BLOCK) -> None:
         pass_.set_pipeline(self._pipeline(slopes, what, side))
-        pass_.set_bind_group(0, self._camera)
-        pass_.set_bind_group(1, self._group)
+        for number, group in enumerate(self._groups):
+            pass_.set_bind_group(number, group)
 
     def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
         """The pipeline that draws all pixels (""), those at breaks ("breaks"), blocks ("block"), or keeps these free
         ("kept_free"); or that casts the rays of "all" pixels, those at breaks ("all breaks"), or of "blocks"."""
-        key = slopes, what, side, self._surface
+        key = slopes, what, side, self._surface, self._computes
         if key not in self._pipelines and what in ("all", "all breaks", "blocks"):
             program = self._program(side, self._surface, what == "all breaks", slopes)
             self._pipelines[key] = program.compute("cast_blocks" if what == "blocks" else "cast_all")
