@@ -145,7 +145,7 @@ def test_nonsense_is_refused(what):
         line_of_sight(SEA, at(0), at(1000), **what)
     with pytest.raises(UsageError, match="no length"):
         line_of_sight(SEA, at(0), at(0))
-    with pytest.raises(UsageError, match="two ends"):
+    with pytest.raises(UsageError, match="two points"):
         line_of_sight(SEA, [at(0), at(10)], at(20))
 
 

@@ -105,8 +105,8 @@ def test_the_command_line(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"output": "m.ply", "base": 3}, "`base` is about models to print"),
-        ({"scale": 1000}, "`scale` is about models"),
+        ({"output": "m.ply", "base": 3}, "`base` applies to printable models only"),
+        ({"scale": 1000}, "`scale` applies to printable models"),
         ({"output": "m.stl", "base": 0}, "`base` must be more than 0"),
         ({"output": "m.stl", "scale": 10, "model_size": 10}, "say the same twice"),
         ({"output": "m.stl", "exaggeration": -1}, "exaggeration"),

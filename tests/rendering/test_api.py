@@ -58,7 +58,7 @@ def test_every_option_of_a_scene_is_a_keyword_that_is_documented():
         ({"exagerration": 2}, "Did you mean exaggeration"),
         ({"shadow": False}, "Did you mean shadows"),
         ({"azimuth": 90}, "orograph.camera"),
-        ({"xyzzy": 1}, "There are view, size"),
+        ({"xyzzy": 1}, "The options are view, size"),
     ],
 )
 def test_unknown_options(ground, options, words):

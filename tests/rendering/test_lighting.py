@@ -253,7 +253,7 @@ def test_what_makes_no_sense_is_refused():
     ground = plane()
     lamp = Lamp(0, 0, 0)
     for options, word in (
-        ({"light": "sunshine"}, "`light` is relief"),
+        ({"light": "sunshine"}, "`light` must be relief"),
         ({"lamps": (lamp,)}, "light='aperture'"),
         ({"discs": ((Sun(), (1.0, 1.0, 1.0)),), "light": "ao"}, "light='aperture'"),
         ({"rays": 0, "light": "raytraced"}, "ray"),

@@ -210,7 +210,7 @@ def test_standing_where_there_is_no_such_place():
         camera.standing(terrain(hills()), SIZE, (400.0, 95.0, 1.0), None)
     with pytest.raises(UsageError, match="Longitude"):
         camera.standing(terrain(hills()), SIZE, (-117.0, 36.0, 1.0), (0.0, math.nan))
-    with pytest.raises(UsageError, match="none"):
+    with pytest.raises(UsageError, match="no CRS"):
         camera.standing(terrain(hills(), crs=None), SIZE, (-117.0, 36.0, 1.0), None)
 
 
