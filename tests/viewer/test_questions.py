@@ -193,7 +193,7 @@ def analyst(opened: Analyst) -> Analyst:
 
 def test_where_is_it_above_a_value_with_90_percent_certainty(analyst, truth):
     analyst.panel("Data")
-    analyst.push("how probably above##exceeds")
+    analyst.push("probability above##exceeds")
     analyst.write("##above0", 7)
     analyst.panel("Plot")
     analyst.choose("##plot x", f"P({NAME} > 7 °C)")
