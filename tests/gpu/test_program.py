@@ -31,8 +31,8 @@ EVERYTHING = """
 """
 # The shaders that are included by others and have no entry of their own.
 PARTS = {
-    "angles", "aperture", "camera", "cbt_node", "contours", "drawn", "faces", "field", "imagery", "lines", "place",
-    "ray_field", "rays", "rho", "runs", "sky", "slopes", "synthesis_plane",
+    "angles", "aperture", "camera", "cbt_node", "chunk_heights", "contours", "drawn", "faces", "field", "ground_light",
+    "imagery", "lines", "place", "ray_field", "rays", "rho", "runs", "sky", "slopes", "synthesis_plane",
 }  # fmt: skip
 
 

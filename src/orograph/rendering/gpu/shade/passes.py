@@ -48,6 +48,7 @@ class ShadePass:
         self.rays = RayBindings(device, program.groups[2])
         self._mean = Program(device, "light_mean")
         self._blend: Any = None
+        self._newest: tuple[Any, Any] = (None, None)
         self._part = device.buffer(16, "UNIFORM", "part of the light")
         self._outs: list[tuple[Any, bool, Any]] = []
         self._pipelines: dict[tuple[int, str], Any] = {}
@@ -180,7 +181,9 @@ class ShadePass:
             self._blend = self._mean.draw(MEAN)
         blend = targets.attached("blended light", lambda: Attachments([(targets.light_view, None)])).begin(encoder)
         blend.set_pipeline(self._blend)
-        blend.set_bind_group(0, self._mean.bind({"computed": view}))
+        if self._newest[0] is not view:
+            self._newest = view, self._mean.bind({"computed": view})
+        blend.set_bind_group(0, self._newest[1])
         blend.set_scissor_rect(*part)
         blend.set_blend_constant((1.0 / (frame + 1),) * 4)
         blend.draw(3)
