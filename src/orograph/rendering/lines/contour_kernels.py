@@ -46,7 +46,8 @@ def _rate(a, b, c, d, to_world, ux, uy, uz, vx, vy, vz, dx, dy, dz):
 
 @kernel
 def line_cover(
-    px, py, t, points, heights, gradient, drawn, water, scale, row0, col0, to_world, basis, interval, index, width, out
+    px, py, t, points, heights, gradient, drawn, water, scale, row0, col0, to_world, basis, interval, index, width,
+    casing, out
 ):  # fmt: skip
     """Part of each pixel (n,) that contour lines cover.
 
@@ -58,7 +59,7 @@ def line_cover(
             where it lies (``kernels.compose``).
         to_world: (2, 2) gradients per sample → per metre.
         basis: (6, 3) of ``View.ray_basis``, true space.
-        interval: metres; index: every how many a thick line, 0: none; width: pixels.
+        interval: metres; index: every how many a thick line, 0: none; width: pixels. casing: pixels more to each side.
         out: (n,) float32.
     """
     ou, ov, d0, du, dv = basis[1], basis[2], basis[3], basis[4], basis[5]
@@ -80,6 +81,7 @@ def line_cover(
         away = abs(n - nearest) * interval / rate
         thick = index > 0 and nearest - index * np.floor(nearest / max(index, 1) + 0.5) == 0
         half = width if thick and nearest != 0.0 else 0.5 * width  # a shore is a thin line
+        half += casing
         apart = interval / rate * (index if thick else 1)
         cover = min(max(half - away + 0.5, 0.0), 1.0) * _ramp(CLOSE[0], CLOSE[1], apart)
         cover *= _ramp(LEVEL[0], LEVEL[1], slope)
