@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES, counted, least, load, most, size, some, spread, store, where
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, leaf
 from orograph.raycast.fronts import Beams, advance, cones, grazes, row_slope, row_slopes, turns, wedges
 from orograph.raycast.packets import ABOVE, BESIDE, TIRED, UNKNOWN, walk_packet, within
 from orograph.raycast.tables import EAST, NORTH, SCALE, SOUTH, WEST
@@ -37,7 +37,7 @@ FRONT, START, X, Y, T = (LANES * k for k in range(5))
 """Where eight numbers each are laid down, to be taken one by one."""
 
 
-@kernel
+@leaf
 def ray(scene, o, d, t0, t1, side, level, spans):
     """The first hit of the ray o + t·d, (x, y, z), with the stack: (t, window), t = inf if there is none.
 
@@ -87,7 +87,7 @@ def cast_rays(scene, origins, directions, t0, t1, out, which, first, last):
         which[i] = w
 
 
-@kernel
+@leaf
 def finish(scene, pinhole, x0, x1, y0, y1, picture, spans):
     """Cast the rays that packets left."""
     o, d0, du, dv, t0, t1 = pinhole
