@@ -39,7 +39,7 @@ class Samples(NamedTuple):
     gy: NDArray[np.float32]
     row0: int
     col0: int
-    inverse: NDArray[np.float64]
+    inverse: NDArray[np.floating]
     lift: float
 
 

@@ -149,18 +149,16 @@ class Outlines:
 
     def _cover(self, depth: Array, facing: Colors, x: float, y: float) -> tuple[Colors, Array]:
         """Coverage (rows, cols) by lines where depths are those at (x, y) in each pixel, and depths of the lines."""
-        from orograph.rendering.lines.silhouette_kernels import breaks, creases, gather
+        from orograph.rendering.lines.silhouette_kernels import Border, breaks, creases, gather
 
         rays, grid = self.ground.rays, self.ground.scene.terrain.grid
         rows, cols = depth.shape
         strong, near = np.empty((2, rows, cols), np.float32), np.empty((2, rows, cols))
-        breaks(
-            depth, self.area[2] + x, self.area[0] + y, np.array(rays.basis), rays.linear, rays.offset,
-            rays.view.pixel_slope, rays.spacing, float(grid.cols - 1), float(grid.rows - 1), *self.ground.ends,
-            *self.depths, strong, near,
-        )  # fmt: skip
+        border = Border(float(grid.cols - 1), float(grid.rows - 1), *self.ground.ends)
+        left, top = self.area[2] + x, self.area[0] + y
+        breaks(depth, left, top, rays.pixels, rays.to_samples, border, self.depths, strong, near)
         if facing.size:
-            creases(facing, depth, *self.depths, self.lines.creases, strong, near)
+            creases(facing, depth, self.depths, self.lines.creases, strong, near)
         cover, nearest = np.empty((rows, cols), np.float32), np.empty((rows, cols))
-        gather(strong, near, *self.depths, self.lines.width, self.lines.reach, cover, nearest)
+        gather(strong, near, self.depths, self.lines.width, self.lines.reach, cover, nearest)
         return cover, nearest
