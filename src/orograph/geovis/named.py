@@ -33,6 +33,18 @@ def remedy(name: str, known: Iterable[str]) -> str:
     return f"Did you mean {close[0]}?" if close else f"There are {', '.join(names)}."
 
 
+def by_class(text: str) -> dict[str, str]:
+    """What the command line gives for classes: ``11:Open water;21:Town``.
+
+    Raises:
+        UsageError: a part has no colon.
+    """
+    pairs = [part.strip().partition(":") for part in text.split(";") if part.strip()]
+    if not pairs or any(not colon or not value.strip() for _, colon, value in pairs):
+        raise UsageError(f"{text!r} is not a list of classes.", remedy="Write CLASS:VALUE;CLASS:VALUE….")
+    return {key.strip(): value.strip() for key, _, value in pairs}
+
+
 def named(called: str) -> Callable[[type[T]], type[T]]:
     """Make a class answer an unknown keyword with a UsageError that names the right one.
 
