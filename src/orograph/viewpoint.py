@@ -24,6 +24,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import named
 from orograph.cards import card
 from orograph.documents import load_object, naming, write
 from orograph.errors import UsageError
@@ -41,6 +42,7 @@ NUMBERS: dict[str, tuple[type[int] | type[float], int]] = {
 """What the numbers of a VIEW.json are, and how many of each."""
 
 
+@named("A view")
 @dataclass(frozen=True, slots=True, repr=False)
 class View:
     """A camera.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph import verify
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
@@ -161,14 +161,14 @@ def compare(
         check_dpi(dpi)
         check_folder(Path(picture))
     errors = kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
-    with while_compiling("orograph.verify.ahead", "mesh"):
-        ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
-        check_surface(ground)
-        seen = _views(ground, views, flight, size, exaggeration)
-        means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
-        found, judges = Comparison(ground, goal, seen, flight is not None, exaggeration), judged or JUDGED
-        for choice in choices:
-            found[str(choice)] = _measured(choice, means, list(seen.values()), judges if found.flight else None)
+    expect("compare")
+    ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
+    check_surface(ground)
+    seen = _views(ground, views, flight, size, exaggeration)
+    means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
+    found, judges = Comparison(ground, goal, seen, flight is not None, exaggeration), judged or JUDGED
+    for choice in choices:
+        found[str(choice)] = _measured(choice, means, list(seen.values()), judges if found.flight else None)
     for name, m in found.items():
         if m.beyond is not None and goal.triangles is not None:
             heard.warn(not_enough(goal.triangles, name, m.beyond))
