@@ -170,8 +170,8 @@ class Viewshed:
                 out[:] = np.nan
                 return row, col, out
         look(
-            s.z, s.maxima, s.offset, s.per_row, s.x, s.y, 0.0 if self.heights else self.target * per,
-            np.sqrt(s.ratios(*window)), max(LEAST * per, 4.0), not self.heights, *window, out,
+            s.pyramid, s.x, s.y, 0.0 if self.heights else self.target * per, np.sqrt(s.ratios(*window)),
+            max(LEAST * per, 4.0), not self.heights, window, out,
         )  # fmt: skip
         if self.heights:
             out *= np.float32(self.quantum)

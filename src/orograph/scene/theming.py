@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 FINER, LEAST, MOST = 1.6, 1024, 3072
 """Texels along the longer side of painted data: this many per pixel of the picture, within these bounds."""
 
+CASED, INK = 0.45, (0.17, 0.13, 0.10)
+"""Opacity of the casing of lines over data, and the colour of contour lines of terrain without priority."""
+
 PAPER = "#f4f2ec"
 """The tint of ground under data."""
 
@@ -91,6 +94,8 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     flat = [one for one in found if not isinstance(one, Things)]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
+    if flat:
+        made |= _cased(made, terrain)
     made["layers"] = (
         *layers_of(options.get("layers")),
         *(once("painted", id(one), partial(painted, one)) for one in flat),
@@ -304,7 +309,14 @@ def _ground() -> dict[str, Any]:
 
 def _lines() -> dict[str, Any]:
     """Options for terrain without priority: lines, and no shading."""
-    return {"light": "none", "contours": Contours(), "silhouettes": Silhouettes()}
+    return {"light": "none", "contours": Contours(color=INK, opacity=0.85), "silhouettes": Silhouettes(opacity=0.9)}
+
+
+def _cased(options: dict[str, Any], terrain: Terrain) -> dict[str, Any]:
+    """The options of lines, with a casing that keeps them legible over data of any colour."""
+    found = {name: made_of(name, options.get(name), terrain) for name in ("contours", "silhouettes")}
+    plain = {name: lines for name, lines in found.items() if lines is not None and lines.casing is None}
+    return {name: replace(lines, casing=CASED) for name, lines in plain.items()}
 
 
 def _usual(name: str, value: Any) -> bool:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from orograph.errors import OrographError
 from orograph.hierarchy import diamonds, triangles
 from orograph.store.terrain import TILE, Heights, Terrain
-from orograph.store.tin_kernels import Work, deviation, new_work, patches, simplify, sizes, triangulate
+from orograph.store.tin_greedy import deviation, simplify, sizes
+from orograph.store.tin_kernels import Work, new_work, patches, triangulate
 from orograph.store.tin_windows import Window, clipped, legs_of
 from orograph.store.tins import EDGE, FINER, SQUARE, Marks, Tins, lattice
 
@@ -163,13 +164,12 @@ class Maker:
         self._put_legs(at, marks)
         given = int(marks.sum())
         work = self._workplace.room(self.legs, marks)
-        simplify(at.window, work, heights, at.ends, marks, 2 * self.legs**2, LIMIT)
-        count = triangulate(at.window, work, heights, at.ends, marks)
+        count, known = simplify(at.window, work, heights, at.ends, marks, 2 * self.legs**2, LIMIT)
         if count < 0:
             raise OrographError(f"The diamond at row {row}, column {col} has no TINs.", path=terrain.name)
         if at.window.step > 1:
-            heights = terrain.read(0, at.y0, at.y1 + 1, at.x0, at.x1 + 1)
-        error = float(deviation(work.mesh, np.ascontiguousarray(heights))) * ROUNDING
+            heights, known = terrain.read(0, at.y0, at.y1 + 1, at.x0, at.x1 + 1), -1.0
+        error = float(deviation(work.mesh, np.ascontiguousarray(heights), known)) * ROUNDING
         first, second, whole = sizes(work.mesh)
         chosen = marks.astype(bool)
         numbers = error, int(first), int(second), given, int(chosen.sum()), int(whole)

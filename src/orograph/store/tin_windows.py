@@ -87,6 +87,12 @@ def clipped(w, edge):
     return ax, ay, dx, dy, low, high
 
 
+@leaf
+def is_whole(w):
+    """Whether the raster cuts nothing off a diamond."""
+    return min(w.cx, w.cy) >= w.s and w.cx + w.s <= w.width and w.cy + w.s <= w.height
+
+
 @inlined
 def in_region(w, x, y):
     """Whether a sample is in the closed region of a diamond (of a square one all of the window is)."""

@@ -46,6 +46,9 @@ OVERSIZE = 3
 COVER = 0.36
 """Maximum part of the picture that furniture may cover."""
 
+COVERED = 1 << 26
+"""Pixels of a picture above which not each has a bit of its own in a ``Cover``."""
+
 TALL = 0.56
 """Maximum part of the picture's height for the legend."""
 
@@ -89,31 +92,46 @@ def insets(
     return 0.0, min(right, MOST_INSET), min(top, MOST_INSET), min(bottom, MOST_INSET)
 
 
+def cover_step(size: tuple[int, int]) -> int:
+    """Every how many columns and rows of a picture of ``size`` (width, height) a ``Cover`` has a bit: 1, 2, 4 or 8."""
+    return next((step for step in (1, 2, 4) if size[0] * size[1] <= step * step * COVERED), 8)
+
+
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """Which pixels show ground that should not be hidden, one bit per pixel.
+    """Which pixels show ground that should not be hidden: one bit per pixel, or for every ``step``-th column and row.
 
     Attributes:
-        rows: (height, ⌈width / 8⌉) uint8, packed as ``numpy.packbits`` does. width: pixels.
+        rows: (⌈height / step⌉, ⌈width / step / 8⌉) uint8, packed as ``numpy.packbits`` does. width: of these, in bits.
     """
 
     rows: NDArray[np.uint8]
     width: int
+    step: int = 1
 
     @classmethod
     def of(cls, mask: NDArray[np.bool_]) -> Cover:
-        return cls(np.packbits(mask, axis=1), mask.shape[1])
+        step = cover_step((mask.shape[1], mask.shape[0]))
+        some = mask[::step, ::step]
+        return cls(np.packbits(some, axis=1), some.shape[1], step)
+
+    @classmethod
+    def empty(cls, size: tuple[int, int], step: int) -> Cover:
+        """That of a picture of ``size`` (width, height) without ground, to be filled."""
+        cols, rows = (-(-side // step) for side in size)
+        return cls(np.zeros((rows, -(-cols // 8)), np.uint8), cols, step)
 
     @property
     def size(self) -> int:
         """The total number of pixels."""
-        return int(self.rows.shape[0]) * self.width
+        return int(self.rows.shape[0]) * self.width * self.step**2
 
     def under(self, box: Box) -> int:
         """Pixels of ground under a box."""
-        first = box[0] // 8
-        bits = np.unpackbits(self.rows[box[1] : box[3], first : -(-box[2] // 8)], axis=1)
-        return int(np.count_nonzero(bits[:, box[0] - 8 * first : box[2] - 8 * first]))
+        x0, y0, x1, y1 = (-(-side // self.step) for side in box)
+        first = x0 // 8
+        bits = np.unpackbits(self.rows[y0:y1, first : -(-x1 // 8)], axis=1)
+        return int(np.count_nonzero(bits[:, x0 - 8 * first : x1 - 8 * first])) * self.step**2
 
 
 @dataclass(frozen=True, slots=True)
