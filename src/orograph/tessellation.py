@@ -22,12 +22,14 @@ import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import named
 from orograph.cards import amount, card, heights_row
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.output import Beside
 
 
+@named("A tessellation")
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tessellation:
     """A triangle mesh over a terrain.

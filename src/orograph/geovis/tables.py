@@ -77,6 +77,18 @@ class Table:
         return cls(name, _bytes(found), (float(low), float(high)))
 
 
+def by_class(text: str) -> dict[str, str]:
+    """What the command line gives for classes: ``11:Open water;21:Town``.
+
+    Raises:
+        UsageError: a part has no colon.
+    """
+    pairs = [part.strip().partition(":") for part in text.split(";") if part.strip()]
+    if not pairs or any(not colon or not value.strip() for _, colon, value in pairs):
+        raise UsageError(f"{text!r} is not a list of classes.", remedy="Write CLASS:VALUE;CLASS:VALUE….")
+    return {key.strip(): value.strip() for key, _, value in pairs}
+
+
 def quiet_colormap(given: Any) -> Any:
     """``cmap.Colormap``, silent where it takes the first of several maps of one name."""
     import cmap

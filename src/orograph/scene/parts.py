@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from orograph._named import remedy
 from orograph.errors import UsageError
 from orograph.folders import parse_bytes
 from orograph.lod.options import Described, check, described, option
@@ -358,7 +359,7 @@ def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     parts: dict[str, dict[str, Any]] = {}
     for name, value in options.items():
         if name not in HOMES:
-            raise UsageError(f"A scene has no option {name!r}; the options are {', '.join(HOMES)}.")
+            raise UsageError(f"A scene has no option {name!r}.", remedy=remedy(name, HOMES))
         parts.setdefault(HOMES[name], {})[name] = value
     return parts
 

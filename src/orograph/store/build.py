@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
@@ -247,10 +247,8 @@ def build(
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
             with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                with while_compiling("orograph.error.ahead", *plan["errors"]):
-                    record = _fill(
-                        raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None
-                    )
+                expect("build")
+                record = _fill(raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None)
             if in_bucket is not None:
                 in_bucket.publish(record)
                 return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))

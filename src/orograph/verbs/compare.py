@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph import verify
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
@@ -168,26 +168,26 @@ def compare(
         check_dpi(dpi)
         check_folder(Path(picture))
     errors = kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
-    with while_compiling("orograph.verify.ahead", "mesh"):
-        ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
-        check_surface(ground)
-        seen = _views(ground, views, flight, size, exaggeration)
-        means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
-        found, judges = Comparison(ground, goal, seen, flight is not None, exaggeration), judged or JUDGED
-        view = panel_view(next(iter(seen.values())), len(drawn))
-        panels: list[Panel] = []
-        for choice in choices:
-            try:
-                with heard.task(str(choice), total=len(seen)) as task, closing(means.method(choice)) as method:
-                    found[str(choice)] = _measured(method, means, found, judges, task)
-                    if str(choice) in drawn:
-                        panels.append(_panel(method, str(choice), means, view))
-            except UsageError as error:
-                if not found and choice is choices[-1]:
-                    raise
-                found.left_out[str(choice)] = str(error)
-                panels += [Panel(str(choice), None, ("left out",), True)] * (str(choice) in drawn)
-                heard.warn(f"{choice} is left out: {error}")
+    expect("compare")
+    ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
+    check_surface(ground)
+    seen = _views(ground, views, flight, size, exaggeration)
+    means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
+    found, judges = Comparison(ground, goal, seen, flight is not None, exaggeration), judged or JUDGED
+    view = panel_view(next(iter(seen.values())), len(drawn))
+    panels: list[Panel] = []
+    for choice in choices:
+        try:
+            with heard.task(str(choice), total=len(seen)) as task, closing(means.method(choice)) as method:
+                found[str(choice)] = _measured(method, means, found, judges, task)
+                if str(choice) in drawn:
+                    panels.append(_panel(method, str(choice), means, view))
+        except UsageError as error:
+            if not found and choice is choices[-1]:
+                raise
+            found.left_out[str(choice)] = str(error)
+            panels += [Panel(str(choice), None, ("left out",), True)] * (str(choice) in drawn)
+            heard.warn(f"{choice} is left out: {error}")
     for name, m in found.items():
         if m.beyond is not None and goal.triangles is not None:
             heard.warn(not_enough(goal.triangles, name, m.beyond))

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from affine import Affine
 
+from orograph._named import remedy
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.attribute_table import Named
 from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import DISTINCT
-from orograph.geovis.named import remedy
 
 MOST = 64
 """Maximum classes of a picture: more do not fit into a legend."""

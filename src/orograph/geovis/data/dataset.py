@@ -13,10 +13,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
+from orograph._named import named, remedy
 from orograph.errors import UsageError
 from orograph.geovis.data.statistics import check_statistic
 from orograph.geovis.layers import keyed
-from orograph.geovis.named import by_class, named, remedy
+from orograph.geovis.tables import by_class
 
 Style = Literal[
     "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate",
@@ -62,6 +63,7 @@ Geometry = Literal["points", "lines", "polygons"]
 """Kinds of features."""
 
 
+@named("An uncertainty")
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
     """How uncertain data are.
