@@ -137,13 +137,16 @@ def _blend(pixels: NDArray[np.uint8], color: Colors, hits: Colors) -> None:
 
 
 def with_room(scene: Scene, again: Callable[..., View]) -> Scene:
-    """A scene of an automatic camera, seen from so far that all that stands is in the picture.
+    """A scene of an automatic camera, seen from so far that all that stands is in the picture, and beside its legend.
 
     Args:
         again: makes the camera, as ``camera.whole`` does: ``also`` are further positions (n, 3) to show.
     """
     points = extent_of(scene)
-    return scene if points is None else scene.but(view=again(also=points))
+    if points is None and not (scene.annotations.furniture and scene.keys):
+        return scene
+    view = again(also=points)
+    return scene if view == scene.view else scene.but(view=view)
 
 
 def extent_of(scene: Scene) -> Array | None:

@@ -16,6 +16,7 @@ from typing import Any, Literal, Self, TypeVar, get_args
 from orograph._named import named, remedy
 from orograph.errors import UsageError
 from orograph.geovis.data.statistics import check_statistic
+from orograph.geovis.data.times import seconds_of_trail
 from orograph.geovis.layers import keyed
 from orograph.geovis.tables import by_class
 
@@ -160,7 +161,9 @@ class Dataset:
             columns and logs also two, the ends of an interval ("from+to").
         group: of columns, logs, tubes and paths, the attribute that says which borehole, ascent or track a row belongs
             to. None: rows of a borehole are at one place; all are one track.
-        when: of tracks, the attribute that says when; None: time, timestamp, datetime or date.
+        when: of tracks and points, the attribute that says when; None: time, timestamp, datetime or date.
+        trail: of points with times, for how long each is seen after its time ("6h"; s, min, h, d); None: a twelfth of
+            the time that they span.
         hidden: with which opacity (0 to 1) what the ground hides is seen through it. None: 0.65 of what has a depth,
             else 0.
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
@@ -198,6 +201,7 @@ class Dataset:
     depth: str | None = None
     group: str | None = None
     when: str | None = None
+    trail: str | None = None
     hidden: float | None = None
     size: float | None = None
     width: float | str | None = None
@@ -237,6 +241,8 @@ class Dataset:
                 raise UsageError(f"The opacity must be a number from 0 to 1, not {opacity:g}.")
         _check_choice("vertical dimension", self.vertical, get_args(Vertical))
         _check_choice("kind of geometry", self.geometry, get_args(Geometry))
+        if self.trail is not None:
+            seconds_of_trail(self.trail)
         if self.width is not None:
             object.__setattr__(self, "width", _width(self.width))
         self._check_derived()

@@ -41,6 +41,9 @@ LATTICE = 28
 PALER = ("saturation", "whiteness", "palette", "none")
 """Signs of uncertainty that change the colours of things."""
 
+FADED = 0.75
+"""How much of their colour points have lost when they disappear."""
+
 FLOOR = 0.06
 """Of the largest, what the least value still is."""
 
@@ -213,9 +216,11 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         level = points.level.reshape(len(values), -1).mean(1)  # (of intervals, their middles)
         ends = np.column_stack([level[order], *[np.full(len(values), np.nan)] * 3])
     lift = np.zeros(len(values)) if ends is None else -height / 2
+    rgb = colored(values, u, scale, sign)
+    if points.ages is not None and sign in ("none", "errorbars"):  # (else paleness tells the uncertainty)
+        rgb += (np.float32(FADED) * points.ages[order].astype(np.float32))[:, None] * (1 - rgb)
     main = Things(
-        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height,
-        colored(values, u, scale, sign), values,
+        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height, rgb, values,
         key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
         None if ends is None or not dataset.through else np.full(len(values), dataset.through),
     )  # fmt: skip
