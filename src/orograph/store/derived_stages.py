@@ -8,39 +8,43 @@ from __future__ import annotations
 import json
 import math
 import threading
-from typing import IO
+from dataclasses import replace
+from typing import IO, Any
 
 import numpy as np
 
 from orograph.error import KINDS, ErrorKind
 from orograph.store.chunked import Kind, Words, lengths_spec, words_spec
-from orograph.store.chunked_build import MemoryChunks
+from orograph.store.chunked_build import MemoryChunks, Reached
 from orograph.store.chunked_kind import rows_of, spooled
-from orograph.store.digests import Spot
+from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Found, ShardStage
 from orograph.store.layout import Record, dumps
 from orograph.store.parts import pack, unpack
 from orograph.store.patches import LEGS, PatchErrors, spec, stored_levels
-from orograph.store.places import PARTS
-from orograph.store.storage import Storage
+from orograph.store.places import HANDED, PARTS
+from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Heights
 from orograph.store.writer import ShardWriter
 
-KNOWN = f"{PARTS}/record.json"
+KNOWN = f"{HANDED}/record.json"
 """The current state of the store, for other processes."""
 
 RUN = 256
 """Chunks per task."""
 
+LEVELS, FINEST = f"{HANDED}/levels", f"{HANDED}/finest.json"
+"""Where workers find the levels of all vertices, and the error of level 0 with the number of vertices."""
+
 CACHE = 64 << 20
 """Number of decoded chunks that a worker's terrain caches."""
 
 
-def known(storage: Storage) -> StoredTerrain:
-    """The terrain of the store being built, as the building process left it."""
+def known(storage: Storage, keyed: bool) -> StoredTerrain:
+    """The terrain of the store being built, as the building process left it; ``keyed`` as of ``Digests``."""
     record = Record.from_json(json.loads(storage.get(KNOWN) or b"{}"), storage.url)
-    return StoredTerrain(storage, record, CACHE, 1)
+    return StoredTerrain(storage, replace(record, digests=Digests(record.digests.listed, keyed)), CACHE, 1)
 
 
 class TerrainStage(ShardStage[Found]):
@@ -101,8 +105,8 @@ class PatchStage(TerrainStage[Heights]):
 class ChunkStage(TerrainStage[list[Words]]):
     """Meshes of chunks. A task makes consecutive chunks of a level, row by row.
 
-    Results wait in a temporary file until all are there. Every process that makes chunks computes the levels of all
-    vertices itself (``MemoryChunks``).
+    Results wait in a temporary file until all are there. The process that builds finds the levels of all vertices
+    (``Reached``), a byte each; workers map its file. Those that build into a bucket find them themselves.
 
     Args:
         kind: of the chunks. spool: where chunks wait; None if they are only made.
@@ -115,11 +119,30 @@ class ChunkStage(TerrainStage[list[Words]]):
 
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: Kind, spool: IO[bytes] | None = None) -> None:
         super().__init__(terrain, writer)
-        self.chunks, self.spool = MemoryChunks(terrain, kind), spool
+        self.chunks, self.spool = MemoryChunks(terrain, kind, None if spool is not None else self._handed()), spool
         self.rows: list[int] = []
         self._at: dict[Spot, tuple[int, int]] = {}
         self._lengths = [np.zeros(self._count(level), np.uint32) for level in range(self.chunks.layout.top + 1)]
         self._lock = threading.Lock()
+
+    def hand_over(self) -> None:
+        super().hand_over()
+        error, levels = self.chunks.reached
+        storage = self.writer.storage
+        if isinstance(storage, FolderStorage):
+            data: Any = levels.data
+            storage.put(LEVELS, [data])
+            storage.put(FINEST, [dumps({"error": error, "vertices": len(levels)})])
+
+    def _handed(self) -> Reached | None:
+        """What the process that builds has handed over."""
+        storage = self.writer.storage
+        if not isinstance(storage, FolderStorage) or (told := storage.get(FINEST)) is None:
+            return None
+        said = json.loads(told)
+        # (Not read-only, for which kernels would be compiled once more.)
+        levels: Any = np.memmap(storage.path / LEVELS, np.uint8, "c", shape=(int(said["vertices"]),))
+        return Reached(said["error"], np.asarray(levels))
 
     def tasks(self) -> list[Spot]:
         levels = range(self.chunks.layout.top + 1)
