@@ -9,9 +9,10 @@ import json
 import math
 import threading
 from dataclasses import replace
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.error import KINDS, ErrorKind
 from orograph.store.chunked import Kind, Words, lengths_spec, words_spec
@@ -31,8 +32,16 @@ from orograph.store.writer import ShardWriter
 KNOWN = f"{HANDED}/record.json"
 """The current state of the store, for other processes."""
 
-RUN = 256
+RUN = 1024
 """Chunks per task."""
+
+
+class Written(NamedTuple):
+    """Chunks of a task. Attributes: lengths: words of each. words: of all."""
+
+    lengths: NDArray[np.int64]
+    words: Words
+
 
 LEVELS, FINEST = f"{HANDED}/levels", f"{HANDED}/finest.json"
 """Where workers find the levels of all vertices, and the error of level 0 with the number of vertices."""
@@ -102,7 +111,7 @@ class PatchStage(TerrainStage[Heights]):
             self.writer.array(spec(record.grid.shape, level, self.kind, record.shard, record.chunk), errors[level])
 
 
-class ChunkStage(TerrainStage[list[Words]]):
+class ChunkStage(TerrainStage[Written]):
     """Meshes of chunks. A task makes consecutive chunks of a level, row by row.
 
     Results wait in a temporary file until all are there. The process that builds finds the levels of all vertices
@@ -148,30 +157,28 @@ class ChunkStage(TerrainStage[list[Words]]):
         levels = range(self.chunks.layout.top + 1)
         return [(level, run) for level in levels for run in range(-(-self._count(level) // RUN))]
 
-    def make(self, spot: Spot) -> list[Words]:
+    def make(self, spot: Spot) -> Written:
         level, _ = spot
         cols = self.chunks.layout.chunks(level)[1]
         found = [self.chunks.words(level, *divmod(at, cols)) for at in self._run(spot)]
-        lengths = np.array([len(words) for words in found])
-        self.writer.keep(self.key(spot), pack({"lengths": lengths, "words": np.concatenate(found)}))
-        return found
+        made = Written(np.array([len(words) for words in found], np.int64), np.concatenate(found))
+        self.writer.keep(self.key(spot), pack(made._asdict()))
+        return made
 
-    def found(self, spot: Spot, proof: bool = True) -> list[Words] | None:
+    def found(self, spot: Spot, proof: bool = True) -> Written | None:
         data = self.writer.storage.get(self.key(spot))
         try:
-            kept = None if data is None else unpack(data)
+            return None if data is None else Written(**unpack(data))
         except ValueError:
             return None
-        return None if kept is None else np.split(kept["words"], np.cumsum(kept["lengths"])[:-1])
 
-    def add(self, spot: Spot, found: list[Words]) -> None:
+    def add(self, spot: Spot, found: Written) -> None:
         assert self.spool is not None
         run = self._run(spot)
-        self._lengths[spot[0]][run.start : run.stop] = [len(words) for words in found]
-        data = np.concatenate(found).tobytes()
+        self._lengths[spot[0]][run.start : run.stop] = found.lengths
         with self._lock:
-            self._at[spot] = self.spool.tell(), len(data)
-            self.spool.write(data)
+            self._at[spot] = self.spool.tell(), found.words.nbytes
+            self.spool.write(found.words.data)
 
     def finish(self) -> None:
         assert self.spool is not None
