@@ -22,7 +22,7 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
-from orograph.scene.camera import NO_INSETS, view_of, whole
+from orograph.scene.camera import NO_INSETS, plan, view_of, whole
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
@@ -105,7 +105,8 @@ def render(
     beside = options.get("furniture") and each is None  # (panels have none of their own)
     free = insets(size, terrain.attribution, layers) if beside else NO_INSETS
     stretch = options.get("exaggeration", 1.0)
-    automatic, view = view is None, view_of(view, terrain, size, exaggeration=stretch, insets=free)
+    flat = isinstance(view, str) and view == "plan"
+    automatic, view = view is None or flat, view_of(view, terrain, size, exaggeration=stretch, insets=free)
     if each is not None:
         return draw_panels(terrain, view, each, options, backend=backend, progress=heard)
     scene = Scene.of(terrain, view, **options)
@@ -113,7 +114,8 @@ def render(
         from orograph.rendering.standing import with_room
 
         free = insets(size, terrain.attribution, layers, scene.keys) if beside else NO_INSETS
-        scene = with_room(scene, partial(whole, terrain, size, exaggeration=stretch, insets=free))
+        again = partial(plan, terrain, size) if flat else partial(whole, terrain, size, exaggeration=stretch)
+        scene = with_room(scene, partial(again, insets=free))
     return draw(scene, heard, backend=backend)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid
+from orograph.geo.grid import NAMELESS, Grid, name_of
 from orograph.geovis.color import Tint, linear_to_srgb
 from orograph.geovis.keys import Legend, Scale, written_unit
 from orograph.geovis.layers import Layer
@@ -34,9 +34,6 @@ CONVERGENCE = 3.0
 
 MOST_SCALES, MOST_CLASSES = 3, 12
 """Maximum entries of a legend."""
-
-NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
-"""Prefixes of CRS names that are placeholders."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +146,9 @@ def _crs_name(crs: Any) -> str | None:
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
     if method and crs.is_projected:
         method += _center(crs)
-    for name in (crs.name, method):
-        if name and not name.strip().lower().startswith(NAMELESS):
-            return str(name)
-    return None
+    if method.lower().startswith(NAMELESS):
+        method = ""
+    return name_of(crs) or method or None
 
 
 def _center(crs: Any) -> str:
