@@ -99,7 +99,7 @@ class RightTriangleOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshOptions(RightTriangleOptions):
-    """Options of the methods that make single triangles."""
+    """Options of the methods that also refine by colours."""
 
     color_tolerance: float | None = option(
         None, "Also refine where coarser triangles would change colours by more than this (CIELAB; 2.3 is just "

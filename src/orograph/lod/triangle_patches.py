@@ -50,9 +50,9 @@ from orograph.lod.patches.selection import (
 )
 from orograph.lod.patches.shape import ALL_LEGS, INSTANCE, patch_indices, patch_vertices
 from orograph.lod.patches.tables import PatchTerrain, cell_size
-from orograph.lod.right_triangles import METRIC, RightTriangleOptions, RightTriangles, by_tolerance
+from orograph.lod.right_triangles import METRIC, MeshOptions, RightTriangles, by_tolerance
 from orograph.lod.selection import WANTED, PatchSet, Topology
-from orograph.store.patches import KAPPA, LEGS
+from orograph.store.patches import KAPPA, LEGS, MemoryPatches, patch_colors
 from orograph.store.terrain import tile_shape
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
@@ -132,7 +132,7 @@ class Patches:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrianglePatchesOptions(RightTriangleOptions):
+class TrianglePatchesOptions(MeshOptions):
     """Options of ``triangle-patches``. See ``RightTriangleOptions``."""
 
     metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic"))
@@ -181,7 +181,13 @@ class TrianglePatches(RightTriangles):
         ground: Any = PatchTerrain(
             self.terrain, self.options.error, self.legs, jobs=self.jobs, progress=self.resources.progress
         )
-        return Pager(ground, self.error, max_memory=self.resources.max_memory, jobs=self.jobs)
+        color = None
+        if self.color_tolerance < math.inf:
+            found = patch_colors(
+                self.terrain, self.resources.color, self.legs, jobs=self.jobs, progress=self.resources.progress
+            )
+            color = MemoryPatches(self.terrain, found).read
+        return Pager(ground, self.error, color=color, max_memory=self.resources.max_memory, jobs=self.jobs)
 
     @classmethod
     def needs(cls, options: Any) -> tuple[Need, ...]:
