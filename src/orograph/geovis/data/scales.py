@@ -121,6 +121,13 @@ def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[flo
     return (low - 0.5, low + 0.5) if alike else (low, high)
 
 
+def doubted(sigma: NDArray[Any]) -> tuple[float, float]:
+    """The ends of a scale of uncertainties: 0 and the 98th percentile (1 if all are 0 or unknown)."""
+    known = sigma[np.isfinite(sigma)]
+    high = float(np.percentile(known, PERCENTILES[1]) or known.max()) if len(known) else 0.0
+    return 0.0, high or 1.0
+
+
 def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:
     """Where all classes but the first begin, increasing; fewer than asked for where values coincide.
 
