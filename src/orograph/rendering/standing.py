@@ -83,12 +83,15 @@ def stand(
     out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
     shade(things, out, depth, scene)
     which = np.full(depth.shape, -1, np.int32)
-    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
-    through = np.unique(hidden[hidden > 0])
-    sun = np.array(scene.lighting.sun.direction)
     forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]
     flat = float(np.hypot(*forward))
     ahead = forward / flat if flat > 1e-9 else np.array([0.0, 1.0])
+    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
+    if flat <= 1e-9:  # seen from above, slopes hide nothing of what stands on them
+        floating = False if things.ends is None else np.isfinite(things.ends).any(1)
+        hidden = np.where(floating | (hidden > 0), hidden, 1.0)
+    through = np.unique(hidden[hidden > 0])
+    sun = np.array(scene.lighting.sun.direction)
     eye, light = Eye(basis, offsets, ahead, scene.view.near), Light(sun, AMBIENT)
     solids = Solids(things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes)
 
@@ -134,13 +137,16 @@ def _blend(pixels: NDArray[np.uint8], color: Colors, hits: Colors) -> None:
 
 
 def with_room(scene: Scene, again: Callable[..., View]) -> Scene:
-    """A scene of an automatic camera, seen from so far that all that stands is in the picture.
+    """A scene of an automatic camera, seen from so far that all that stands is in the picture, and beside its legend.
 
     Args:
         again: makes the camera, as ``camera.whole`` does: ``also`` are further positions (n, 3) to show.
     """
     points = extent_of(scene)
-    return scene if points is None else scene.but(view=again(also=points))
+    if points is None and not (scene.annotations.furniture and scene.keys):
+        return scene
+    view = again(also=points)
+    return scene if view == scene.view else scene.but(view=view)
 
 
 def extent_of(scene: Scene) -> Array | None:

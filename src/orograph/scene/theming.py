@@ -131,6 +131,7 @@ def _read(
         pixels: along the longer side of the picture. stretch: of its heights.
     """
     from orograph.geovis.data.bivariate import shown_pair
+    from orograph.geovis.data.events import happened
     from orograph.geovis.data.features import has_features, read_features
     from orograph.geovis.data.painting import shown
     from orograph.geovis.data.points import is_table, read_points
@@ -163,13 +164,13 @@ def _read(
     if features is not None and features.kind != "points":
         return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
     if features is not None or is_table(dataset.source):
-        points = read_points(dataset, grid, features)
+        dataset, points, when = happened(dataset, read_points(dataset, grid, features))
         if dataset.style in PROFILES:
             return things_of_profiles(dataset, points, grid, _ground_at(terrain, points.x, points.y))
         if dataset.leveled in ("above", "depth") and points.level is not None:
             base = _ground_at(terrain, points.x, points.y).reshape(-1, *[1] * (points.level.ndim - 1))
             points = replace(points, level=base + points.level * (-1.0 if dataset.depth is not None else 1.0))
-        return things_of(dataset, points, grid, priority, dataset.unit or "", "")
+        return things_of(dataset, points, grid, priority, dataset.unit or "", when)
     if dataset.style == "curtains":
         return curtains(dataset, grid, lambda x, y: _ground_at(terrain, x, y), stretch, priority.uncertainty)
     if stands(dataset):

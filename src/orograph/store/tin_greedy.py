@@ -13,7 +13,7 @@ import numpy as np
 
 from orograph._numba import inlined, kernel, leaf
 from orograph.store.tin_kernels import start_cut, start_whole
-from orograph.store.tin_windows import across, is_whole, place
+from orograph.store.tin_windows import Window, across, is_whole, legs_of, place
 from orograph.triangulation.deviation import FUZZ, worst_between, worst_sample
 from orograph.triangulation.mesh import TRIANGLES, VERTICES, after, before, insert, turn_of
 
@@ -54,6 +54,15 @@ def worst(w, shift, least, m, candidates, t):
     det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if det <= least:
         return largest, at_i, at_j
+    if det == 2 * least and least == 1 and shift == 0:  # one, in the middle of a side (Pick's theorem)
+        if not ((x0 ^ x1) | (y0 ^ y1)) & 1:
+            at_i, at_j, z = (y0 + y1) >> 1, (x0 + x1) >> 1, m.z[a] + m.z[b]
+        elif not ((x1 ^ x2) | (y1 ^ y2)) & 1:
+            at_i, at_j, z = (y1 + y2) >> 1, (x1 + x2) >> 1, m.z[b] + m.z[c]
+        else:
+            at_i, at_j, z = (y2 + y0) >> 1, (x2 + x0) >> 1, m.z[c] + m.z[a]
+        off = abs(0.5 * z - candidates[at_i, at_j])
+        return (off if off > 0.0 else 0.0), at_i, at_j
     (rows, cols), one = candidates.shape, np.int64(1)
     z0, part = m.z[a], 1.0 / det
     z1, z2 = m.z[b] - z0, m.z[c] - z0
@@ -234,3 +243,63 @@ def sizes(m):
             second += m.live[t] == 2
             area += turn_of(m, m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2])
     return first, second, area
+
+
+@inlined
+def beside(w, axis, first_i, first_j):
+    """The window of another diamond of the level, which the raster does not cut either."""
+    return Window(w.cx, w.cy, w.s, w.shape, axis, w.width, w.height, w.step, w.sparse, first_i, first_j)
+
+
+@kernel
+def make_row(w, work, first_j, axes, heights, given, bit, wanted, limit):
+    """The TINs of some diamonds of a row, which the raster does not cut, on the lattice of all samples.
+
+    Args:
+        w: ``Window`` of the first one. first_j, axes: (d,) int64, as in ``Window``, of all.
+        heights, given: (rows, cols) float32 and uint8, of the samples from the first one's window to the last one's:
+            the marks below, of which ``bit`` is those on legs (0: all). wanted, limit: as ``simplify``.
+
+    Returns: (d, 6) float64, as ``tin_diamonds.NUMBERS``, the error before rounding; (d, bytes) uint8, which samples are
+        vertices, as bits.
+    """
+    count, rows, cols = len(first_j), w.height + 1, w.width + 1
+    numbers, chosen = np.zeros((count, 6)), np.zeros((count, (rows * cols + 7) // 8), np.uint8)
+    own, marks = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.uint8)
+    ends = np.empty((5, 2), np.float32)  # of edges that are cut: none is
+    for d in range(count):
+        at = first_j[d] - first_j[0]
+        for i in range(rows):
+            for j in range(cols):
+                own[i, j], marks[i, j] = heights[i, at + j], 0
+        legs_of(beside(w, axes[d], 0, at), given, 1, bit, marks)
+        for i in range(rows):
+            for j in range(cols):
+                numbers[d, 3] += marks[i, j]
+        known = simplify(beside(w, axes[d], w.first_i, first_j[d]), work, own, ends, marks, wanted, limit)[1]
+        numbers[d, 0] = deviation(work.mesh, own, known)
+        numbers[d, 1], numbers[d, 2], numbers[d, 5] = sizes(work.mesh)
+        for i in range(rows):
+            for j in range(cols):
+                if marks[i, j]:
+                    k = i * cols + j
+                    chosen[d, k >> 3] |= np.uint8(128 >> (k & 7))
+                    numbers[d, 4] += 1
+    return numbers, chosen
+
+
+@kernel
+def put_marks(marks, windows, chosen, bit):
+    """Set a bit where samples of windows are vertices: (d, 4) rows and columns, half-open; ``Made.chosen``."""
+    begin = 0
+    for d in range(len(windows)):
+        i0, i1, j0, j1 = windows[d]
+        cols = j1 - j0
+        count = (i1 - i0) * cols
+        for k in range((count + 7) // 8):
+            byte = chosen[begin + k]
+            if byte:
+                for b in range(8):
+                    if byte & (128 >> b):
+                        marks[i0 + (8 * k + b) // cols, j0 + (8 * k + b) % cols] |= bit
+        begin += (count + 7) // 8

@@ -238,7 +238,7 @@ def start_whole(w, work, heights, marks):
     make_delaunay(m)
 
 
-@leaf
+@kernel
 def start_cut(w, work, heights, ends, marks):
     """Triangulate the vertices on a diamond that the raster cuts, and the corners of its window.
 

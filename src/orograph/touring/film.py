@@ -101,7 +101,10 @@ class Film:
         playing = Playing.of(options, terrain, len(moving), moving.fps)
         shown = options if playing is None else playing.at(playing.key(0), terrain.grid)
         scene = Scene.of(terrain, tour.keys[0].view.resized(*size), **shown)
-        if again is not None and (standing := extent_of(scene)) is not None:
+        everything = scene
+        if again is not None and playing is not None and any("trail_s" in fact for fact in playing.facts):
+            everything = Scene.of(terrain, scene.view, **playing.widest(terrain.grid))
+        if again is not None and (standing := extent_of(everything)) is not None:
             tour = again(also=standing)
             scene = scene.but(view=tour.keys[0].view.resized(*size))
         made = cls(tour, scene, draw=draw, fps=fps, first=first, last=last, playing=playing, progress=progress)
