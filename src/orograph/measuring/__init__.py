@@ -25,6 +25,13 @@ from orograph.measuring.profile import Profile, profile
 from orograph.measuring.sight import Mark, Sight, line_of_sight
 from orograph.measuring.viewshed import Viewshed, viewshed
 
+ELSEWHERE = {
+    "slope": "probable_slope(terrain, HeightError(sigma=…)), slope_aspect, or orograph.light(terrain, 'slope')",
+    "contours": "probable_contours(terrain, HeightError(sigma=…)), or orograph.contours",
+    **dict.fromkeys(("los", "visibility"), "line_of_sight"),
+}
+"""What the command line calls otherwise (``measure slope``), and here."""
+
 __all__ = [
     "Area",
     "HeightError",
@@ -53,4 +60,4 @@ __all__ = [
 if not TYPE_CHECKING:  # (type checkers look for names themselves)
 
     def __getattr__(name: str) -> object:
-        raise absent("orograph.measure", name, __all__)
+        raise absent("orograph.measure", name, __all__, ELSEWHERE)

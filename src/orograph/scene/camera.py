@@ -206,14 +206,14 @@ def view_of(
         UsageError: it is none of these, or the size is not (width, height). ReadError: the file cannot be read.
     """
     size = size_of(size)
-    if given is None:
+    if given is None or (isinstance(given, str) and given == "perspective"):
         return whole(terrain, size, exaggeration=exaggeration, insets=insets)
     if isinstance(given, View):
         return given
     if isinstance(given, str) and given == "plan":
         return plan(terrain, size, insets=insets)
     if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
-        remedy = 'A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.'
+        remedy = 'A view is "plan" (a map), "perspective", the path of a VIEW.json, or made by orograph.camera.'
         if Path(given).suffix.lower() in PICTURES:
             remedy = f"Save pictures through the result: `picture.save({given!r})`. {remedy}"
         raise UsageError(f"There is no view {given!r}.", remedy=remedy)

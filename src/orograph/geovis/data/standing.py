@@ -21,7 +21,7 @@ from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.signs import INK, colored
 from orograph.geovis.data.standing_marks import MARKS, swatch
 from orograph.geovis.keys import Legend, Scale
@@ -206,7 +206,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         note = ", ".join(filter(None, (note, f"sizes begin at {rounded(scale.low, scale.high)} {unit}".rstrip())))
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     sign = _sign(dataset, priority, style) if sigma is not None else "none"
-    doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
+    doubt = doubted(sigma) if sigma is not None else (0.0, 1.0)
     if dataset.uncertainty is not None and dataset.uncertainty.range is not None:
         doubt = dataset.uncertainty.range
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geo.grid import NAMELESS, Grid, name_of
+from orograph.geovis.basemaps import PREFIX
 from orograph.geovis.color import Tint, linear_to_srgb
 from orograph.geovis.keys import Legend, Scale, written_unit
 from orograph.geovis.layers import Layer
@@ -101,7 +102,7 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     dry = shown["ground"] - shown["water"]
     scales = [scale for key in scene.keys for scale in key.scales]
     swatches = [entry for key in scene.keys for entry in key.entries]
-    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
+    for layer in [one for one in reversed(visible(scene.data.layers)) if not one.path.startswith(PREFIX)]:
         explained = explain(layer, scene.terrain.grid)
         if isinstance(explained, Scale):
             scales.append(explained)
@@ -123,16 +124,17 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
 
 
 def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
-    """The legend of a layer's values over a terrain: a scale, or a swatch for each class."""
+    """The legend of a layer's values over a terrain: a scale, or a swatch for each class; [] for an image."""
     from orograph.dem.handles import HANDLES
     from orograph.geovis.laying import Laid
 
     laid = Laid.open(layer.content, grid)
     table, (low, high) = laid.bands.table, laid.bands.span
-    assert table is not None
-    if isinstance(layer.colormap, Table) and layer.colormap.classes:
+    if table is None:
+        return []
+    if laid.bands.classes or (isinstance(layer.colormap, Table) and layer.colormap.classes):
         there = np.flatnonzero(table[:, 3]) if table.shape[1] == 4 else np.arange(len(table))
-        return [(f"{layer.title} {round(low + k)}", table[k, :3]) for k in there[:MOST_CLASSES]]
+        return [(layer.title, None), *((str(round(low + k)), table[k, :3]) for k in there[:MOST_CLASSES])]
     with HANDLES.borrow(laid.location) as file:
         unit = (file.units[layer.band - 1] or "").strip()
     beyond = layer.range is None and getattr(layer.colormap, "span", None) is None  # (the ends are percentiles)
