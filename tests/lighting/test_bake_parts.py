@@ -280,7 +280,7 @@ def test_parts_are_said_as_of_builds(target):
     assert not (target / "layers").exists()
 
 
-def test_parts_bake_into_folders():
+def test_parts_bake_into_folders_and_buckets():
     url = made("memory://parts/area.oro")
-    with pytest.raises(UsageError, match=r"folders.*`workers`"):
+    with pytest.raises(UsageError, match=r"folders or buckets.*one process"):
         bake(url, NAMES, OPTIONS, part=(1, 2))

@@ -22,7 +22,7 @@ from orograph.rendering.jitter import pattern
 from orograph.rendering.shadows import shade
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
-from orograph.viewpoint import View
+from orograph.viewpoint import RayBasis, View
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.float32]
@@ -69,7 +69,7 @@ def stand(
         scene: what the picture shows; its view may be a tile.
         placed: feet and other ends, if they are known (``places``).
     """
-    from orograph.rendering.standing_kernels import cast
+    from orograph.rendering.standing_kernels import Eye, Light, Sheet, Solids, cast
 
     place, end = placed or places(things, scene.terrain, scene.surface.exaggeration)
     shadow = things.kind == Kind.SHADOW
@@ -83,12 +83,17 @@ def stand(
     out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
     shade(things, out, depth, scene)
     which = np.full(depth.shape, -1, np.int32)
-    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
-    through = np.unique(hidden[hidden > 0])
-    sun = np.array(scene.lighting.sun.direction)
     forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]
     flat = float(np.hypot(*forward))
     ahead = forward / flat if flat > 1e-9 else np.array([0.0, 1.0])
+    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
+    if flat <= 1e-9:  # seen from above, slopes hide nothing of what stands on them
+        floating = False if things.ends is None else np.isfinite(things.ends).any(1)
+        hidden = np.where(floating | (hidden > 0), hidden, 1.0)
+    through = np.unique(hidden[hidden > 0])
+    sun = np.array(scene.lighting.sun.direction)
+    eye, light = Eye(basis, offsets, ahead, scene.view.near), Light(sun, AMBIENT)
+    solids = Solids(things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes)
 
     def band(top: int) -> None:
         last = min(top + ROWS, rows)
@@ -99,10 +104,7 @@ def stand(
 
         def draw(chosen: NDArray[np.intp], depths: Array, seen: NDArray[np.int32]) -> tuple[Colors, Array]:
             color, nearest = np.zeros((*shape, 3), np.float32), np.full(shape, np.inf)
-            cast(
-                things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes, chosen, basis,
-                offsets, ahead, sun, AMBIENT, scene.view.near, top, depths, color, nearest, seen,
-            )  # fmt: skip
+            cast(solids, chosen, eye, light, Sheet(top, depths, color, nearest, seen))
             return color, nearest
 
         for opacity in through:
@@ -216,13 +218,11 @@ def _stretched(x: Array, y: Array, level: Array, lift: Array, terrain: Terrain, 
     return np.stack([x, y, np.where(np.isfinite(level), level, z) * exaggeration + lift], 1)
 
 
-def _basis(scene: Scene) -> tuple[Array, Array]:
-    """Rays by pixel position, in stretched space relative to an origin, and that origin: (6, 3), (3,)."""
+def _basis(scene: Scene) -> tuple[RayBasis, Array]:
+    """Rays by pixel position, in stretched space relative to an origin, and that origin, (3,)."""
     stretch = np.array([1.0, 1.0, scene.surface.exaggeration])
-    rays = np.stack(scene.view.ray_basis(scene.surface.exaggeration)) * stretch
-    origin = rays[0].copy()
-    rays[0] = 0.0
-    return rays, origin
+    basis = RayBasis(*(one * stretch for one in scene.view.ray_basis(scene.surface.exaggeration)))
+    return basis._replace(o0=np.zeros(3)), basis.o0
 
 
 def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import answering
 from orograph.errors import NothingInViewError, UsageError, absent
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside, place
@@ -88,6 +89,7 @@ def outline(terrain: Terrain) -> Array:
     return np.stack([x, y, np.concatenate(height)], 1)
 
 
+@answering
 def direction(azimuth: float, pitch: float) -> Array:
     """The unit viewing direction (3,) of an eye at ``azimuth`` from its target and ``pitch`` above it.
 
@@ -101,6 +103,7 @@ NEAREST = 1e-3
 """How near the eye may come to its target, relative to the target's size."""
 
 
+@answering
 def fit(
     points: Array,
     forward: Array,

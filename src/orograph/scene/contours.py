@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.lod.options import check, option
 
@@ -51,6 +52,7 @@ USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines and labels grow with it: such pictures are for print."""
 
 
+@named("orograph.Contours")
 @dataclass(frozen=True, slots=True)
 class Contours:
     """How contour lines are drawn.

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.lod.options import check, option
 from orograph.scene.contours import CASING
@@ -23,6 +24,7 @@ USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines are wider: such pictures are for print."""
 
 
+@named("orograph.Silhouettes")
 @dataclass(frozen=True, slots=True)
 class Silhouettes:
     """How silhouettes are drawn.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterable
 from dataclasses import replace
@@ -79,7 +80,7 @@ def movie(
     heard = reporting(progress)
     reading = {name: options.pop(name) for name in READING if name in options}
     way = said_of({name: options.pop(name) for name in WAY if name in options})
-    check_names(options, "movie", (*WAY, "size", "fps", "begin", "end", "crf"))
+    check_names(options, "movie", (*WAY, *inspect.signature(movie).parameters))
     check_options(options)
     if conservative:
         check_promise(options.get("method", "auto"), backend)

@@ -164,6 +164,7 @@ class Things:
                 tuple(swatch for one in legends for swatch in one.swatches),
                 tuple(named for one in legends for named in one.classes),
                 note="; ".join(one.note for one in legends if one.note),
+                title=", ".join(one.title for one in legends if one.classes and one.title),
             ),
         )
 
@@ -199,6 +200,10 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
     part = np.maximum(np.clip((values - scale.low) / (scale.high - scale.low), 0, 1), FLOOR)
+    if points.classes is not None:
+        part = np.ones(len(values))  # names have no size
+    elif scale.low > 0:
+        note = ", ".join(filter(None, (note, f"sizes begin at {rounded(scale.low, scale.high)} {unit}".rstrip())))
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     sign = _sign(dataset, priority, style) if sigma is not None else "none"
     doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
@@ -299,7 +304,7 @@ def key_of(
     if classes is None:
         return Legend((colors,), tuple(swatches), note=told)
     names = zip(classes, linear_to_srgb(scale.color(np.arange(len(classes), dtype=np.float64))))
-    return Legend((), tuple(swatches), tuple(names), told)
+    return Legend((), tuple(swatches), tuple(names), told, title=title)
 
 
 def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:

@@ -15,7 +15,8 @@ from orograph.lighting.relief import Relief
 from orograph.memo import Memo
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.mapgrid import MapGrid
-from orograph.rendering.lines.contour_kernels import AROUND, WIDE, line_cover, thin_out
+from orograph.rendering.lines import contour_kernels
+from orograph.rendering.lines.contour_kernels import AROUND, WIDE, Seen, line_cover, thin_out
 from orograph.rendering.lines.label_type import Lettering
 from orograph.rendering.lines.labels import Placer
 from orograph.rendering.lines.smooth import smoothed
@@ -67,7 +68,9 @@ class Lines:
             self._area = top - RIM, top + scene.view.height + RIM, left - RIM, left + scene.view.width + RIM
             self._sheet = self.letters.sheet(self._area)
         self.facts["labels"] = len(self.letters.words)
-        self._basis = np.array(ground.rays.basis)
+        self._basis = ground.rays.pixels.basis
+        contours = self.contours
+        self._lines = contour_kernels.Lines(float(contours.interval or 1.0), contours.index, contours.width)
 
     def draw(self, hits: Hits, px: Array, py: Array, out: Colors) -> None:
         """Draw over the colours (n, 3) of hits at pixel positions (n,) of the whole picture."""
@@ -82,16 +85,12 @@ class Lines:
             heights = self.under.caster.surfaces(hits.points[:, 0], hits.points[:, 1])
             gradient = own.gradient(hits.points, hits.width)
             heights = smoothed(own, hits.points, hits.width, heights)
-        line_cover(
-            px, py, hits.t, hits.points, heights, gradient, drawn, maps.water, maps.scale, maps.row0, maps.col0,
-            self.ground.to_world, self._basis, float(c.interval or 1.0), c.index, c.width, 0.0, cover,
-        )  # fmt: skip
+        seen = Seen(hits.points, heights, gradient, drawn, self.ground.to_world)
+        about = px, py, hits.t, seen, self._basis, self._lines
+        line_cover(*about, maps.water, maps.place, 0.0, cover)
         light = np.zeros_like(cover)
         if c.casing:
-            line_cover(
-                px, py, hits.t, hits.points, heights, gradient, drawn, maps.water, maps.scale, maps.row0, maps.col0,
-                self.ground.to_world, self._basis, float(c.interval or 1.0), c.index, c.width, CASING, light,
-            )  # fmt: skip
+            line_cover(*about, maps.water, maps.place, CASING, light)
         lines = np.flatnonzero((light if c.casing else cover) > 0)
         if len(lines):
             thinned = self._thinned(hits, px, py, heights, own, lines)
@@ -130,7 +129,7 @@ class Lines:
         around = np.stack([own.gradient(points + step, WIDE * width) for step in away])
         thin_out(
             px[lines], py[lines], hits.t[lines], heights[lines], around, self.ground.to_world, self._basis,
-            float(self.contours.interval or 1.0), self.contours.index, cover,
+            self._lines, cover,
         )  # fmt: skip
         return cover
 

@@ -154,19 +154,17 @@ class Outlines:
     def _cover(self, depth: Array, facing: Colors, x: float, y: float) -> tuple[Colors, Array]:
         """Coverage (2, rows, cols) by lines and by their casing where depths are those at (x, y) in each pixel, and
         depths (rows, cols) of the lines."""
-        from orograph.rendering.lines.silhouette_kernels import breaks, creases, gather
+        from orograph.rendering.lines.silhouette_kernels import Border, breaks, creases, gather
 
         rays, grid = self.ground.rays, self.ground.scene.terrain.grid
         rows, cols = depth.shape
         strong, near = np.empty((2, rows, cols), np.float32), np.empty((2, rows, cols))
-        breaks(
-            depth, self.area[2] + x, self.area[0] + y, np.array(rays.basis), rays.linear, rays.offset,
-            rays.view.pixel_slope, rays.spacing, float(grid.cols - 1), float(grid.rows - 1), *self.ground.ends,
-            *self.depths, strong, near,
-        )  # fmt: skip
+        border = Border(float(grid.cols - 1), float(grid.rows - 1), *self.ground.ends)
+        left, top = self.area[2] + x, self.area[0] + y
+        breaks(depth, left, top, rays.pixels, rays.to_samples, border, self.depths, strong, near)
         if facing.size:
-            creases(facing, depth, *self.depths, self.lines.creases, strong, near)
+            creases(facing, depth, self.depths, self.lines.creases, strong, near)
         cover, nearest = np.zeros((2, rows, cols), np.float32), np.empty((rows, cols))
         for k, casing in enumerate((0.0, CASING) if self.lines.casing else (0.0,)):
-            gather(strong, near, *self.depths, self.lines.width, casing, self.lines.reach, cover[k], nearest)
+            gather(strong, near, self.depths, self.lines.width, casing, self.lines.reach, cover[k], nearest)
         return cover, nearest
