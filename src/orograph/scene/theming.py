@@ -116,11 +116,11 @@ def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things
 
     key = things.legend
     if key.scales:
-        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),))
+        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),), which=None)
     one = dataset if not isinstance(dataset, tuple) else dataset[0]
     classes = tuple(name for name, _ in key.classes)
     alike = one.name or one.variable or ("class" if len(classes) > 1 else "".join(classes))
-    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),))
+    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),), which=None)
 
 
 def _read(
