@@ -141,6 +141,22 @@ def test_the_sheet(run, hilly, tmp_path):
     assert not np.array_equal(panels[0][150:], panels[2][150:])
 
 
+def test_a_method_that_cannot_be_measured_leaves_the_others(run, hilly, tmp_path, monkeypatch):
+    def no_room(self):
+        raise UsageError("It takes 9 GiB.", remedy="Allow more memory.")
+
+    monkeypatch.setattr("orograph.lod.quadtin.QuadTin._check_room", no_room)
+    out = tmp_path / "sheet.png"
+    code, said, err = run("compare", hilly, *of("quadtin", "soar"), "--json", "-", "--picture", out, *SMALL[:2])
+    told = json.loads(said)
+    assert code == 0 and list(told["methods"]) == ["soar"] and out.is_file()
+    assert told["left_out"] == {"quadtin": "It takes 9 GiB. Allow more memory."}
+    assert "quadtin is left out: It takes 9 GiB." in err
+    for methods in (of("quadtin"), of("quadtin", "hyperblock")):
+        code, said, err = run("compare", hilly, *methods, *SMALL)
+        assert code == 2 and "It takes 9 GiB" in err and said == ""
+
+
 def test_the_sheet_has_room_for_all(hilly):
     terrain = prepare([str(hilly)])
     view = usual_views(terrain)["overview"]
@@ -205,6 +221,7 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
         (("--flight", "none.json"), 3, ("none.json",)),
         (("--tolerance", 1, "--triangles", 9), 2, ("one goal",)),
         (("--picture", "a.xyz"), 2, (".png",)),
+        ((*of("raycast"), "--picture", "a.png"), 2, ("rays make none",)),
         (("--json", "no/a.json"), 4, ("folder",)),
         (("--json", "a.png", "--picture", "a.png"), 2, ("same file",)),
     ],

@@ -233,3 +233,14 @@ def test_a_short_scale_has_two_values(low, high):
     values = ticks(low, high, 2)
     assert len(values) == 2 and low - 1e-9 <= values[0] < values[1] <= high + 1e-9
     assert [float(number(v, values)) for v in values] == pytest.approx(values, abs=1e-9)
+
+
+def test_a_long_legend_keeps_its_classes() -> None:
+    few, many = (
+        Legend(LEGEND.scales, (("land cover", None), *((str(k), (9 * k, 80, 90)) for k in range(n)))) for n in (3, 60)
+    )
+    for legend, shown in ((few, 3), (many, 0)):
+        layout = furniture.lay_out((1000, 700), legend=legend)
+        words = [text[2] for piece, _ in layout.placed for text in piece.texts]
+        assert "land cover" in words and all(str(k) in words for k in range(shown))
+    assert any(word.startswith("and ") and word.endswith(" more") for word in words)

@@ -117,7 +117,7 @@ def _told(found: Comparison) -> dict[str, Any]:
         "terrain": terrain.name, "shape": list(terrain.grid.shape), goal.name: getattr(goal, goal.name),
         "exaggeration": found.exaggeration, "flight": None, "frames": len(found.views),
         "views": {} if found.flight else {k: v.to_dict() for k, v in found.views.items()},
-        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()},
+        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()}, "left_out": found.left_out,
     }  # fmt: skip
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 
+from orograph._named import answering
 from orograph.dem.raster import MAX_READ_BYTES, Dem
 from orograph.dem.source import Source
 from orograph.errors import ReadError, UsageError
 from orograph.folders import Amount, bytes_of
 
 
+@answering
 def read(
     path: str | os.PathLike[str],
     *,

@@ -17,6 +17,8 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
+from orograph._named import named
+
 
 def wkt_of(crs: CRS | None) -> str | None:
     """A CRS as WKT 2, the very text where it was made of one, so that what is written says what was read; None of none.
@@ -54,6 +56,7 @@ def apply(transform: Affine, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.flo
     return a * x + b * y + c, d * x + e * y + f
 
 
+@named("A grid")
 @dataclass(frozen=True, slots=True)
 class Grid:
     """The placement of a raster of samples.

@@ -77,6 +77,18 @@ class Table:
         return cls(name, _bytes(found), (float(low), float(high)))
 
 
+def by_class(text: str) -> dict[str, str]:
+    """What the command line gives for classes: ``11:Open water;21:Town``.
+
+    Raises:
+        UsageError: a part has no colon.
+    """
+    pairs = [part.strip().partition(":") for part in text.split(";") if part.strip()]
+    if not pairs or any(not colon or not value.strip() for _, colon, value in pairs):
+        raise UsageError(f"{text!r} is not a list of classes.", remedy="Write CLASS:VALUE;CLASS:VALUE….")
+    return {key.strip(): value.strip() for key, _, value in pairs}
+
+
 def quiet_colormap(given: Any) -> Any:
     """``cmap.Colormap``, silent where it takes the first of several maps of one name."""
     import cmap
@@ -112,14 +124,15 @@ def _classes(given: Mapping[Any, Any]) -> Table:
     low, high = int(min(given)), int(max(given))
     if high - low >= FINE:
         raise UsageError(f"Classes must lie within {FINE} of each other, not from {low} to {high}.")
-    colors = np.zeros((max(2, high - low + 1), 4), np.uint8)
+    low, high = low - 1, high + 1  # transparent, as are all values beyond, which take the colours of the ends
+    colors = np.zeros((high - low + 1, 4), np.uint8)
     for value, color in given.items():
         try:
             red, green, blue, opacity = _color(color).rgba
         except (ValueError, TypeError) as error:
             raise UsageError(f"{color!r}, of class {value}, is not a colour.") from error
         colors[int(value) - low] = np.round(np.array([red, green, blue, opacity]) * 255)
-    return Table("classes", colors.tobytes(), (float(low), float(low + len(colors) - 1)), True)
+    return Table("classes", colors.tobytes(), (float(low), float(high)), True)
 
 
 def _bytes(colors: Any) -> bytes:

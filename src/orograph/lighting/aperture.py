@@ -150,13 +150,10 @@ def _rays(context: Context, rays: int, seed: int) -> Blocks:
     radius = context.options.radius or math.inf
 
     def work(near: Neighbourhood) -> Values:
-        heights = np.ascontiguousarray(near.block(near.heights))
-        out = np.zeros((4, *heights.shape))
-        ray_cone(
-            near.scene(), heights, near.inverse, lift(context), radius, rays, seed, near.row0 + near.inner[0],
-            near.col0 + near.inner[2], 0, len(heights), out,
-        )  # fmt: skip
-        return _caps(out.astype(np.float32), np.isnan(heights))
+        samples = near.samples(lift(context))
+        out = np.zeros((4, *samples.heights.shape))
+        ray_cone(near.scene(), samples, radius, rays, seed, out)
+        return _caps(out.astype(np.float32), np.isnan(samples.heights))
 
     return by_blocks(context, radius, work, "Casting rays to the sky", "aperture")
 

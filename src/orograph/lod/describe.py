@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
+from orograph._named import answering
 from orograph.cards import table
 from orograph.lod.method import MethodInfo
 from orograph.lod.options import described
@@ -42,6 +43,7 @@ class Said(str):
         return table(self.rows) if self.rows else f"<pre>{html.escape(self)}</pre>"
 
 
+@answering
 def methods(name: str | None = None) -> Said:
     """The list of methods, or a method's options with their help and units, as a text.
 

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.cards import extent_rows, one_line
+from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
@@ -169,8 +170,8 @@ class Viewshed:
                 out[:] = np.nan
                 return row, col, out
         look(
-            s.z, s.maxima, s.offset, s.per_row, s.x, s.y, 0.0 if self.heights else self.target * per,
-            np.sqrt(s.ratios(*window)), max(LEAST * per, 4.0), not self.heights, *window, out,
+            s.pyramid, s.x, s.y, 0.0 if self.heights else self.target * per, np.sqrt(s.ratios(*window)),
+            max(LEAST * per, 4.0), not self.heights, window, out,
         )  # fmt: skip
         if self.heights:
             out *= np.float32(self.quantum)
@@ -244,6 +245,7 @@ def viewshed(
         raise UsageError(
             "With `heights`, which asks for the heights that targets need, a target's height has no meaning."
         )
+    expect("viewshed")
     places = Places(terrain)
     points = places.points(point, lonlat=lonlat)
     if len(points) != 1:

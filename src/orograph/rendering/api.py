@@ -10,6 +10,7 @@ import inspect
 import os
 import textwrap
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any, Literal
 
 from orograph.errors import UsageError
@@ -21,7 +22,7 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
-from orograph.scene.camera import NO_INSETS, view_of
+from orograph.scene.camera import NO_INSETS, view_of, whole
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
@@ -103,10 +104,17 @@ def render(
     layers = layers_of(options.get("layers"))
     beside = options.get("furniture") and each is None  # (panels have none of their own)
     free = insets(size, terrain.attribution, layers) if beside else NO_INSETS
-    view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
+    stretch = options.get("exaggeration", 1.0)
+    automatic, view = view is None, view_of(view, terrain, size, exaggeration=stretch, insets=free)
     if each is not None:
         return draw_panels(terrain, view, each, options, backend=backend, progress=heard)
-    return draw(Scene.of(terrain, view, **options), heard, backend=backend)
+    scene = Scene.of(terrain, view, **options)
+    if automatic:
+        from orograph.rendering.standing import with_room
+
+        free = insets(size, terrain.attribution, layers, scene.keys) if beside else NO_INSETS
+        scene = with_room(scene, partial(whole, terrain, size, exaggeration=stretch, insets=free))
+    return draw(scene, heard, backend=backend)
 
 
 def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()) -> None:

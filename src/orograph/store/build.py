@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
@@ -248,10 +248,8 @@ def build(
             how = going_on, update, workers, dask
             with executor_of(raster, storage, storage_options, plan, coding, at_once, *how) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                with while_compiling("orograph.error.ahead", *plan["errors"]):
-                    record = _fill(
-                        raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None
-                    )
+                expect("build")
+                record = _fill(raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None)
             if in_bucket is not None:
                 in_bucket.publish(record)
                 return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -78,7 +80,7 @@ def movie(
     heard = reporting(progress)
     reading = {name: options.pop(name) for name in READING if name in options}
     way = said_of({name: options.pop(name) for name in WAY if name in options})
-    check_names(options, "movie", (*WAY, "size", "fps", "begin", "end", "crf"))
+    check_names(options, "movie", (*WAY, *inspect.signature(movie).parameters))
     check_options(options)
     if conservative:
         check_promise(options.get("method", "auto"), backend)
@@ -97,11 +99,13 @@ def movie(
     check_movie(path, size, crf)
     max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)
+    again = None
     if tour is None:
         sun = given.sun(options.get("sun"), ground)
         way_size = size or (1280, 720)
         stretch, furniture = options.get("exaggeration", 1.0), bool(options.get("furniture"))
-        keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), stretch, furniture)
+        again = partial(tour_of, ground, way_size, way, (sun.azimuth, sun.altitude), stretch, furniture)
+        keys = again()
     else:
         keys = without(tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs), options)
     view = keys.keys[0].view
@@ -109,7 +113,8 @@ def movie(
     check_movie(path, pixels, crf)
     check_memory(pixels, max_memory)
     draw = session(heard, backend=backend)
-    film = Film.of(keys, ground, pixels, options, draw=draw, fps=fps, first=begin, last=end, progress=heard)
+    film = Film.of(keys, ground, pixels, options, draw=draw, fps=fps, first=begin, last=end, progress=heard,
+                   again=again)  # fmt: skip
     if by is None:
         shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
     elif sort_last:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.meshing import MODELS, Print, mesh_format, solid, write, write_solid
@@ -72,6 +73,7 @@ def tin(
     max_memory = bytes_of(max_memory)
     check_goal(max_error, triangles)
     heard = reporting(progress)
+    expect("tin")
     how = print_of(output, base, model_size, scale, exaggeration)
     if output is not None:
         if how is None:

@@ -60,10 +60,10 @@ def check_tour(options: Mapping[str, Any]) -> None:
 
 def tour_of(
     terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], sun: tuple[float, float], exaggeration: float,
-    furniture: bool = False,
+    furniture: bool = False, also: Any = None,
 ) -> Tour:  # fmt: skip
     """The tour that the options describe (see ``check_tour``); an orbit, if they describe none. A camera that stays
-    leaves room for ``furniture``."""
+    leaves room for ``furniture``; one that shows the whole terrain keeps further positions, ``also``, in view."""
     from orograph.touring import make
 
     given = {new: options[old] for old, new in
@@ -71,6 +71,8 @@ def tour_of(
               ("fov", "fov_y"), ("around", "around"),
               ("height", "height"), ("speed", "speed")) if options[old] is not None}  # fmt: skip
     kind = (chosen(options) or ["orbit"])[0]
+    if kind in ("turntable", "still", "orbit"):
+        given["also"] = also
     if kind == "turntable":
         return make.turntable(terrain, size, sun=sun, exaggeration=exaggeration, **given)
     if kind in ("still", "plan"):

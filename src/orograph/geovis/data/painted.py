@@ -49,14 +49,14 @@ def key_of(found: Shown) -> Legend:
     )  # fmt: skip
     scales, classes = ((scale,), ()) if found.classes is None else ((), _classes(found, found.classes))
     if found.sign == "none" or found.sigma is None:
-        return Legend(scales, classes=classes, note=found.note)
+        return Legend(scales, classes=classes, note=found.note, title=found.title)
     low, high = found.doubt
     swatches = []
     for part in SWATCHES:
         sigma = low + part * (high - low)
         words = f"± {rounded(sigma, high)} {found.unit}".rstrip()
         swatches.append((words, _swatch(found, sigma)))
-    return Legend(scales, tuple(swatches), classes, found.note)
+    return Legend(scales, tuple(swatches), classes, found.note, title=found.title)
 
 
 def _classes(found: Shown, names: tuple[str, ...]) -> tuple[tuple[str, NDArray[np.uint8]], ...]:

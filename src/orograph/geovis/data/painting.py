@@ -128,7 +128,7 @@ def shown(
     """
     style = dataset.style or priority.style
     if style == "classes":
-        return _shown_classes(dataset, grid, texels, priority)
+        return _shown_classes(dataset, read_data(dataset, grid), grid, texels, priority)
     if dataset.derived and style in FLOWS:
         raise UsageError(f"{style} shows two components, which have no value= or exceeds=.")
     components: list[Values] = []
@@ -137,7 +137,7 @@ def shown(
     else:
         field = once("read", (dataset, grid), lambda: read_data(dataset, grid))
     if dataset.style is None and not dataset.derived and says_classes(field):
-        return _shown_classes(dataset.but(style="classes"), grid, texels, priority)
+        return _shown_classes(dataset.but(style="classes"), field, grid, texels, priority)
     dataset = as_shown(dataset)
     over, positions, values, sigma = once(
         "sampled", (dataset, grid, texels, id(field)), lambda: _sampled(dataset, field, grid, texels)
@@ -173,15 +173,16 @@ def _sampled(
     return over, positions, positions.values(field.shown), sigma
 
 
-def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:
+def _shown_classes(dataset: Dataset, field: Field, grid: Grid, texels: int, priority: Priority) -> Shown:
     """A raster of classes: nothing is interpolated but how uncertain they are."""
-    field = read_data(dataset, grid)
     if dataset.derived or len(field.values) > 1:
         raise UsageError("Classes have no mean, no value= and no exceeds=.", path=str(dataset.source),
                          remedy="Choose one band, time or member.")  # fmt: skip
     over = cropped(field, grid, texels)
     table = ClassTable.of_tags(field.tags, field.palette, field.named)
-    values, names, colors = numbered(classes_over(field, over), table, dataset.colormap, field.name)
+    values, names, colors = numbered(
+        classes_over(field, over), table, dataset.colormap, dataset.names or {}, field.name
+    )
     found = deviations(dataset, field, grid)
     sigma = None if found is None else Positions.of(over, found[0]).values(found[1])
     given = None if dataset.uncertainty is None else dataset.uncertainty

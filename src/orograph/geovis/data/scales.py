@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageColor
 
+from orograph.errors import UsageError
 from orograph.geovis.color import color_table, srgb_to_linear
 from orograph.geovis.data.dataset import Breaks
 
@@ -24,6 +25,9 @@ PERCENTILES = (2.0, 98.0)
 
 ALIKE = 1e-7
 """Of their size, differences between values that float32 hardly tells apart."""
+
+MOST_NAMED = 12
+"""Classes that a message lists."""
 
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
@@ -82,7 +86,12 @@ class ColorScale:
     @classmethod
     def of_classes(cls, names: tuple[str, ...], colors: Any) -> ColorScale:
         """Of classes without an order, numbered from 0, at most twelve; ``colors``: by name, where it is a mapping."""
-        own = colors if isinstance(colors, Mapping) else {}
+        own = {str(name): color for name, color in colors.items()} if isinstance(colors, Mapping) else {}
+        if own and not any(name in own for name in names):
+            raise UsageError(
+                f"None of the classes that have colours occurs: {', '.join(own)}.",
+                remedy=f"There are {', '.join(names[:MOST_NAMED])}.",
+            )
         rest = iter(DISTINCT)
         rgb = np.array([ImageColor.getrgb(own.get(name) or next(rest))[:3] for name in names], np.float32) / 255
         edges = tuple(k - 0.5 for k in range(len(names) + 1))

@@ -41,6 +41,9 @@ LATTICE = 28
 PALER = ("saturation", "whiteness", "palette", "none")
 """Signs of uncertainty that change the colours of things."""
 
+FADED = 0.75
+"""How much of their colour points have lost when they disappear."""
+
 FLOOR = 0.06
 """Of the largest, what the least value still is."""
 
@@ -161,6 +164,7 @@ class Things:
                 tuple(swatch for one in legends for swatch in one.swatches),
                 tuple(named for one in legends for named in one.classes),
                 note="; ".join(one.note for one in legends if one.note),
+                title=", ".join(one.title for one in legends if one.classes and one.title),
             ),
         )
 
@@ -196,6 +200,10 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
     part = np.maximum(np.clip((values - scale.low) / (scale.high - scale.low), 0, 1), FLOOR)
+    if points.classes is not None:
+        part = np.ones(len(values))  # names have no size
+    elif scale.low > 0:
+        note = ", ".join(filter(None, (note, f"sizes begin at {rounded(scale.low, scale.high)} {unit}".rstrip())))
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     sign = _sign(dataset, priority, style) if sigma is not None else "none"
     doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
@@ -208,9 +216,11 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         level = points.level.reshape(len(values), -1).mean(1)  # (of intervals, their middles)
         ends = np.column_stack([level[order], *[np.full(len(values), np.nan)] * 3])
     lift = np.zeros(len(values)) if ends is None else -height / 2
+    rgb = colored(values, u, scale, sign)
+    if points.ages is not None and sign in ("none", "errorbars"):  # (else paleness tells the uncertainty)
+        rgb += (np.float32(FADED) * points.ages[order].astype(np.float32))[:, None] * (1 - rgb)
     main = Things(
-        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height,
-        colored(values, u, scale, sign), values,
+        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height, rgb, values,
         key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
         None if ends is None or not dataset.through else np.full(len(values), dataset.through),
     )  # fmt: skip
@@ -294,7 +304,7 @@ def key_of(
     if classes is None:
         return Legend((colors,), tuple(swatches), note=told)
     names = zip(classes, linear_to_srgb(scale.color(np.arange(len(classes), dtype=np.float64))))
-    return Legend((), tuple(swatches), tuple(names), told)
+    return Legend((), tuple(swatches), tuple(names), told, title=title)
 
 
 def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:

@@ -29,6 +29,7 @@ from orograph.rendering.furniture.pieces import (
     above_map,
     arrow,
     cube,
+    fewer,
     foot,
     heading,
     key,
@@ -49,7 +50,7 @@ COVER = 0.36
 COVERED = 1 << 26
 """Pixels of a picture above which not each has a bit of its own in a ``Cover``."""
 
-TALL = 0.56
+TALL, TALLER = 0.56, 0.84
 """Maximum part of the picture's height for the legend."""
 
 USUAL = Legend((Scale(-5000.0, 5000.0, np.zeros((2, 3))),), (("Water", (0, 0, 0)), ("No data", (0, 0, 0))))
@@ -77,13 +78,13 @@ def insets(
     scales = [replace(USUAL.scales[0], label=one.title) for one in drawn(layers) if one.colormap is not None]
     scales += [scale for one in drawn(layers) if one.key is not None for scale in one.key.scales]
     scales += [scale for one in keys for scale in one.scales]
-    named = [words for one in keys for words in (*one.classes, *one.swatches)]
+    named = [entry for one in keys for entry in one.entries]
     squares = tuple(square for one in keys for square in one.squares)
     usual = Legend((*USUAL.scales, *scales), (*USUAL.swatches, *named), squares=squares)
     style = Style.of(size, credit or "")
     far = 100 * max(size)
     title = heading("A", None, style, far)
-    column = key(usual, style, 6.5, True)
+    column = key(usual, style, 6.5)
     beside = size[0] - 2 * style.margin - math.ceil(column.width) - style.gap
     base = foot(1.0, "A", credit, style, far, 1.0, beside) or foot(1.0, "A", None, style, far, 1.0)
     edge = style.margin + style.gap
@@ -230,9 +231,10 @@ def lay_out(
     if title:
         put("top left", heading(title, None, style, inner))
     if legend is not None:
-        sizes = ((12, True), (9, True), (6.5, True), (9, False), (6.5, False), (4.5, False))
-        pieces = (key(legend, style, size, rows) for size, rows in sizes)
-        any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
+        keys = [(legend, high, share) for high, share in ((12.0, TALL), (9.0, TALL), (6.5, TALL), (4.5, TALLER))]
+        keys += [(fewer(legend, count), 4.5, TALLER) for count in range(len(legend.swatches) - 1, -1, -1)]
+        pieces = ((key(one, style, high), share) for one, high, share in keys)
+        any(put("bottom right", piece) for piece, share in pieces if piece.height < share * size[1])
     if metres_per_pixel is not None:
         any(put("bottom left", foot(metres_per_pixel, None, None, style, inner, share)) for share in (0.24, 0.4))
     pointing = None if north is None else arrow(north, style, grid_north)

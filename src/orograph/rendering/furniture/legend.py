@@ -103,7 +103,7 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     shown, tint = drawn.shown, drawn.tint
     dry = shown["ground"] - shown["water"]
     scales = [scale for key in scene.keys for scale in key.scales]
-    swatches = [swatch for key in scene.keys for swatch in (*key.classes, *key.swatches)]
+    swatches = [entry for key in scene.keys for entry in key.entries]
     for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
         explained = explain(layer, scene.terrain.grid)
         if isinstance(explained, Scale):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -66,10 +66,16 @@ def heading(title: str, subtitle: str | None, style: Style, inner: int) -> Piece
     return piece
 
 
-def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
-    """The scales with their ticks, ``size`` units high in all; below them the swatches, if ``extras``."""
+def fewer(legend: Legend, count: int) -> Legend:
+    """The legend with its first swatches only, and how many are left out."""
+    more = (f"and {len(legend.swatches) - count} more", None)
+    return replace(legend, swatches=(*legend.swatches[:count], more) if count else ())
+
+
+def key(legend: Legend, style: Style, size: float) -> Piece:
+    """The scales with their ticks, ``size`` units high in all; below them the swatches; headings have no colour."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
-    rows = [(cut(style.text(words), small, WIDEST * u, style), color) for words, color in legend.swatches if extras]
+    rows = [(cut(style.text(words), small, WIDEST * u, style), color) for words, color in legend.swatches]
     bar, tip = round(1.15 * u), 0.8 * u
     each = max(size / max(len(legend.scales), 1), LEAST)
     piece = Piece(max([bar + 0.6 * u + length(small, words) for words, _ in rows], default=0.0), float(pad))
@@ -84,6 +90,10 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
     piece.height += pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u)
     piece.width += 2 * pad
     for words, color in rows:
+        if color is None:
+            piece.texts.append((pad, y + 0.78 * u, words, small, GREY, "ls"))
+            y = round(y + 1.5 * u)
+            continue
         sample = _bytes(color)
         piece.framed(pad, y, pad + bar, y + high, _color(sample.reshape(-1, 3)[0]), style.hair / 2)
         if sample.ndim == 3:
