@@ -18,7 +18,15 @@ from orograph.store.codec_head import (
     full_weights,
 )
 from orograph.store.compact_contexts import TOKENS, cost_of, grouped, joined, token
-from orograph.store.compact_encode import decided_tables, push, push_plain, symbol_of, write_mask, write_tables
+from orograph.store.compact_encode import (
+    decided_tables,
+    push,
+    push_plain,
+    ready_to_push,
+    symbol_of,
+    write_mask,
+    write_tables,
+)
 from orograph.store.smallest_fit import SAMPLED, fitted_shares, fitted_weights
 from orograph.store.smallest_look import look, surrounded
 from orograph.store.smallest_rows import (
@@ -149,7 +157,7 @@ def _in_steps(values, tables, skips):
     """Values and tables in the order of steps, flat, sixteen in each; -1 where a lane has nothing."""
     rows, cols = skips.shape
     size, n = steps_of(rows, cols) * LANES32, 0
-    ordered, kinds = np.zeros(size, np.int64), np.full(size, -1, np.int64)
+    ordered, kinds = np.zeros(size, np.uint32), np.full(size, -1, np.int32)
     for row in range(rows):
         at = begin_of(row, cols) * LANES32 + row % LANES32
         for col in range(cols):
@@ -166,10 +174,8 @@ def _stream(ordered, kinds, depths, direct, found, words, states):
     Args:
         ordered, kinds: from ``_in_steps``. states: (LANES32,) int64, become those to begin with.
     """
-    p, below, deep = np.int64(words.size), np.zeros(found.shape, np.int64), depths.any()
-    for c in range(found.shape[0]):
-        for s in range(1, SYMBOLS):
-            below[c, s] = below[c, s - 1] + found[c, s - 1]
+    p, deep = np.int64(words.size), depths.any()
+    both, inverse = ready_to_push(found)
     states[:] = LEAST
     symbols = np.empty(LANES32, np.int64)
     for step in range(ordered.size - LANES32, -1, -LANES32):
@@ -177,20 +183,20 @@ def _stream(ordered, kinds, depths, direct, found, words, states):
         for i in range(LANES32):
             c = lanes[i]
             if c >= 0:
-                symbols[i] = symbol_of(ordered[step + i] >> depths[c], direct[c])
+                symbols[i] = symbol_of(np.int64(ordered[step + i]) >> depths[c], direct[c])
                 ranges |= symbols[i] >= direct[c]
         if deep:
             for i in range(LANES32 - 1, -1, -1):
                 depth = depths[lanes[i]] if lanes[i] >= 0 else 0
                 if depth:
-                    low = ordered[step + i] & ((1 << depth) - 1)
+                    low = np.int64(ordered[step + i]) & ((1 << depth) - 1)
                     states[i], p = push_plain(states[i], p, words, depth, low)
         for high in range(ranges, -ranges, -1):  # (1 and 0: what is above sixteen bits is written before the rest)
             for i in range(LANES32 - 1, -1, -1):
                 c = lanes[i]
                 if c >= 0 and symbols[i] >= direct[c]:
                     bits = symbols[i] - direct[c]
-                    beyond = (ordered[step + i] >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
+                    beyond = (np.int64(ordered[step + i]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
                     if high and bits > 16:
                         states[i], p = push_plain(states[i], p, words, bits - 16, beyond >> 16)
                     elif not high:
@@ -198,7 +204,7 @@ def _stream(ordered, kinds, depths, direct, found, words, states):
         for i in range(LANES32 - 1, -1, -1):
             c = lanes[i]
             if c >= 0:
-                states[i], p = push(states[i], p, words, found[c, symbols[i]], below[c, symbols[i]])
+                states[i], p = push(states[i], p, words, both, inverse, c * SYMBOLS + symbols[i])
     return p
 
 
@@ -262,7 +268,7 @@ def encode(numbers, classes):
     depths, direct = np.zeros(number, np.int64), np.zeros(number, np.int64)
     codes, found = np.zeros((number, SYMBOLS), np.int64), np.zeros((number, SYMBOLS), np.int64)
     sizes = decided_tables(values, kinds, number, RARE, depths, direct, found, codes)
-    words, states = np.empty(WORDS * used, np.uint16), np.empty(LANES32, np.int64)
+    words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
     ordered, tables = _in_steps(values, kinds, skips)
     p = _stream(ordered, tables, depths, direct, found, words, states)
     most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + SETS * (4 + 8 * SYMBOLS)
