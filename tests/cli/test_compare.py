@@ -215,7 +215,7 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
         (of("soar,metric=euclid"), 2, ("euclid",)),
         ((*of("soar", "threshold-spheres,metric=wedgie"), "--views", "none.json"), 2, ("not 'wedgie'",)),
         ((*of("raycast"), "--triangles", 9), 2, ("does not support the goal triangles", "tolerance")),
-        ((*of("soar,error=midpoint"), "--conservative"), 2, ("not guaranteed", "orograph methods soar")),
+        ((*of("soar,error=midpoint"), "--conservative"), 2, ("not promised", "orograph methods soar")),
         (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
         (("--judged", 3), 2, ("--flight",)),
         (("--flight", "none.json"), 3, ("none.json",)),

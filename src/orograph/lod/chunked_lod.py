@@ -5,7 +5,7 @@ chunk of the quadtree has its own mesh, simplified in advance to the error of it
 level (``store.chunked``). With D the distance from the eye to a chunk's box, its error covers ρ = error · K / D pixels;
 if ρ exceeds the tolerance τ, its four children are drawn instead. A chunk's vertices all move together between their
 places in its parent's mesh and in its own: morph = clamp(2ρ/τ − 1, 0, 1). When a parent is split its children look as
-it did. Skirts hide gaps between chunks. Errors of vertices are not a bound: no guarantee.
+it did. Skirts hide gaps between chunks. Errors of vertices are not a bound: no promise.
 
 Adjacent chunks are kept within two levels, since a skirt covers no more: where distance alone asks for more, the
 coarser one is split. Metres, pixels.

@@ -5,7 +5,7 @@ in GPU Gems 2 (2005). Every level has a window of n × n samples around the eye,
 outside finer windows is drawn. Over the outer tenth of a ring heights blend into the next coarser one's, so that
 nothing pops; rings end only in even vertices, so that nothing cracks (``clipmap_mesh``). Heights are held in toroidal
 arrays, filled coarse first, within a budget per frame; a late level is left out (``clipmap_toroid``). The finest levels
-are left out if the eye is high, or the tolerance does not need them. Distance alone decides: no guarantee.
+are left out if the eye is high, or the tolerance does not need them. Distance alone decides: no promise.
 
 ``rings=promise`` chooses windows by the errors of the blocks they cover: outside of level l's window level l + 1 keeps
 the tolerance, and in its transition, where heights are off by both levels' errors at most, it keeps it with their sum.
@@ -61,7 +61,7 @@ class ClipmapOptions:
     n: int = option(255, "Samples along a side of a window.", choices=(63, 127, 255, 511))
     rings: str = option(
         "printed", "Windows of n × n samples around the eye (printed), or as large as the tolerance requires by the "
-                   "errors of blocks (promise), which guarantees the tolerance.", choices=("printed", "promise"),
+                   "errors of blocks (promise), which keeps the tolerance.", choices=("printed", "promise"),
     )  # fmt: skip
     blend: bool = option(True, "Heights blend into the next coarser ring's over the outer tenth of a ring.")
     update: float | None = option(

@@ -120,8 +120,8 @@ def _infos() -> list[MethodInfo]:
 
 def _promise(info: MethodInfo) -> str:
     if info.conservative(info.options()):
-        return "With the default options the tolerance is guaranteed for every sample in view."
-    return "With the default options the tolerance is not guaranteed."
+        return "With the default options the tolerance is promised for every sample in view."
+    return "With the default options the tolerance is not promised."
 
 
 def _filled(text: str, indent: str = "    ") -> str:

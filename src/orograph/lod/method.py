@@ -130,7 +130,7 @@ class MethodInfo:
     Attributes:
         name: as on the command line. title: a one-line description.
         paper: the source, with its section. kind: of its selections. options: the dataclass of its options.
-        conservative: whether its bound is guaranteed with these options.
+        conservative: whether its bound is promised with these options.
         incremental: whether a frame continues from the previous one. goals: those that it supports.
     """
 
@@ -181,7 +181,7 @@ class Method(ABC):
 
     @property
     def conservative(self) -> bool:
-        """Whether the tolerance is guaranteed for every point of the full-resolution surface in view."""
+        """Whether the tolerance is promised for every point of the full-resolution surface in view."""
         return self.info.conservative(self.options)
 
     @abstractmethod

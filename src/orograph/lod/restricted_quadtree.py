@@ -55,7 +55,7 @@ class RestrictedQuadtreeOptions(MeshOptions):
     triangulation: str = option(
         "conforming", "How squares become triangles: conforming (four, more beside smaller ones), restricted (eight, "
                       "fewer beside larger ones), unrestricted (two, and squares ignore their neighbours: cracks, "
-                      "and no guarantee).",
+                      "and no promise).",
         choices=tuple(TRIANGULATIONS),
     )  # fmt: skip
     split_by: str = option(
@@ -82,7 +82,7 @@ class RestrictedQuadtreeOptions(MeshOptions):
 
     @property
     def conservative(self) -> bool:
-        """As ``MeshOptions.conservative``; unrestricted squares guarantee nothing."""
+        """As ``MeshOptions.conservative``; unrestricted squares promise nothing."""
         return self.triangulation != "unrestricted" and super(RestrictedQuadtreeOptions, self).conservative
 
 

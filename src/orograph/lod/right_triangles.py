@@ -1,4 +1,4 @@
-"""What all methods on the hierarchy of right triangles share: options, guarantees, and reaching budgets by tolerances.
+"""What all methods on the hierarchy of right triangles share: options, promises, and reaching budgets by tolerances.
 
 ``RightTriangles`` holds the terrain's pages (``lod.field``). Those that make single triangles are
 ``RightTriangleMeshes``: they refine until a goal is reached and leave a ``Mesh``, arrays that renderers and benches can
@@ -93,7 +93,7 @@ class RightTriangleOptions:
 
     @property
     def conservative(self) -> bool:
-        """Whether a tolerance is guaranteed for every full-resolution sample in view."""
+        """Whether a tolerance is promised for every full-resolution sample in view."""
         return self.metric_used.conservative and self.error in BOUNDS
 
 

@@ -36,7 +36,7 @@ class Selection(ABC):
 
     Attributes:
         method: the name of the method that selected it.
-        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no guarantee.
+        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no promise.
         lacking: (w,) of ``WANTED``, largest error first: tiles that the method wanted and did not have.
         stats: what the method says of it, as JSON has it.
     """

@@ -135,7 +135,7 @@ def compare(
             referee judges, evenly spread; None: 12.
         methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
         tolerance: pixels; None: 1, unless ``triangles`` (at most this many) are the goal.
-        conservative: refuse methods that do not guarantee the tolerance.
+        conservative: refuse methods that do not promise the tolerance.
         drape: the image whose colours a method's color-tolerance looks at.
         exaggeration: how heights are stretched on the screen.
         size: of the views, pixels; None: their own; of the default views, 1280 × 720.
