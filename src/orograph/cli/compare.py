@@ -106,7 +106,7 @@ def command(
     if found.broken:
         raise OrographError(
             f"{' and '.join(found.broken)} broke the promised tolerance.",
-            remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
+            remedy="This is a fault of the method: please report it, with the terrain and the views.",
         )
 
 

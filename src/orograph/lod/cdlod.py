@@ -75,7 +75,7 @@ class Cdlod(QuadtreePatches):
 
     info = MethodInfo(
         "cdlod", "instances of one grid, as fine as the distance asks; vertices slide into the next level",
-        "Strugar 2009", "patches", CdlodOptions, lambda options: False,
+        "Strugar 2009", "patches", CdlodOptions, lambda options: False, conforming=False,
     )  # fmt: skip
 
     def __init__(self, *args: Any, **given: Any) -> None:

@@ -85,6 +85,7 @@ def about(name: str) -> str:
     info = method_of(name).info
     lines = [
         f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.", _promise(info),
+        *([] if info.conforming else ["Its meshes may have cracks."]),
         "It continues from the previous frame." if info.incremental else "Every frame starts from scratch.",
         f"Possible goals: {', '.join(info.goals)}.",
     ]  # fmt: skip

@@ -60,10 +60,15 @@ class TriangleMesh(Selection):
     """A mesh of single triangles.
 
     Attributes:
-        mesh: vertices anywhere, triangles, and the strip where the method makes one.
+        mesh: vertices anywhere, triangles, and the strip where the method makes one. Its own ``stats`` are completed by
+            those of the selection.
     """
 
     mesh: Tessellation
+
+    def __post_init__(self) -> None:
+        for name, value in {"method": self.method, **self.stats}.items():
+            self.mesh.stats.setdefault(name, value)
 
     def tessellation(self) -> Tessellation:
         """The mesh."""

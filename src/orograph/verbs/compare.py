@@ -15,8 +15,7 @@ from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
 from orograph.folders import Amount, bytes_of
-from orograph.lod.field import check_surface
-from orograph.lod.method import Goal, Resources
+from orograph.lod.method import Goal, Resources, check_surface
 from orograph.lod.needs import kinds_of
 from orograph.lod.registry import METHODS, Choice
 from orograph.output import check_folder
@@ -66,7 +65,7 @@ class Comparison(dict[str, Measurement]):
 
     @property
     def broken(self) -> list[str]:
-        """Methods that broke their promise: a fault of Orograph."""
+        """Methods that broke their promise: a fault of theirs."""
         return [name for name, m in self.items() if m.kept is False]
 
     def rows(self) -> list[list[str]]:
