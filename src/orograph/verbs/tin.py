@@ -26,8 +26,8 @@ from orograph.tessellation import Tessellation
 
 def tin(
     terrain: Any,
-    *,
     max_error: float | None = None,
+    *,
     triangles: int | None = None,
     bound: Literal["surface", "samples"] = "surface",
     breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
