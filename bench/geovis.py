@@ -134,8 +134,8 @@ def uncertain() -> None:
     middle = land.grid.xy(512, 512)
     level = 0.5 * (low + high)
     measures: dict[str, Any] = {
-        "slope": lambda error, draws: measuring.probable_slope(land, error, [20.0], draws=draws),
-        "contours": lambda error, draws: measuring.probable_contours(land, error, interval=50.0, draws=draws),
+        "slope": lambda error, draws: measuring.slope(land, error, [20.0], draws=draws),
+        "contours": lambda error, draws: measuring.contours(land, error, interval=50.0, draws=draws),
         "flood": lambda error, draws: measuring.flood(land, level, [middle], error, draws=draws),
         "viewshed": lambda error, draws: measuring.probable_viewshed(land, middle, error, 100.0, draws=draws),
     }

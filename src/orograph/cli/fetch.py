@@ -123,8 +123,8 @@ def command(
         _list(options["table"], as_json)
         return
     if try_products:
-        asked = ctx.get_parameter_source("product") is not click.core.ParameterSource.DEFAULT
-        if not _try(options["table"], options["product"] if asked else None, as_json):
+        chosen = ctx.get_parameter_source("product") is not click.core.ParameterSource.DEFAULT
+        if not _try(options["table"], options["product"] if chosen else None, as_json):
             ctx.exit(ReadError.exit_code)
         return
     if output is None:

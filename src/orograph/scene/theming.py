@@ -92,7 +92,8 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     found = [read(one) for one in pairs(inside)]
     standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
-    usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
+    covered = any(not one.cased for one in flat)  # lines leave the ground its colours
+    usual = ({} if priority.terrain else _lines()) | (_ground() if covered or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
     if flat:
         made |= _cased(made, terrain)

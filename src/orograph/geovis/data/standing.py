@@ -21,7 +21,7 @@ from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.signs import INK, colored
 from orograph.geovis.data.standing_marks import MARKS, swatch
 from orograph.geovis.keys import Legend, Scale
@@ -210,7 +210,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         note = ", ".join(filter(None, (note, f"sizes begin at {rounded(scale.low, scale.high)} {unit}".rstrip())))
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     sign = _sign(dataset, priority, style) if sigma is not None else "none"
-    doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
+    doubt = doubted(sigma) if sigma is not None else (0.0, 1.0)
     if dataset.uncertainty is not None and dataset.uncertainty.range is not None:
         doubt = dataset.uncertainty.range
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
@@ -225,7 +225,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         rgb += (np.float32(FADED) * points.ages[order].astype(np.float32))[:, None] * (1 - rgb)
     main = Things(
         np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height, rgb, values,
-        key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
+        key_of(dataset, points.name, values, scale, unit, note, sign, doubt, points.classes), ends,
         None if ends is None or not dataset.through else np.full(len(values), dataset.through), sigma=sigma,
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
@@ -285,16 +285,15 @@ def longer(grid: Grid) -> float:
 
 
 def key_of(
-    dataset: Dataset, name: str, scale: ColorScale, unit: str, note: str, sign: str, doubt: tuple[float, float],
-    classes: tuple[str, ...] | None = None,
+    dataset: Dataset, name: str, values: Array, scale: ColorScale, unit: str, note: str, sign: str,
+    doubt: tuple[float, float], classes: tuple[str, ...] | None = None,
 ) -> Legend:  # fmt: skip
     """What the colours of things mean."""
     title = dataset.name or name
-    beyond = dataset.range is None
-    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, below=beyond, above=beyond)
+    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, *scale.exceeded(values))
     swatches: list[tuple[str, Any]] = []
     if sign not in ("none", "errorbars"):
-        middle = np.full(len(SWATCHES), (scale.low + scale.high) / 2)
+        middle = np.full(len(SWATCHES), scale.telling)
         shades: Any = linear_to_srgb(colored(middle, np.array(SWATCHES), scale, sign))
         if sign in MARKS:
             shades = [swatch(scale.color(middle[:1])[0], part, sign) for part in SWATCHES]
