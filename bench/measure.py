@@ -93,14 +93,15 @@ def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> Non
     # A pyramid of one level, all of it above everything, is never passed.
     maxima = np.full(1 << 22, np.int32(2**31 - 1))
     offset, per_row = np.array([-1], np.int64), np.array([cols], np.int64)
+    pyramid = viewshed_kernels.Pyramid(s.pyramid.z, maxima, offset, per_row)
     lines = range(0, rows, max(16, rows // 32))
     out = np.empty((1, cols), np.float32)
     dr, dc = shed.row - s.row, shed.col - s.col
 
     def work() -> None:
         for r in lines:
-            args = s.z, maxima, offset, per_row, s.x, s.y, 0.0, np.ones((1, cols)), 4.0, True
-            viewshed_kernels.look(*args, r + dr, r + dr + 1, dc, dc + cols, out)
+            window = r + dr, r + dr + 1, dc, dc + cols
+            viewshed_kernels.look(pyramid, s.x, s.y, 0.0, np.ones((1, cols)), 4.0, True, window, out)
 
     seconds = timed(work, 1)
     print(f"  {'':38s} without the pyramid: {len(lines) * cols / seconds / 1e6:5.2f} M samples/s on one thread")

@@ -19,11 +19,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import named
 from orograph.cards import card
 from orograph.documents import load_object, naming, write
 from orograph.errors import UsageError
@@ -41,6 +42,22 @@ NUMBERS: dict[str, tuple[type[int] | type[float], int]] = {
 """What the numbers of a VIEW.json are, and how many of each."""
 
 
+class RayBasis(NamedTuple):
+    """The rays through the pixels of a picture: the origin is o0 + px·ou + py·ov, the direction d0 + px·du + py·dv.
+
+    All (3,); (px, py) are pixel *positions*: (0.5, 0.5) is the centre of the first pixel. In perspective ou and ov are
+    zero, in a plan du and dv are.
+    """
+
+    o0: Array
+    ou: Array
+    ov: Array
+    d0: Array
+    du: Array
+    dv: Array
+
+
+@named("A view")
 @dataclass(frozen=True, slots=True, repr=False)
 class View:
     """A camera.
@@ -307,13 +324,8 @@ class View:
         y = (height / 2 - top) - delta @ up / scale
         return np.stack([x, y], -1), depth
 
-    def ray_basis(self, exaggeration: float = 1.0) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """The parameters of the ray through pixel position (px, py): origin o0 + px·ou + py·ov, direction d0 + px·du +
-        py·dv.
-
-        All (3,), true space; pixel *positions*: (0.5, 0.5) is the centre of the first pixel. In perspective ou and ov
-        are zero, in a plan du and dv are. Directions have unit forward component.
-        """
+    def ray_basis(self, exaggeration: float = 1.0) -> RayBasis:
+        """The rays through pixel positions, in true space. Directions have unit forward component."""
         right, up, forward = self.axes(exaggeration)
         unstretch = np.array([1.0, 1.0, 1.0 / exaggeration])
         zero = np.zeros(3)
@@ -323,11 +335,11 @@ class View:
             m = self.pixel_metres
             centre = np.array([self.target[0], self.target[1], self.eye[2]])
             ou, ov = right * m, -up * m
-            return centre - ou * across - ov * down, ou, ov, forward * unstretch, zero, zero
+            return RayBasis(centre - ou * across - ov * down, ou, ov, forward * unstretch, zero, zero)
         s = self.pixel_slope
         du, dv = right * s * unstretch, -up * s * unstretch
         d0 = forward * unstretch - du * across - dv * down
-        return np.array(self.eye), zero, zero, d0, du, dv
+        return RayBasis(np.array(self.eye), zero, zero, d0, du, dv)
 
 
 def _numbers(name: str, value: Any) -> Any:

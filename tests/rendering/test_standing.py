@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -60,7 +61,7 @@ def test_tubes_meet_what_embree_meets():
     met, which, _ = RayMeshIntersector(solid).intersects_location(o, d, multiple_hits=False)
     true = np.full(len(o), np.inf)
     true[which] = np.linalg.norm(met - o[which], axis=1) / np.linalg.norm(d[which], axis=1)
-    found = np.array([kernels._tube(*a, *b, *place, *end, radius) for a, b in zip(o, d)])
+    found = np.array([kernels._tube(tuple(a), tuple(b), tuple(place), tuple(end), radius) for a, b in zip(o, d)])
     same = np.isfinite(found[:, 0]) == np.isfinite(true)
     assert same.mean() > 0.995
     both = np.isfinite(found[:, 0]) & np.isfinite(true)
@@ -77,7 +78,7 @@ def test_walls_are_hit_between_their_ends_and_their_heights():
     o, d = rays(3000, place + end / 2)
     hits = 0
     for a, b in zip(o, d):
-        t, *normal = kernels._wall(*a, *b, *place, *end, height)
+        t, *normal = kernels._wall(tuple(a), tuple(b), tuple(place), tuple(end), height)
         # Cramer's rule for a + t b = place + s end + w up.
         s_true = np.linalg.solve(np.stack([-b, end, [0, 0, 1.0]], 1), a - place)
         inside = 0 <= s_true[1] <= 1 and 0 <= s_true[2] <= height
@@ -176,11 +177,12 @@ def test_kernels_meet_what_embree_meets(shape):
     x, y, z = place
     if shape == "box":
         found = [
-            kernels._box(*a, *b, x - radius, x + radius, y - radius, y + radius, z, z + height) for a, b in zip(o, d)
+            kernels._box(tuple(a), tuple(b), (x - radius, y - radius, z), (x + radius, y + radius, z + height))
+            for a, b in zip(o, d)
         ]
     else:
         tip = 0.0 if shape == "cone" else 1.0
-        found = [kernels._turned(*a, *b, x, y, z, radius, height, tip) for a, b in zip(o, d)]
+        found = [kernels._turned(tuple(a), tuple(b), (x, y, z), radius, height, tip) for a, b in zip(o, d)]
     t = np.array([one[0] for one in found])
     floor = place[2] + 1e-3 >= (o + np.where(np.isfinite(true), true, 0)[:, None] * d)[:, 2]
     same = np.isfinite(t) == np.isfinite(true)
@@ -194,7 +196,7 @@ def test_kernels_meet_what_embree_meets(shape):
 
 
 def test_a_sphere_far_away_is_where_it_is():
-    t, nx, _, _ = kernels._sphere(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1e7, 0.0, 0.0, 0.5)
+    t, nx, _, _ = kernels._sphere((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1e7, 0.0, 0.0), 0.5)
     assert t == pytest.approx(1e7 - 0.5, abs=1e-6)
     assert nx == pytest.approx(-1)
 
@@ -242,6 +244,18 @@ def test_a_plan_shows_feet_as_they_are():
     stood = stand(thing(Kind.BAR, 500_400, 5_599_700), bare.pixels, bare.depth, scene)
     area = (stood.which >= 0).sum() * view.pixel_metres**2
     assert area == pytest.approx(40 * 40, rel=0.1)
+
+
+def test_slopes_do_not_cut_discs_in_a_plan():
+    rows = np.arange(40.0)[:, None]
+    terrain = orograph.terrain(
+        np.broadcast_to(100 * rows, (40, 50)).astype(np.float32), transform=ground().grid.transform, crs=UTM
+    )
+    bare = orograph.render(terrain, "plan", size=(400, 300))
+    disc = thing(Kind.CYLINDER, *(float(v) for v in terrain.grid.xy(25, 20)))
+    stood = stand(disc, bare.pixels, bare.depth, Scene.of(terrain, bare.view))
+    area = (stood.which >= 0).sum() * bare.view.pixel_metres**2
+    assert area == pytest.approx(math.pi * float(disc.radius[0]) ** 2, rel=0.1)
 
 
 def test_tiles_show_what_the_whole_shows():

@@ -63,7 +63,7 @@ def command(
     """Measure methods side by side on a DEM (one file or many) or a store.
 
     For each: triangles, milliseconds to select them (the median), millions of triangles per second, errors in pixels as
-    the referee finds them, tiles read, and whether the tolerance is guaranteed; on a flight also the part of the mesh
+    the referee finds them, tiles read, and whether the tolerance is promised; on a flight also the part of the mesh
     that changes from frame to frame.
 
     A mesh is judged at every full-resolution sample in view, and on all of the surface between them. Rays are judged by
@@ -105,8 +105,8 @@ def command(
     # Without a promise, the table says what is wrong with a mesh.
     if found.broken:
         raise OrographError(
-            f"{' and '.join(found.broken)} broke the guaranteed tolerance.",
-            remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
+            f"{' and '.join(found.broken)} broke the promised tolerance.",
+            remedy="This is a fault of the method: please report it, with the terrain and the views.",
         )
 
 
@@ -117,7 +117,7 @@ def _told(found: Comparison) -> dict[str, Any]:
         "terrain": terrain.name, "shape": list(terrain.grid.shape), goal.name: getattr(goal, goal.name),
         "exaggeration": found.exaggeration, "flight": None, "frames": len(found.views),
         "views": {} if found.flight else {k: v.to_dict() for k, v in found.views.items()},
-        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()},
+        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()}, "left_out": found.left_out,
     }  # fmt: skip
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,8 +153,7 @@ def elevation_table(name: str | Table | None, low: float, high: float, n: int = 
     return np.stack([np.interp(at, whole, table[:, k]) for k in range(3)], 1).astype(np.float32)
 
 
-@dataclass(frozen=True, slots=True)
-class Tint:
+class Tint(NamedTuple):
     """How heights become colours.
 
     Attributes:

@@ -23,9 +23,7 @@ SMALL = 0.9990
 def _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip, far, spans):
     """Whether nothing stands in a direction between ``skip`` and ``far`` metres."""
     dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
-    t, _ = ray(
-        scene, x, y, z, dx, dy, up / exaggeration, skip, far, 0, LEVEL, spans
-    )  # fmt: skip
+    t, _ = ray(scene, (x, y, z), (dx, dy, up / exaggeration), skip, far, 0, LEVEL, spans)
     return t == np.inf
 
 
@@ -63,8 +61,7 @@ def disc_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, ax
                 r = 0.0 if m == 0 else sine
                 p, q = r * np.cos(v), r * np.sin(v)
                 e, n, up = p * ax + q * bx + w * axis[0], p * ay + q * by + w * axis[1], p * az + q * bz + w * axis[2]
-                if _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip[k], np.inf,
-                         spans):  # fmt: skip
+                if _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip[k], np.inf, spans):
                     seen += 1
                 if seen != 0 and seen != m + 1:
                     break

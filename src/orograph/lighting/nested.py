@@ -13,6 +13,7 @@ Heights are metres, NaN where missing (nothing stands there); slopes are tangent
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,34 @@ Heights = NDArray[np.float32]
 
 _LINES = 64
 """Lines swept at a time by a thread."""
+
+
+class Turned(NamedTuple):
+    """How lines run towards a light.
+
+    Attributes:
+        major_is_col: whether steps are columns, or rows. forward: whether the light lies towards larger major indices.
+        slant: minor steps per major step towards larger indices. metres: of a step along a line.
+    """
+
+    major_is_col: bool
+    forward: bool
+    slant: float
+    metres: float
+
+
+class Outer(NamedTuple):
+    """The windows around one, from the nearest to the outermost.
+
+    Attributes:
+        pool: their heights, flat. ints: (w, 3) offset in it, rows, columns.
+        floats: (w, 5) scale in the inner window's samples, first row and column of their samples' middles in its
+            coordinates, and the major range [from, to] of the part that lies beyond the windows inside.
+    """
+
+    pool: Heights
+    ints: NDArray[np.int64]
+    floats: NDArray[np.float64]
 
 
 @kernel
@@ -75,20 +104,15 @@ def _seen(hull_t, hull_z, size, s, z):
 
 
 @kernel
-def _sweep(
-    heights, major_is_col, forward, slant, metres, cell, own, first, last, line0, outer_pool, outer_ints, outer_floats,
-    lowest, out,
-):  # fmt: skip
+def _sweep(heights, turned, cell, own, outer, lowest, first, last, line0, out):
     """Lines [first, last) of a window: ``out[line - line0, j]`` is the slope towards the light at major index j.
 
     Args:
+        turned: ``Turned``. outer: ``Outer``.
         cell: samples' own cells. own: metres that they reach, within which ``_gather`` looks.
-        forward: whether the light lies towards larger major indices. slant: minor steps per major step towards larger
-            indices. metres: of a step along the line.
-        outer_pool, outer_ints (w, 3: offset, rows, cols), outer_floats (w, 5: scale in this window's samples, first row
-            and column of its samples' middles in this window's coordinates, and the major range [from, to] of the
-            part of it that lies beyond the windows inside): windows around, from the nearest to the outermost.
     """
+    major_is_col, forward, slant, metres = turned
+    outer_pool, outer_ints, outer_floats = outer
     majors = heights.shape[1] if major_is_col else heights.shape[0]
     minors = heights.shape[0] if major_is_col else heights.shape[1]
     capacity = cell.points * majors + 8
@@ -212,27 +236,24 @@ def sunward(
     major_is_col = abs(step[0]) >= abs(step[1])
     major, minor = (step[0], step[1]) if major_is_col else (step[1], step[0])
     forward, slant = bool(major > 0), float(minor / major)
-    turned = bool(abs(step[0]) >= abs(step[1])), forward, slant
     return [
-        _one(window, windows[:number][::-1], turned, float(1 << window.level) / abs(major), lowest, jobs)
+        _one(
+            window, windows[:number][::-1],
+            Turned(bool(major_is_col), forward, slant, float(1 << window.level) / abs(float(major))), lowest, jobs,
+        )
         for number, window in enumerate(windows)
-    ]
+    ]  # fmt: skip
 
 
 def _one(
-    window: HeightWindow,
-    outer: list[HeightWindow],
-    turned: tuple[bool, bool, float],
-    metres: float,
-    lowest: float,
-    jobs: int | None,
-) -> Heights:
-    """The slopes of one window, ``outer`` around it, nearest first; ``metres`` of a step along its lines."""
-    major_is_col, forward, slant = turned
+    window: HeightWindow, outer: list[HeightWindow], turned: Turned, lowest: float, jobs: int | None
+) -> Heights:  # fmt: skip
+    """The slopes of one window, ``outer`` around it, nearest first."""
+    major_is_col, forward, slant, metres = turned
     heights = np.ascontiguousarray(window.heights, np.float32)
     rows, cols = heights.shape
     majors, minors = (cols, rows) if major_is_col else (rows, cols)
-    pool, ints, floats = _around(outer, window, majors, major_is_col, forward)
+    around = _around(outer, window, majors, major_is_col, forward)
     places = slant * np.arange(majors)
     toward = 1 if forward else -1
     through = np.abs(places - np.round(places)).max(initial=0.0) <= 1e-6
@@ -247,10 +268,8 @@ def _one(
     lines = np.full((count, majors), lowest, np.float32)
 
     def some(first: int) -> None:
-        _sweep(
-            heights, major_is_col, forward, slant, metres, cell, cell.reach * metres * (1.0 + 1e-9), first,
-            min(first + _LINES, line0 + count), line0, pool, ints, floats, lowest, lines,
-        )  # fmt: skip
+        own, last = cell.reach * metres * (1.0 + 1e-9), min(first + _LINES, line0 + count)
+        _sweep(heights, turned, cell, own, around, lowest, first, last, line0, lines)
 
     for _ in map_ordered(some, range(line0, line0 + count, _LINES), jobs):
         pass
@@ -259,10 +278,8 @@ def _one(
     return result
 
 
-def _around(
-    outer: list[HeightWindow], window: HeightWindow, majors: int, major_is_col: bool, forward: bool
-) -> tuple[Heights, NDArray[np.int64], NDArray[np.float64]]:
-    """The windows around one (nearest first) as ``_sweep`` wants them, in the window's own sample coordinates."""
+def _around(outer: list[HeightWindow], window: HeightWindow, majors: int, major_is_col: bool, forward: bool) -> Outer:
+    """The windows around one (nearest first), in its own sample coordinates."""
     scale = float(1 << window.level)
     ints, floats = np.zeros((len(outer), 3), np.int64), np.zeros((len(outer), 5))
     arrays, base = [np.zeros(1, np.float32)], 1
@@ -285,4 +302,4 @@ def _around(
         base += o.heights.size
         if (far - edge) * (1.0 if forward else -1.0) > 0:
             edge = far + (ratio / 2 if forward else -ratio / 2)
-    return np.concatenate(arrays), ints, floats
+    return Outer(np.concatenate(arrays), ints, floats)

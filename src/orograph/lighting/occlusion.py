@@ -23,7 +23,7 @@ import copy
 import importlib
 import math
 from collections.abc import Callable
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +38,9 @@ from orograph.lighting.rho import Rho, Transmission, transmission
 from orograph.lighting.sweep_lines import direction
 from orograph.parallel import map_ordered
 from orograph.raycast.tables import Scene
+
+if TYPE_CHECKING:
+    from orograph.lighting.occlusion_kernels import Edges, Samples
 
 Heights = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -59,7 +62,7 @@ _PER_SAMPLE = 24
 """Bytes that a neighbourhood takes per sample: heights, slopes, result, the caster's pyramids."""
 
 
-def edges(linear: Array, azimuth: float, radius: float) -> tuple[NDArray[np.int64], ...]:
+def edges(linear: Array, azimuth: float, radius: float) -> Edges:
     """The edges of the triangulation that a walk crosses, from a sample outward up to ``radius`` metres and one beyond.
 
     Cells are cut along the diagonals that join samples of even (row + column), so all edges lie on the lines
@@ -67,11 +70,9 @@ def edges(linear: Array, azimuth: float, radius: float) -> tuple[NDArray[np.int6
 
     Args:
         linear: (2, 2) metres east and north per column and per row. azimuth: degrees from grid north.
-
-    Returns:
-        starts (3,): where the edges of even and of odd samples begin, and the end; rows1, cols1, rows2, cols2 (n,)
-        int64: an edge's samples, as offsets; part (n,) float64: where between them; metres (n,) float64: how far away.
     """
+    from orograph.lighting.occlusion_kernels import Edges
+
     du, dv = (float(x) for x in np.linalg.solve(linear, direction(azimuth)))
     radius += float(np.linalg.norm(linear @ [1, 1]) + np.linalg.norm(linear @ [1, -1])) / 2  # to the edge beyond
     tables = []
@@ -107,7 +108,7 @@ def edges(linear: Array, azimuth: float, radius: float) -> tuple[NDArray[np.int6
     starts = np.cumsum([0, tables[0].shape[1], tables[1].shape[1]])
     s, y1, x1, y2, x2, f = np.concatenate(tables, axis=1)
     rows1, cols1, rows2, cols2 = (np.ascontiguousarray(v, np.int64) for v in (y1, x1, y2, x2))
-    return starts, rows1, cols1, rows2, cols2, np.ascontiguousarray(f), np.ascontiguousarray(s)
+    return Edges(starts, rows1, cols1, rows2, cols2, np.ascontiguousarray(f), np.ascontiguousarray(s))
 
 
 class Neighbourhood:
@@ -150,6 +151,13 @@ class Neighbourhood:
         """The block's part of an array of the neighbourhood."""
         a, b, c, d = self.inner
         return array[..., a:b, c:d]
+
+    def samples(self, lift: float) -> Samples:
+        """The block's samples; rays begin ``lift`` metres above the ground."""
+        from orograph.lighting.occlusion_kernels import Samples
+
+        z, gx, gy = (np.ascontiguousarray(self.block(a)) for a in (self.heights, self.gx, self.gy))
+        return Samples(z, gx, gy, self.row0 + self.inner[0], self.col0 + self.inner[2], self.inverse, lift)
 
     def scene(self) -> Scene:
         """What the caster knows of these heights."""
@@ -239,12 +247,9 @@ def _rays(context: Context, ways: Transmission, rays: int, seed: int) -> Blocks:
     from orograph.lighting.occlusion_kernels import ray_occlusion
 
     def work(near: Neighbourhood) -> Values:
-        heights, gx, gy = (np.ascontiguousarray(near.block(a)) for a in (near.heights, near.gx, near.gy))
-        out = np.empty((1, *heights.shape), np.float32)
-        ray_occlusion(
-            near.scene(), heights, gx, gy, near.inverse, lift(context), ways.table, ways.free, ways.radius, ways.step,
-            rays, seed, near.row0 + near.inner[0], near.col0 + near.inner[2], 0, len(heights), out[0],
-        )  # fmt: skip
+        samples = near.samples(lift(context))
+        out = np.empty((1, *samples.heights.shape), np.float32)
+        ray_occlusion(near.scene(), samples, ways, rays, seed, out[0])
         return out
 
     return by_blocks(context, ways.radius, work, "Casting ambient rays", "ambient-occlusion")
@@ -261,10 +266,8 @@ def _walks(context: Context, ways: Transmission, azimuths: int) -> Blocks:
         known = near.heights[np.isfinite(near.heights)]
         highest = float(known.max()) if known.size else 0.0
         for azimuth, table in zip(fan, tables):
-            walk_occlusion(
-                near.heights, near.gx, near.gy, highest, *table, *direction(azimuth), ways.table, ways.free,
-                ways.radius, ways.step, *near.inner, out,
-            )  # fmt: skip
+            toward = direction(azimuth)
+            walk_occlusion(near.heights, near.gx, near.gy, highest, table, toward, ways, near.inner, out)
         out /= np.float32(azimuths)
         out[np.isnan(near.heights)] = np.nan
         return np.clip(near.block(out), 0.0, 1.0)[None]

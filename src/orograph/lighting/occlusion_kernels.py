@@ -12,7 +12,10 @@ samples of one parity of (row + column), and come as a table.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
 from orograph.raycast.kernels import ray
@@ -20,6 +23,42 @@ from orograph.raycast.kernels import ray
 GOLDEN = 0.6180339887498949
 LEVEL = 2
 """Where in the caster's pyramid a ray begins: near the ground, which most occluders are."""
+
+
+class Samples(NamedTuple):
+    """A block of samples at which rays begin.
+
+    Attributes:
+        heights: (rows, cols) float32, metres. gx, gy: (rows, cols) float32, rise per metre east and north.
+        row0, col0: of the first one, in the caster's coordinates.
+        inverse: (2, 2), samples per metre east and north. lift: how far above the ground rays begin, metres.
+    """
+
+    heights: NDArray[np.float32]
+    gx: NDArray[np.float32]
+    gy: NDArray[np.float32]
+    row0: int
+    col0: int
+    inverse: NDArray[np.floating]
+    lift: float
+
+
+class Edges(NamedTuple):
+    """The edges of the triangulation that a walk in one azimuth crosses, by distance.
+
+    Attributes:
+        starts: (3,) where the edges of even and of odd samples begin, and the end.
+        rows1, cols1, rows2, cols2: (n,) int64, an edge's two samples, as offsets from the one where the walk begins.
+        part: (n,) float64, where between them, 0 … 1. metres: (n,) float64, how far away.
+    """
+
+    starts: NDArray[np.int64]
+    rows1: NDArray[np.int64]
+    cols1: NDArray[np.int64]
+    rows2: NDArray[np.int64]
+    cols2: NDArray[np.int64]
+    part: NDArray[np.float64]
+    metres: NDArray[np.float64]
 
 
 @inlined
@@ -63,18 +102,22 @@ def _rho(table, length, radius):
     return table[k] + (table[k + 1] - table[k]) * (x - k)
 
 
-@kernel
-def ray_occlusion(
-    scene, heights, gx, gy, inverse, lift, table, free, radius, step, rays, seed, row0, col0,
-    first, last, out,
-):  # fmt: skip
-    """Ambient occlusion of rows [first, last) by cosine-weighted rays: the mean of ρ(L).
+@inlined
+def _first_hit(scene, samples, i, j, e, n, up, far, spans):
+    """How far away the ray from a sample in a direction meets the surface, metres; inf: not within ``far``."""
+    inverse = samples.inverse
+    o = np.float64(j + samples.col0), np.float64(i + samples.row0), np.float64(samples.heights[i, j]) + samples.lift
+    d = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n, up
+    return ray(scene, o, d, 0.0, far, 1, LEVEL, spans)[0]
 
-    heights, gx, gy, out: (rows, cols), metres and rise per metre. inverse: (2, 2), samples per metre east and north.
-    row0, col0: of the first sample, in the caster's coordinates.
-    """
+
+@kernel
+def ray_occlusion(scene, samples, transmission, rays, seed, out):
+    """Ambient occlusion of ``Samples`` by cosine-weighted rays: the mean of ρ(L). ``transmission``: ρ."""
+    heights, gx, gy = samples.heights, samples.gx, samples.gy
+    radius = transmission.radius
     spans = np.empty((scene.ints.shape[0], 2))
-    for i in range(first, last):
+    for i in range(heights.shape[0]):
         for j in range(heights.shape[1]):
             z = np.float64(heights[i, j])
             if z != z:
@@ -82,45 +125,39 @@ def ray_occlusion(
                 continue
             nx, ny, nz = _normal(np.float64(gx[i, j]), np.float64(gy[i, j]))
             ax, ay, az, bx, by, bz = _frame(nx, ny, nz)
-            u0, v0 = _shift(i + row0, j + col0, seed)
+            u0, v0 = _shift(i + samples.row0, j + samples.col0, seed)
             total = 0.0
             for k in range(rays):
                 u, v = (k + u0) / rays, 2.0 * np.pi * (k * GOLDEN + v0)
                 r, w = np.sqrt(u), np.sqrt(1.0 - u)
                 p, q = r * np.cos(v), r * np.sin(v)
                 e, n, up = p * ax + q * bx + w * nx, p * ay + q * by + w * ny, p * az + q * bz + w * nz
-                dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
-                t, _ = ray(
-                    scene, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
-                    0.0, radius, 1, LEVEL, spans,
-                )  # fmt: skip
+                t = _first_hit(scene, samples, i, j, e, n, up, radius, spans)
                 if t >= radius:
-                    total += free
-                elif not step:
-                    total += _rho(table, t, radius)
+                    total += transmission.free
+                elif not transmission.step:
+                    total += _rho(transmission.table, t, radius)
             out[i, j] = total / rays
 
 
 @kernel
-def ray_disc(
-    scene, heights, gx, gy, inverse, lift, axis, cosine, weigh, rays, seed, row0, col0, first,
-    last, out,
-):  # fmt: skip
-    """What a cap of directions around ``axis`` (cosine of its radius ``cosine``) sends to rows [first, last).
+def ray_disc(scene, samples, axis, cosine, weigh, rays, seed, out):
+    """What a cap of directions around ``axis`` (cosine of its radius ``cosine``) sends to ``Samples``.
 
     The mean over directions uniform in the cap of: whether it is seen; or (``weigh``) its cosine to the normal where it
-    is. Arrays as for ``ray_occlusion``.
+    is.
     """
+    heights, gx, gy = samples.heights, samples.gx, samples.gy
     spans = np.empty((scene.ints.shape[0], 2))
     ax, ay, az, bx, by, bz = _frame(axis[0], axis[1], axis[2])
-    for i in range(first, last):
+    for i in range(heights.shape[0]):
         for j in range(heights.shape[1]):
             z = np.float64(heights[i, j])
             if z != z:
                 out[i, j] = np.nan
                 continue
             nx, ny, nz = _normal(np.float64(gx[i, j]), np.float64(gy[i, j]))
-            u0, v0 = _shift(i + row0, j + col0, seed)
+            u0, v0 = _shift(i + samples.row0, j + samples.col0, seed)
             total = 0.0
             for k in range(rays):
                 w = 1.0 - (1.0 - cosine) * (k + u0) / rays
@@ -131,39 +168,28 @@ def ray_disc(
                 share = max(e * nx + n * ny + up * nz, 0.0) if weigh else 1.0
                 if share == 0.0:
                     continue
-                dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
-                t, _ = ray(
-                    scene, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
-                    0.0, np.inf, 1, LEVEL, spans,
-                )  # fmt: skip
-                if t == np.inf:
+                if _first_hit(scene, samples, i, j, e, n, up, np.inf, spans) == np.inf:
                     total += share
             out[i, j] = total / rays
 
 
 @kernel
-def ray_cone(
-    scene, heights, inverse, lift, radius, rays, seed, row0, col0, first, last, out
-):  # fmt: skip
-    """Moments of what is seen of the upper hemisphere: ``out`` (4, rows, cols) float64 gets the integral of V·ω
-    (east, north, up) and of V over solid angle. Nothing is hit
-    beyond ``radius``. Arrays as for ``ray_occlusion``."""
+def ray_cone(scene, samples, radius, rays, seed, out):
+    """Moments of what ``Samples`` see of the upper hemisphere: ``out`` (4, rows, cols) float64 gets the integral of V·ω
+    (east, north, up) and of V over solid angle. Nothing is hit beyond ``radius``.
+    """
+    heights = samples.heights
     spans = np.empty((scene.ints.shape[0], 2))
     part = 2.0 * np.pi / rays
-    for i in range(first, last):
+    for i in range(heights.shape[0]):
         for j in range(heights.shape[1]):
             z = np.float64(heights[i, j])
-            u0, v0 = _shift(i + row0, j + col0, seed)
+            u0, v0 = _shift(i + samples.row0, j + samples.col0, seed)
             for k in range(rays if z == z else 0):
                 up, v = 1.0 - (k + u0) / rays, 2.0 * np.pi * (k * GOLDEN + v0)
                 r = np.sqrt(max(1.0 - up * up, 0.0))
                 e, n = r * np.cos(v), r * np.sin(v)
-                dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
-                t, _ = ray(
-                    scene, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
-                    0.0, radius, 1, LEVEL, spans,
-                )  # fmt: skip
-                if t == np.inf:
+                if _first_hit(scene, samples, i, j, e, n, up, radius, spans) == np.inf:
                     out[0, i, j] += e * part
                     out[1, i, j] += n * part
                     out[2, i, j] += up * part
@@ -259,11 +285,8 @@ def _lost(table, free, radius, nz, c, slope, s0, z0, s1, z1):
 
 
 @kernel
-def walk_occlusion(
-    heights, gx, gy, highest, starts, rows1, cols1, rows2, cols2, part, metres, east, north, table, free, radius, step,
-    first, last, left, right, out,
-):  # fmt: skip
-    """Add to ``out`` what samples [first, last) × [left, right) receive from one azimuth: 2π/π ∫ ρ(L) ⟨ω, n⟩ cos θ dθ.
+def walk_occlusion(heights, gx, gy, highest, edges, toward, transmission, window, out):
+    """Add to ``out`` what the samples of a window receive from one azimuth: 2π/π ∫ ρ(L) ⟨ω, n⟩ cos θ dθ.
 
     Going outward, ground that stands above all before it hides the elevations between: they end there, at that
     distance. Elevations above everything within R are free.
@@ -272,10 +295,13 @@ def walk_occlusion(
         heights, gx, gy, out: (rows, cols) float32, the neighbourhood, from an even row and column of the terrain;
             metres, rise per metre.
         highest: an upper bound of the heights.
-        starts: (3,) where the table's edges begin for samples of even and of odd (row + column), and its end.
-        rows1 … metres: (n,) the edges' two samples as offsets, where between them (0 … 1), and how far away.
-        east, north: the azimuth's unit vector. table, free, radius, step: ρ.
+        edges: ``Edges``. toward: (2,) the azimuth's unit vector, east and north. transmission: ρ.
+        window: rows and columns, (first, last, left, right).
     """
+    starts, rows1, cols1, rows2, cols2, part, metres = edges
+    east, north = toward
+    table, free, radius, step = transmission
+    first, last, left, right = window
     rows, cols = heights.shape
     square = radius * radius
     for i in range(first, last):

@@ -140,12 +140,9 @@ def shadow_rays(
     axis, rim = np.array(sun.direction), math.cos(math.radians(sun.diameter / 2))
 
     def work(near: Neighbourhood) -> Values:
-        z, gx, gy = (np.ascontiguousarray(near.block(a)) for a in (near.heights, near.gx, near.gy))
-        out = np.empty((1, *z.shape), np.float32)
-        ray_disc(
-            near.scene(), z, gx, gy, near.inverse, lift(context), axis, rim, cosine, rays, seed,
-            near.row0 + near.inner[0], near.col0 + near.inner[2], 0, len(z), out[0],
-        )  # fmt: skip
+        samples = near.samples(lift(context))
+        out = np.empty((1, *samples.heights.shape), np.float32)
+        ray_disc(near.scene(), samples, axis, rim, cosine, rays, seed, out[0])
         return out
 
     seen: Values = collected(context, by_blocks(context, math.inf, work, "Casting rays to the sun"), 1)[0]

@@ -8,7 +8,7 @@ before it, so that a level has become the next one where that begins.
 
 *Ranges.* In the paper the user sets them, each twice the one before. Here they follow from the tolerance: a level ends
 where the next one's largest error on the terrain, at the distance where vertices begin to slide, equals the tolerance
-in pixels. Sliding vertices leave the samples, and nothing bounds their error: no guarantee. *Seams*: two levels meet
+in pixels. Sliding vertices leave the samples, and nothing bounds their error: no promise. *Seams*: two levels meet
 without one if vertices of the finer have all arrived there and none of the coarser has begun, which holds if a range is
 longer than the one before by 1.5 diagonals of the finer's squares. ``seams=closed`` lengthens ranges until they are.
 Metres, pixels.
@@ -29,7 +29,7 @@ from orograph.lod.selection import PatchSet, Topology
 from orograph.lod.squares import BlockHeights, Index, Squares
 from orograph.raycast.select import Boxes, distances, in_frustum
 from orograph.store.terrain import Heights
-from orograph.tessellation import Tessellation, turn
+from orograph.tessellation import Tessellation, turn, welded
 from orograph.viewpoint import Camera
 
 START = 2 / 3
@@ -75,7 +75,7 @@ class Cdlod(QuadtreePatches):
 
     info = MethodInfo(
         "cdlod", "instances of one grid, as fine as the distance asks; vertices slide into the next level",
-        "Strugar 2009", "patches", CdlodOptions, lambda options: False,
+        "Strugar 2009", "patches", CdlodOptions, lambda options: False, conforming=False,
     )  # fmt: skip
 
     def __init__(self, *args: Any, **given: Any) -> None:
@@ -160,10 +160,9 @@ class Cdlod(QuadtreePatches):
                 name.append(part)
         nothing = np.zeros((0, len(self.topologies[0].points)))
         row, col, height = (np.concatenate([nothing, *parts]) for parts in (rows, cols, heights))
-        corners = np.stack([col, row, height], -1)[:, self.topologies[0].triangles].reshape(-1, 3, 3)
-        corners = corners[~np.isnan(corners[..., 2]).any(1)]
-        vertices, where = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-        triangles = where.reshape(-1, 3).astype(np.int32)
+        vertices, where = welded(np.stack([col, row, height], -1).reshape(-1, 3))
+        triangles = where.reshape(height.shape)[:, self.topologies[0].triangles].reshape(-1, 3)
+        triangles = triangles[~np.isnan(vertices[:, 2])[triangles].any(1)]
         one, two, three = triangles.T  # (vertical ones stay: they fill the gaps beside a vertex that slides on alone)
         triangles = triangles[(one != two) & (two != three) & (three != one)]
         if turn(self.terrain.grid) < 0:  # rows run southwards: clockwise as drawn is clockwise from above

@@ -19,11 +19,14 @@ errors are independent (correlated by less than 0.005).
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +106,33 @@ class HeightError:
             source = source if isinstance(source, str) else "an array or table"
             told |= {"check_points": str(source)[:200], "check_sigma": f"{self.check_sigma:g} m"}
         return told
+
+
+NAMES = {"sigma": "sigma", "range": "range", "horizontal": "horizontal", "check_points": "checks",
+         "check_sigma": "check_sigma"}  # fmt: skip
+"""Arguments of measures → fields of ``HeightError``."""
+
+T = TypeVar("T")
+
+
+def takes_error(function: Callable[..., T]) -> Callable[..., T]:
+    """Let a measure take the fields of a ``HeightError`` by name, instead of ``error``."""
+    own = inspect.signature(function)
+    named = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in NAMES]
+    kinds = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    rest = [one for one in own.parameters.values() if one.kind is one.VAR_KEYWORD]
+
+    @functools.wraps(function)
+    def taking(*args: Any, **options: Any) -> T:
+        said = {name: options.pop(name) for name in NAMES if options.get(name) is not None}
+        if said:
+            if options.get("error") is not None:
+                raise UsageError(f"`error` and `{next(iter(said))}` contradict each other.", remedy="Give one of them.")
+            options["error"] = HeightError(**{NAMES[name]: value for name, value in said.items()})
+        return function(*args, **options)
+
+    vars(taking)["__signature__"] = own.replace(parameters=[*kinds, *named, *rest])
+    return taking
 
 
 class ErrorField:

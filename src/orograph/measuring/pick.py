@@ -259,11 +259,9 @@ def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, f
             continue
         r0, c0 = int(i[k]) * TILE, int(j[k]) * TILE
         part = terrain.read(0, r0, min(r0 + TILE + 1, rows), c0, min(c0 + TILE + 1, cols))
-        s = Stack.build([HeightWindow(0, 0, 0, np.ascontiguousarray(part))], part.shape, 1).scene
-        t, side = walk(
-            s.pool, 0, part.shape[1], part.shape[1] - 1, part.shape[0] - 1, s.maxima, s.mips[0], s.minima, s.mips[1],
-            s.mips[2], o[0] - c0, o[1] - r0, o[2], v[0], v[1], v[2], cuts[k], cuts[k + 1], side, 6,
-        )  # fmt: skip
+        scene = Stack.build([HeightWindow(0, 0, 0, np.ascontiguousarray(part))], part.shape, 1).scene
+        begin = o[0] - c0, o[1] - r0, o[2]
+        t, side = walk(scene, 0, begin, (v[0], v[1], v[2]), cuts[k], cuts[k + 1], side, 6)
         if t < math.inf:
             return float(t)
     return None

@@ -11,7 +11,10 @@ with the line wherever it crosses an edge, which for a triangulated surface is e
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
 
@@ -22,19 +25,53 @@ FAR = np.int32(-(2**31) + 1)
 INF = np.inf
 
 
+class Pyramid(NamedTuple):
+    """Apparent heights and the maxima over their cells.
+
+    Attributes:
+        z: (rows, cols) int32 (or float32), ``MISSING`` in holes. maxima: of all levels, flat.
+        offset, per_row: (levels + 1,) where each level's nodes begin, and how many there are in a row.
+    """
+
+    z: NDArray[Any]
+    maxima: NDArray[Any]
+    offset: NDArray[np.int64]
+    per_row: NDArray[np.int64]
+
+
+class Eye(NamedTuple):
+    """What heights are apparent from.
+
+    Attributes:
+        height: metres. scale: 1 / quantum. bend: per metre. form: (2, 2), the true metres² of a step in samples.
+    """
+
+    height: float
+    scale: float
+    bend: float
+    form: NDArray[np.float64]
+
+
+class Ratio(NamedTuple):
+    """True squared distance by that of the eye's form: on a lattice of (start, step) in x and in y, in samples."""
+
+    values: NDArray[np.float64]
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
 @kernel
-def lower(heights, base, scale, bend, a, b, c, x, y, ratio, rx, ry, out):
+def lower(heights, eye, x, y, lattice, out):
     """Apparent heights of a window of samples.
 
     Args:
         heights: (rows, cols) float32, NaN where missing.
-        base: height of the eye, metres; scale: 1 / quantum; bend: per metre.
-        a, b, c: metres² of a step (dx, dy) in samples: a dx² + 2 b dx dy + c dy².
-        x, y: the window's first sample, counted from the eye.
-        ratio: (m, n) true squared distance by that one, on nodes rx, ry samples apart from the window's lattice.
-        rx, ry: (start, step) of the lattice in samples of the window.
+        eye: ``Eye``. x, y: the window's first sample, counted from there. lattice: ``Ratio``, in the window's samples.
         out: (rows, cols) int32.
     """
+    base, scale, bend, form = eye
+    a, b, c = form[0, 0], form[0, 1], form[1, 1]
+    ratio, rx, ry = lattice
     rows, cols = heights.shape
     for i in range(rows):
         fy = (i - ry[0]) / ry[1]
@@ -89,19 +126,20 @@ def over(h0, h1, ground, t, last, least, stop):
 
 
 @leaf
-def walk(z, maxima, offset, per_row, cx, cy, x, y, h0, x1, y1, h1, least, stop):
+def walk(pyramid, cx, cy, start, end, least, stop):
     """How high the end of a line must be for the line to clear the ground.
 
     Args:
-        z: (rows, cols) int32 apparent heights; maxima, offset, per_row: their pyramid.
-        cx, cy: the first cell of the line.
-        x, y, h0: its start; x1, y1, h1: its end; apparent heights in quanta, float64; ``least`` too.
+        pyramid: ``Pyramid``. cx, cy: the first cell of the line.
+        start, end: of the line, (column, row, apparent height in quanta), float64. least: quanta.
         stop: return inf at the first ground above the line.
 
     Returns:
         (h1, t): the end's height, raised until no ground stands above the line, and where what raised it last is (−1:
         nothing did).
     """
+    z, maxima, offset, per_row = pyramid
+    (x, y, h0), (x1, y1, h1) = start, end
     nr, nc = z.shape[0] - 1, z.shape[1] - 1
     top = per_row.shape[0] - 1
     dx, dy = x1 - x, y1 - y
@@ -184,16 +222,18 @@ def first_cell(position, step, cells):
 
 
 @leaf
-def along(z, maxima, offset, per_row, nc, nr, x, y, h0, x1, y1, h1, least, stop):
+def along(pyramid, start, end, least, stop):
     """``walk`` from its first cell; a line along a row or a column of samples has ground on either side."""
+    (x, y, _), (x1, y1, _) = start, end
     dx, dy = x1 - x, y1 - y
-    cx, cy = first_cell(x, dx, nc), first_cell(y, dy, nr)
-    h1, at = walk(z, maxima, offset, per_row, cx, cy, x, y, h0, x1, y1, h1, least, stop)
+    rows, cols = pyramid.z.shape
+    cx, cy = first_cell(x, dx, cols - 1), first_cell(y, dy, rows - 1)
+    h1, at = walk(pyramid, cx, cy, start, end, least, stop)
     if dx == 0.0 and x == np.floor(x) and x > 0.0 and h1 < INF:
-        h1, other = walk(z, maxima, offset, per_row, np.int64(x) - 1, cy, x, y, h0, x1, y1, h1, least, stop)
+        h1, other = walk(pyramid, np.int64(x) - 1, cy, start, (x1, y1, h1), least, stop)
         at = other if other >= 0.0 else at
     if dy == 0.0 and y == np.floor(y) and y > 0.0 and h1 < INF:
-        h1, other = walk(z, maxima, offset, per_row, cx, np.int64(y) - 1, x, y, h0, x1, y1, h1, least, stop)
+        h1, other = walk(pyramid, cx, np.int64(y) - 1, start, (x1, y1, h1), least, stop)
         at = other if other >= 0.0 else at
     return h1, at
 
@@ -213,8 +253,8 @@ def ground_at(z, x, y):
 
 
 @kernel
-def look(z, maxima, offset, per_row, ox, oy, height, stretch, least, stop, row0, row1, col0, col1, out):
-    """Look at samples [row0, row1) × [col0, col1) from an eye at (ox, oy).
+def look(pyramid, ox, oy, height, stretch, least, stop, window, out):
+    """Look at the samples of a window, [row0, row1) × [col0, col1), from an eye at (ox, oy).
 
     Whether a sample is seen is found from there towards the eye (what hides it is near it as a rule), the height that
     it needs from the eye outward (beyond a ridge all that it hides is passed). What hid the sample before and the one
@@ -226,7 +266,8 @@ def look(z, maxima, offset, per_row, ox, oy, height, stretch, least, stop, row0,
         out: (rows, cols) float32 of the block: with ``stop`` 1 (seen) or 0; without it how many quanta above the ground
             a target must be to be seen; NaN where the ground is missing.
     """
-    nr, nc = z.shape[0] - 1, z.shape[1] - 1
+    z = pyramid.z
+    row0, row1, col0, col1 = window
     eye = 0.0
     before = np.full(col1 - col0 + 1, INF)  # how far from the eye what hides the samples above is; shifted by one
     for i in range(row0, row1):
@@ -250,11 +291,11 @@ def look(z, maxima, offset, per_row, ox, oy, height, stretch, least, stop, row0,
                         raised, hides = eye + (ground - eye) / t, s
             if (raised == target or not stop) and far > 0.0:
                 if stop:
-                    h1, at = along(z, maxima, offset, per_row, nc, nr, x, y, target, ox, oy, eye, least, stop)
+                    h1, at = along(pyramid, (x, y, target), (ox, oy, eye), least, stop)
                     if at >= 0.0:
                         raised, hides = INF, (1.0 - at) * far
                 else:
-                    h1, at = along(z, maxima, offset, per_row, nc, nr, ox, oy, eye, x, y, raised, least, stop)
+                    h1, at = along(pyramid, (ox, oy, eye), (x, y, raised), least, stop)
                     if at >= 0.0:
                         raised, hides = h1, at * far
             before[k] = hides

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from orograph.measuring.places import Places
 from orograph.parallel import map_ordered
 from orograph.progress import Progress
 from orograph.store.terrain import TILE
+
+if TYPE_CHECKING:
+    from orograph.measuring.viewshed_kernels import Pyramid
 
 Array = NDArray[np.float64]
 
@@ -38,10 +42,7 @@ class Scene:
     col: int
     x: float
     y: float
-    z: NDArray[np.int32]
-    maxima: NDArray[np.int32]
-    offset: NDArray[np.int64]
-    per_row: NDArray[np.int64]
+    pyramid: Pyramid
     form: Array
     ratio: Array
     rx: tuple[float, float]
@@ -104,7 +105,7 @@ def scene_of(
     frame: tuple[int, int, int, int], max_memory: int, jobs: int, progress: Progress,
 ) -> tuple[Scene, float, bool]:  # fmt: skip
     """Apparent heights and their pyramid; the quantum; whether they are on disk."""
-    from orograph.measuring.viewshed_kernels import first_level, lower, next_level
+    from orograph.measuring.viewshed_kernels import Eye, Pyramid, Ratio, first_level, lower, next_level
 
     terrain = places.terrain
     row0, row1, col0, col1 = frame
@@ -137,13 +138,13 @@ def scene_of(
     per_row = np.array([cols - 1, *(c for _, c in shapes)], np.int64)
     rx, ry = (0.0, (cols - 1) / (LATTICE - 1)), (0.0, (rows - 1) / (LATTICE - 1))
 
+    seen_from = Eye(ground + eye, 1.0 / quantum, bend, form)
+
     def fill(window: tuple[int, int, int, int]) -> None:
         a, b, c, d = window
         part = np.ascontiguousarray(terrain.read(0, row0 + a, row0 + b, col0 + c, col0 + d))
-        lower(
-            part, ground + eye, 1.0 / quantum, bend, form[0, 0], form[0, 1], form[1, 1], col0 + c - at[0],
-            row0 + a - at[1], ratio, (rx[0] - c, rx[1]), (ry[0] - a, ry[1]), z[a:b, c:d],
-        )  # fmt: skip
+        lattice = Ratio(ratio, (rx[0] - c, rx[1]), (ry[0] - a, ry[1]))
+        lower(part, seen_from, col0 + c - at[0], row0 + a - at[1], lattice, z[a:b, c:d])
 
     windows = list(rectangles((rows, cols), TILE, 16 * TILE))
     with progress.task("Reading heights", total=len(windows)) as task:
@@ -158,7 +159,6 @@ def scene_of(
         for _ in map_ordered(lambda s: kernel(fine, coarse, *s), strips, jobs):  # noqa: B023 (used at once)
             if release is not None:
                 release()
-    scene = Scene(
-        row0, col0, at[0] - col0, at[1] - row0, z, maxima, offset, per_row, form, ratio, rx, ry, jobs, release
-    )
+    pyramid = Pyramid(z, maxima, offset, per_row)
+    scene = Scene(row0, col0, at[0] - col0, at[1] - row0, pyramid, form, ratio, rx, ry, jobs, release)
     return scene, quantum, on_disk

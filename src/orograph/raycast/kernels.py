@@ -16,25 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES, counted, least, load, most, size, some, spread, store, where
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, leaf
 from orograph.raycast.fronts import Beams, advance, cones, grazes, row_slope, row_slopes, turns, wedges
 from orograph.raycast.packets import ABOVE, BESIDE, TIRED, UNKNOWN, walk_packet, within
-from orograph.raycast.tables import (
-    BASE,
-    CELLS_X,
-    CELLS_Y,
-    EAST,
-    INVERSE,
-    MIP_COUNT,
-    MIP_FIRST,
-    NORTH,
-    ORIGIN_X,
-    ORIGIN_Y,
-    SCALE,
-    SOUTH,
-    STRIDE,
-    WEST,
-)
+from orograph.raycast.tables import EAST, NORTH, SCALE, SOUTH, WEST
 from orograph.raycast.traverse import cast, clip
 
 INF = np.inf
@@ -52,24 +37,23 @@ FRONT, START, X, Y, T = (LANES * k for k in range(5))
 """Where eight numbers each are laid down, to be taken one by one."""
 
 
-@kernel
-def ray(scene, ox, oy, oz, dx, dy, dz, t0, t1, side, level, spans):
-    """The first hit of one ray with the stack: (t, window), t = inf if there is none.
+@leaf
+def ray(scene, o, d, t0, t1, side, level, spans):
+    """The first hit of the ray o + t·d, (x, y, z), with the stack: (t, window), t = inf if there is none.
 
     ``side``: of the surface at t0 if the ray is over the terrain there (0 unknown). ``level``: where in the pyramids to
     begin. ``spans`` (W, 2): scratch.
     """
-    maxima, minima, mips, ints, floats = scene.maxima, scene.minima, scene.mips, scene.ints, scene.floats
-    a, b = clip(oz, dz, scene.low, scene.high, t0, t1)
+    floats = scene.floats
+    a, b = clip(o[2], d[2], scene.low, scene.high, t0, t1)
     if a > t0:
-        side = 1 if dz < 0.0 else -1
+        side = 1 if d[2] < 0.0 else -1
     began = a
-    windows = ints.shape[0]
+    windows = floats.shape[0]
     inner = 0
     for w in range(windows):
-        f = floats[w]
-        a, b = clip(ox, dx, f[WEST], f[EAST], a, b)
-        a, b = clip(oy, dy, f[NORTH], f[SOUTH], a, b)
+        a, b = clip(o[0], d[0], floats[w, WEST], floats[w, EAST], a, b)
+        a, b = clip(o[1], d[1], floats[w, NORTH], floats[w, SOUTH], a, b)
         if a > b:
             break
         spans[w, 0], spans[w, 1] = a, b
@@ -85,31 +69,7 @@ def ray(scene, ox, oy, oz, dx, dy, dz, t0, t1, side, level, spans):
             a, b = spans[w + 1, 1], spans[w, 1]
         if a >= b and windows > 1:
             continue
-        f, n = floats[w], ints[w]
-        k = f[INVERSE]
-        m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
-        t, side = cast(
-            scene.pool,
-            n[BASE],
-            n[STRIDE],
-            n[CELLS_X],
-            n[CELLS_Y],
-            maxima,
-            mips[0, m0:m1],
-            minima,
-            mips[1, m0:m1],
-            mips[2, m0:m1],
-            (ox - f[ORIGIN_X]) * k,
-            (oy - f[ORIGIN_Y]) * k,
-            oz,
-            dx * k,
-            dy * k,
-            dz,
-            a,
-            b,
-            side,
-            level,
-        )
+        t, side = cast(scene, w, o, d, a, b, side, level)
         if t < INF:
             return t, w
     return INF, -1
@@ -120,13 +80,14 @@ def cast_rays(scene, origins, directions, t0, t1, out, which, first, last):
     """Rays [first, last) of arrays (n, 3); ``out`` float64 (n,): t (NaN: none), ``which`` int8 (n,): the window hit."""
     spans = np.empty((scene.ints.shape[0], 2))
     for i in range(first, last):
-        o, d = origins[i], directions[i]
-        t, w = ray(scene, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, 0, 6, spans)
+        o = origins[i, 0], origins[i, 1], origins[i, 2]
+        d = directions[i, 0], directions[i, 1], directions[i, 2]
+        t, w = ray(scene, o, d, t0, t1, 0, 6, spans)
         out[i] = t if t < INF else np.nan
         which[i] = w
 
 
-@kernel
+@leaf
 def finish(scene, pinhole, x0, x1, y0, y1, picture, spans):
     """Cast the rays that packets left."""
     o, d0, du, dv, t0, t1 = pinhole
@@ -137,20 +98,13 @@ def finish(scene, pinhole, x0, x1, y0, y1, picture, spans):
             if w > ABOVE:
                 continue
             side = 1 if w in (ABOVE, TIRED) else 0
-            t, w = ray(
-                scene,
-                o[0],
-                o[1],
-                o[2],
+            d = (
                 d0[0] + px * du[0] + py * dv[0],
                 d0[1] + px * du[1] + py * dv[1],
                 d0[2] + px * du[2] + py * dv[2],
-                max(t0, out[py - corner[0], px - corner[1]]),
-                t1,
-                side,
-                2,
-                spans,
             )
+            begin = max(t0, out[py - corner[0], px - corner[1]])
+            t, w = ray(scene, (o[0], o[1], o[2]), d, begin, t1, side, 2, spans)
             out[py - corner[0], px - corner[1]] = t if t < INF else np.nan
             which[py - corner[0], px - corner[1]] = w
 
@@ -159,8 +113,7 @@ def finish(scene, pinhole, x0, x1, y0, y1, picture, spans):
 def cast_pinhole(scene, pinhole, clear, x0, x1, y0, y1, picture):
     """Pixels [x0, x1) × [y0, y1) of a pinhole camera.
 
-    ``clear``: the eye is known to be above
-    the surface (or beside it), so that fronts may be pushed from there.
+    ``clear``: the eye is known to be above the surface (or beside it), so that fronts may be pushed from there.
 
     (One function, though long: block and row narrow the same dozen numbers, which calls would pass on.)
     """
@@ -229,17 +182,7 @@ def cast_pinhole(scene, pinhole, clear, x0, x1, y0, y1, picture):
                 store(state, START, front / fastest)
                 store(state, X, o[0] + 0.5 * front * (beams.xa + beams.xb))
                 store(state, Y, o[1] + 0.5 * front * (beams.ya + beams.yb))
-                many = cast_row(
-                    scene,
-                    pinhole,
-                    bx,
-                    ex,
-                    py,
-                    end,
-                    picture,
-                    scratch,
-                    many,
-                )
+                many = cast_row(scene, pinhole, bx, ex, py, end, picture, scratch, many)
             for _ in range(ROUNDS):
                 if many == 0:
                     break

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel
+from orograph._numba import kernel, leaf
 from orograph.raycast.tables import (
     BASE,
     CELLS_X,
     CELLS_Y,
     EAST,
+    INVERSE,
     MIP_COUNT,
     MIP_FIRST,
     NORTH,
     ORIGIN_X,
     ORIGIN_Y,
-    SCALE,
     SOUTH,
     STRIDE,
     WEST,
@@ -32,31 +32,20 @@ from orograph.raycast.traverse import clip, plane_height
 INF = np.inf
 
 
-@kernel
-def steepest(
-    pool,
-    base,
-    stride,
-    nc,
-    nr,
-    maxima,
-    max_offset,
-    mip_cols,
-    ox,
-    oy,
-    oz,
-    dx,
-    dy,
-    s0,
-    s1,
-    slope,
-    enough,
-):
-    """The larger of ``slope`` and the steepest slope from height oz to the ground at o + s·d, s in [s0, s1] metres.
+@leaf
+def steepest(scene, window, o, d, s0, s1, slope, enough):
+    """The larger of ``slope`` and the steepest slope from o, (x, y, z), to the ground at o + s·d, s in [s0, s1] metres.
 
-    d is the step in samples for one metre; the walk stays on the window's cells and stops once ``enough`` is reached.
+    d is the step (x, y) in the terrain's samples for one metre; the walk stays on the window's cells and stops once
+    ``enough`` is reached.
     """
-    top = mip_cols.shape[0] - 1
+    pool, maxima, mips, ints, floats = scene.pool, scene.maxima, scene.mips, scene.ints, scene.floats
+    base, stride = ints[window, BASE], ints[window, STRIDE]
+    nc, nr = ints[window, CELLS_X], ints[window, CELLS_Y]
+    finest, top = ints[window, MIP_FIRST], ints[window, MIP_COUNT] - 1
+    k = floats[window, INVERSE]
+    ox, oy, oz = (o[0] - floats[window, ORIGIN_X]) * k, (o[1] - floats[window, ORIGIN_Y]) * k, o[2]
+    dx, dy = d[0] * k, d[1] * k
     ix = 1.0 / dx if dx != 0.0 else 0.0
     iy = 1.0 / dy if dy != 0.0 else 0.0
     right, down = dx > 0.0, dy > 0.0
@@ -71,7 +60,7 @@ def steepest(
         se = max(min(min(sx, sy), s1), s)
         if level >= 1:
             line = oz + slope * (s if slope >= 0.0 else se)
-            if maxima[max_offset[level] + jy * mip_cols[level] + jx] > line:
+            if maxima[mips[0, finest + level] + jy * mips[2, finest + level] + jx] > line:
                 level -= 1
                 continue
         else:
@@ -117,7 +106,7 @@ def steepest(
             level += 1
 
 
-@kernel
+@leaf
 def max_slope(slope, rise, distance):
     """The larger of ``slope`` and rise / distance; a missing rise (NaN) or no distance changes nothing."""
     if distance > 0.0 and rise > slope * distance:
@@ -132,8 +121,8 @@ def skylines(scene, points, dx, dy, skip, lower, enough, out, first, last):
     ``skip`` (n,): horizontal metres left out next to the point, where the ground is its own facet and the shading
     normal decides. Windows are walked as in ``kernels.ray``.
     """
-    pool, maxima, mips, ints, floats = scene.pool, scene.maxima, scene.mips, scene.ints, scene.floats
-    windows = ints.shape[0]
+    floats = scene.floats
+    windows = floats.shape[0]
     enter, leave = np.empty(windows), np.empty(windows)
     for i in range(first, last):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -146,9 +135,8 @@ def skylines(scene, points, dx, dy, skip, lower, enough, out, first, last):
             b = (scene.high - z) / slope  # beyond, nothing reaches up to the line
         inner = 0
         for w in range(windows):
-            f = floats[w]
-            a, b = clip(x, dx, f[WEST], f[EAST], a, b)
-            a, b = clip(y, dy, f[NORTH], f[SOUTH], a, b)
+            a, b = clip(x, dx, floats[w, WEST], floats[w, EAST], a, b)
+            a, b = clip(y, dy, floats[w, NORTH], floats[w, SOUTH], a, b)
             if a > b:
                 break
             enter[w], leave[w] = a, b
@@ -161,28 +149,7 @@ def skylines(scene, points, dx, dy, skip, lower, enough, out, first, last):
                 a, b = leave[w + 1], leave[w]
             if a >= b:
                 continue
-            n = ints[w]
-            k = 1.0 / floats[w, SCALE]
-            m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
-            slope = steepest(
-                pool,
-                n[BASE],
-                n[STRIDE],
-                n[CELLS_X],
-                n[CELLS_Y],
-                maxima,
-                mips[0, m0:m1],
-                mips[2, m0:m1],
-                (x - floats[w, ORIGIN_X]) * k,
-                (y - floats[w, ORIGIN_Y]) * k,
-                z,
-                dx * k,
-                dy * k,
-                a,
-                b,
-                slope,
-                enough,
-            )
+            slope = steepest(scene, w, (x, y, z), (dx, dy), a, b, slope, enough)
             if slope >= enough:
                 break
         out[i] = slope

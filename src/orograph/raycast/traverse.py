@@ -15,7 +15,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, leaf
+from orograph.raycast.tables import (
+    BASE,
+    CELLS_X,
+    CELLS_Y,
+    INVERSE,
+    MIP_COUNT,
+    MIP_FIRST,
+    ORIGIN_X,
+    ORIGIN_Y,
+    STRIDE,
+)
 
 INF = np.inf
 
@@ -110,45 +121,29 @@ def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):
     return -1.0, side
 
 
-@kernel
-def cast(
-    pool,
-    base,
-    stride,
-    nc,
-    nr,
-    maxima,
-    max_offset,
-    minima,
-    min_offset,
-    mip_cols,
-    ox,
-    oy,
-    oz,
-    dx,
-    dy,
-    dz,
-    t0,
-    t1,
-    side,
-    level,
-):
-    """The first hit of a ray with one height field for t in [t0, t1], within which the ray stays on its cells.
+@leaf
+def cast(scene, window, o, d, t0, t1, side, level):
+    """The first hit of a ray with one window of a ``Scene`` for t in [t0, t1], within which it stays on its cells.
 
     Args:
-        pool, base, stride: heights (float32) of sample (x, y) are ``pool[base + y * stride + x]``.
-        nc, nr: cells per row and column.
-        maxima … mip_cols: its ``Mips``.
+        o, d: the ray o + t·d, (x, y, z) in the terrain's samples.
         side: +1 if the ray is known to run above the surface at t0, −1 below, 0 unknown.
         level: where in the pyramid to begin.
 
     Returns:
         (t, side): the parameter of the hit (inf: none) and the side of the surface at the end.
     """
-    top = mip_cols.shape[0] - 1
+    pool, maxima, minima, mips = scene.pool, scene.maxima, scene.minima, scene.mips
+    ints, floats = scene.ints, scene.floats
+    base, stride = ints[window, BASE], ints[window, STRIDE]
+    nc, nr = ints[window, CELLS_X], ints[window, CELLS_Y]
+    finest, top = ints[window, MIP_FIRST], ints[window, MIP_COUNT] - 1
+    k = floats[window, INVERSE]
+    ox, oy, oz = (o[0] - floats[window, ORIGIN_X]) * k, (o[1] - floats[window, ORIGIN_Y]) * k, o[2]
+    dx, ix = inverse(d[0] * k)
+    dy, iy = inverse(d[1] * k)
+    dz = d[2]
     level = min(level, top)
-    dx, ix = inverse(dx)
-    dy, iy = inverse(dy)
     right, down = dx > 0.0, dy > 0.0
     t = t0
     cx = min(max(np.int64(np.floor(ox + t * dx)), 0), nc - 1)
@@ -162,12 +157,12 @@ def cast(
         free = False
         if level >= 1:
             # Free, unless that would be the other side: then the ray has come through the step between two windows.
-            node = jy * mip_cols[level] + jx
-            highest = maxima[max_offset[level] + node]
+            node = jy * mips[2, finest + level] + jx
+            highest = maxima[mips[0, finest + level] + node]
             if min(za, zb) > highest and (side >= 0 or highest == -INF):
                 side = 1 if highest > -INF else 0
                 free = True
-            elif level >= 2 and side <= 0 and max(za, zb) < minima[min_offset[level] + node]:
+            elif level >= 2 and side <= 0 and max(za, zb) < minima[mips[1, finest + level] + node]:
                 side = -1
                 free = True
             else:

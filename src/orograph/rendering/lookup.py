@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from orograph._numba import kernel
+from orograph._numba import inlined, kernel
 
 SHORE = 0.04
 """The field of water goes from dry to wet within 0.5 ± this: a crisp shore, however large its samples are."""
 
 LEAST = 0.7
 """The minor axis of a footprint, at least, in pixels on ground that faces the eye at the same distance."""
+
+
+class MapPlace(NamedTuple):
+    """Where a map lies: its samples are 2^level = ``scale`` apart, the first is (row0, col0) of that level."""
+
+    scale: float
+    row0: int
+    col0: int
+
+
+@inlined
+def within_map(place, x, y):
+    """(column, row) of a map at the sample coordinates (x, y)."""
+    return (x + 0.5) / place.scale - 0.5 - place.col0, (y + 0.5) / place.scale - 0.5 - place.row0
 
 
 @kernel

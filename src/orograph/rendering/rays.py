@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from orograph.parallel import map_ordered
 from orograph.rendering.gbuffer import Surface
-from orograph.rendering.ray_kernels import ends
+from orograph.rendering.ray_kernels import PixelRays, ToSamples, ends
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -44,20 +44,21 @@ class Rays:
     """The rays of a scene's whole picture.
 
     Attributes:
-        surface: what they meet. view: the whole picture's.
-        basis: of the rays in the terrain's CRS (``View.ray_basis``); linear, offset: from there to sample coordinates.
-        spacing: metres from sample to sample.
+        surface: what they meet. view: the whole picture's. pixels: the rays in the terrain's CRS. to_samples: from
+            there to sample coordinates.
     """
 
     def __init__(self, scene: Scene, surface: Surface) -> None:
         self.scene, self.surface = scene, surface
         view, chart = scene.view.whole, scene.terrain.chart
         self.view = view
-        self.basis = view.ray_basis(scene.surface.exaggeration)
+        parallel = view.projection == "plan"
+        pixel = view.pixel_metres if parallel else view.pixel_slope
+        exaggeration = scene.surface.exaggeration
+        self.pixels = PixelRays(view.ray_basis(exaggeration), exaggeration, pixel, parallel)
         inverse = chart.grid.inverse
-        self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
-        self.offset = np.array([inverse.c, inverse.f, 0.0])
-        self.spacing = chart.spacing
+        linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
+        self.to_samples = ToSamples(linear, np.array([inverse.c, inverse.f, 0.0]), chart.spacing)
 
     def depths(self, px: Array, py: Array) -> Array:
         """Depths (n,) of the ground at pixel positions (n,), by all threads; NaN where there is none."""
@@ -73,11 +74,6 @@ class Rays:
 
     def meet(self, px: Array, py: Array, t: Array, void_fill: Array | None = None) -> Hits:
         """Where samples at pixel positions (n,) with depths t (n,) lie. ``void_fill``: see ``Hits``; None: nowhere."""
-        view = self.view
-        parallel = view.projection == "plan"
         points, rays, width = np.empty((len(px), 3)), np.empty((len(px), 3)), np.empty(len(px))
-        ends(
-            px, py, t, *self.basis, self.linear, self.offset, self.scene.surface.exaggeration,
-            view.pixel_metres if parallel else view.pixel_slope, parallel, self.spacing, points, rays, width,
-        )  # fmt: skip
+        ends(px, py, t, self.pixels, self.to_samples, points, rays, width)
         return Hits(t, points, rays, width, np.full(len(t), np.nan) if void_fill is None else void_fill)

@@ -5,25 +5,80 @@ All positions are in stretched space (heights times the exaggeration), in metres
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
+from orograph.geovis.data.standing import Kind
+from orograph.viewpoint import RayBasis
 
 EPSILON = 1e-9
 
+BAR, SPHERE, CONE, _, FLAG, TUBE, WALL, _, PANEL, COLUMN, SECTION = map(int, Kind)
+
+
+class Solids(NamedTuple):
+    """Things to draw.
+
+    Attributes:
+        kind: (n,) of ``Kind``. place: (n, 3) feet. end: (n, 3) from them to the other ends of tubes and walls.
+        radius, height: (n,). rgb: (n, 3). boxes: (n, 4) first and last column and row that each may cover.
+    """
+
+    kind: NDArray[np.int8]
+    place: NDArray[np.float64]
+    end: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    height: NDArray[np.float64]
+    rgb: NDArray[np.float32]
+    boxes: NDArray[np.int64]
+
+
+class Eye(NamedTuple):
+    """Where the rays come from.
+
+    Attributes:
+        basis: of rays by pixel position, stretched. offsets: (s, 2) positions in a pixel.
+        ahead: (2,) where the eye looks, along the ground. near: depth from which on things are seen.
+    """
+
+    basis: RayBasis
+    offsets: NDArray[np.float64]
+    ahead: NDArray[np.float64]
+    near: float
+
+
+class Light(NamedTuple):
+    """sun: (3,) towards it. ambient: the share of the light that comes from everywhere."""
+
+    sun: NDArray[np.float64]
+    ambient: float
+
+
+class Sheet(NamedTuple):
+    """Rows of a picture.
+
+    Attributes:
+        top: the first row. depth: (rows, cols) of the ground. color: (rows, cols, s, 3). nearest: (rows, cols, s),
+            inf where nothing is. which: (rows, cols) the thing nearest at the first position, −1 where none is.
+    """
+
+    top: int
+    depth: NDArray[np.float64]
+    color: NDArray[np.float32]
+    nearest: NDArray[np.float64]
+    which: NDArray[np.int32]
+
 
 @inlined
-def _box(ox, oy, oz, dx, dy, dz, x0, x1, y0, y1, z0, z1):
+def _box(ray_o, ray_d, lows, highs):
     """Parameter of the ray's entry into a box (inf if it misses) and the normal there."""
     near, far = -np.inf, np.inf
     nx = ny = nz = 0.0
     for axis in range(3):
-        if axis == 0:
-            o, d, low, high = ox, dx, x0, x1
-        elif axis == 1:
-            o, d, low, high = oy, dy, y0, y1
-        else:
-            o, d, low, high = oz, dz, z0, z1
+        o, d, low, high = ray_o[axis], ray_d[axis], lows[axis], highs[axis]
         if abs(d) < EPSILON:
             if o < low or o > high:
                 return np.inf, 0.0, 0.0, 0.0
@@ -48,7 +103,8 @@ def _box(ox, oy, oz, dx, dy, dz, x0, x1, y0, y1, z0, z1):
 
 
 @inlined
-def _sphere(ox, oy, oz, dx, dy, dz, x, y, z, radius):
+def _sphere(o, d, middle, radius):
+    (ox, oy, oz), (dx, dy, dz), (x, y, z) = o, d, middle
     a = dx * dx + dy * dy + dz * dz
     px, py, pz = ox - x, oy - y, oz - z
     b = (px * dx + py * dy + pz * dz) / a
@@ -62,8 +118,9 @@ def _sphere(ox, oy, oz, dx, dy, dz, x, y, z, radius):
 
 
 @inlined
-def _turned(ox, oy, oz, dx, dy, dz, x, y, z, radius, height, tip):
+def _turned(o, d, foot, radius, height, tip):
     """A cylinder (``tip`` 1) or a cone (``tip`` 0) that stands on its foot; ``tip``: its upper radius by its lower."""
+    (ox, oy, oz), (dx, dy, dz), (x, y, z) = o, d, foot
     best, nx, ny, nz = np.inf, 0.0, 0.0, 0.0
     lean = radius * (tip - 1) / height  # of the radius, per metre upwards
     px, py, pz = ox - x, oy - y, oz - z
@@ -98,9 +155,11 @@ def _turned(ox, oy, oz, dx, dy, dz, x, y, z, radius, height, tip):
 
 
 @inlined
-def _flag(ox, oy, oz, dx, dy, dz, x, y, z, radius, height, ex, ey):
-    """A thin post, and at its top a cloth ``radius`` wide that faces the eye along (ex, ey)."""
-    best, nx, ny, nz = _turned(ox, oy, oz, dx, dy, dz, x, y, z, radius / 12, height, 1.0)
+def _flag(o, d, foot, radius, height, ahead):
+    """A thin post, and at its top a cloth ``radius`` wide that faces the eye along ``ahead``."""
+    (ox, oy, oz), (dx, dy, dz), (x, y, z) = o, d, foot
+    ex, ey = ahead
+    best, nx, ny, nz = _turned(o, d, foot, radius / 12, height, 1.0)
     across = dx * ex + dy * ey
     if abs(across) > EPSILON:
         t = ((x - ox) * ex + (y - oy) * ey) / across
@@ -112,8 +171,9 @@ def _flag(ox, oy, oz, dx, dy, dz, x, y, z, radius, height, ex, ey):
 
 
 @inlined
-def _tube(ox, oy, oz, dx, dy, dz, x, y, z, ex, ey, ez, radius):
-    """A tube from (x, y, z) to that and (ex, ey, ez), with round ends."""
+def _tube(o, d, foot, end, radius):
+    """A tube from its foot to that and ``end``, with round ends."""
+    (ox, oy, oz), (dx, dy, dz), (x, y, z), (ex, ey, ez) = o, d, foot, end
     # A first step to the nearest approach to its middle keeps digits.
     d2 = dx * dx + dy * dy + dz * dz
     near = ((x + ex / 2 - ox) * dx + (y + ey / 2 - oy) * dy + (z + ez / 2 - oz) * dz) / d2
@@ -146,8 +206,9 @@ def _tube(ox, oy, oz, dx, dy, dz, x, y, z, ex, ey, ez, radius):
 
 
 @inlined
-def _wall(ox, oy, oz, dx, dy, dz, x, y, z, ex, ey, ez, height):
-    """An upright quadrangle above the line from (x, y, z) to that and (ex, ey, ez)."""
+def _wall(o, d, foot, end, height):
+    """An upright quadrangle above the line from its foot to that and ``end``."""
+    (ox, oy, oz), (dx, dy, dz), (x, y, z), (ex, ey, ez) = o, d, foot, end
     size = np.sqrt(ex * ex + ey * ey)
     across = dx * ey - dy * ex
     if size == 0.0 or abs(across) < EPSILON * size:
@@ -161,23 +222,36 @@ def _wall(ox, oy, oz, dx, dy, dz, x, y, z, ex, ey, ez, height):
     return t, side * ey / size, -side * ex / size, 0.0
 
 
-@kernel
-def cast(
-    kind, place, end, radius, height, rgb, boxes, chosen, basis, offsets, ahead, sun, ambient, near, top, depth, color,
-    nearest, which,
-):  # fmt: skip
-    """Draw things over rows of a picture.
+@inlined
+def _hit(solids, n, o, d, ahead):
+    """Parameter of a ray's hit on a thing (inf if it misses) and the normal there."""
+    kind, r, h = solids.kind[n], solids.radius[n], solids.height[n]
+    x, y, z = foot = solids.place[n, 0], solids.place[n, 1], solids.place[n, 2]
+    ex, ey, ez = end = solids.end[n, 0], solids.end[n, 1], solids.end[n, 2]
+    if kind == BAR:
+        return _box(o, d, (x - r, y - r, z), (x + r, y + r, z + h))
+    if kind == SPHERE:
+        return _sphere(o, d, (x, y, z + r), r)
+    if kind == TUBE:
+        return _tube(o, d, foot, end, r)
+    if kind == WALL:
+        return _wall(o, d, foot, end, h)
+    if kind in (PANEL, SECTION):
+        if kind == PANEL and d[0] * ey - d[1] * ex <= 0:
+            return np.inf, 0.0, 0.0, 0.0
+        return _wall(o, d, foot, (ex, ey, 0.0), ez)
+    if kind == FLAG:
+        return _flag(o, d, foot, r, h, (ahead[0], ahead[1]))
+    return _turned(o, d, foot, r, ez if kind == COLUMN else h, 0.0 if kind == CONE else 1.0)
 
-    Args:
-        kind, radius, height: (n,). place: (n, 3) feet. end: (n, 3) from them to the other ends of tubes and walls.
-        rgb: (n, 3). boxes: (n, 4) first and last column and row that a thing may cover. chosen: indices of the things
-            to draw.
-        basis: (6, 3) o, ou, ov, d, du, dv of rays by pixel position (``View.ray_basis``, stretched).
-        offsets: (s, 2) positions in a pixel. ahead: (2,) where the eye looks, along the
-            ground. sun: (3,) towards the light. ambient: of the light.
-        top: the first row. depth: (rows, cols) of the ground. color: (rows, cols, s, 3). nearest: (rows, cols, s),
-            inf where nothing is. which: (rows, cols) the thing nearest at the first position, −1 where none is.
-    """
+
+@kernel
+def cast(solids, chosen, eye, light, sheet):
+    """Draw the ``chosen`` of ``Solids`` over a ``Sheet``."""
+    o0, ou, ov, d0, du, dv = eye.basis
+    kind, boxes, rgb, offsets = solids.kind, solids.boxes, solids.rgb, eye.offsets
+    sun, ambient = light
+    top, depth, color, nearest, which = sheet
     rows, cols = depth.shape
     for n in chosen:
         for row in range(max(boxes[n, 2] - top, 0), min(boxes[n, 3] - top + 1, rows)):
@@ -185,37 +259,16 @@ def cast(
                 ground = depth[row, col]
                 for s in range(len(offsets)):
                     u, v = col + offsets[s, 0], top + row + offsets[s, 1]
-                    ox = basis[0, 0] + u * basis[1, 0] + v * basis[2, 0]
-                    oy = basis[0, 1] + u * basis[1, 1] + v * basis[2, 1]
-                    oz = basis[0, 2] + u * basis[1, 2] + v * basis[2, 2]
-                    dx = basis[3, 0] + u * basis[4, 0] + v * basis[5, 0]
-                    dy = basis[3, 1] + u * basis[4, 1] + v * basis[5, 1]
-                    dz = basis[3, 2] + u * basis[4, 2] + v * basis[5, 2]
-                    x, y, z, r, h = place[n, 0], place[n, 1], place[n, 2], radius[n], height[n]
-                    if kind[n] == 0:
-                        t, nx, ny, nz = _box(ox, oy, oz, dx, dy, dz, x - r, x + r, y - r, y + r, z, z + h)
-                    elif kind[n] == 1:
-                        t, nx, ny, nz = _sphere(ox, oy, oz, dx, dy, dz, x, y, z + r, r)
-                    elif kind[n] == 5:
-                        t, nx, ny, nz = _tube(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], r)
-                    elif kind[n] == 6:
-                        t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], end[n, 2], h)
-                    elif kind[n] == 8 or kind[n] == 10:
-                        t, nx, ny, nz = _wall(ox, oy, oz, dx, dy, dz, x, y, z, end[n, 0], end[n, 1], 0.0, end[n, 2])
-                        if kind[n] == 8 and dx * end[n, 1] - dy * end[n, 0] <= 0:
-                            t = np.inf
-                    elif kind[n] == 4:
-                        t, nx, ny, nz = _flag(ox, oy, oz, dx, dy, dz, x, y, z, r, h, ahead[0], ahead[1])
-                    else:
-                        up = end[n, 2] if kind[n] == 9 else h
-                        t, nx, ny, nz = _turned(ox, oy, oz, dx, dy, dz, x, y, z, r, up, 0.0 if kind[n] == 2 else 1.0)
-                    if not near <= t < nearest[row, col, s] or t >= ground:
+                    o = o0[0] + u * ou[0] + v * ov[0], o0[1] + u * ou[1] + v * ov[1], o0[2] + u * ou[2] + v * ov[2]
+                    d = d0[0] + u * du[0] + v * dv[0], d0[1] + u * du[1] + v * dv[1], d0[2] + u * du[2] + v * dv[2]
+                    t, nx, ny, nz = _hit(solids, n, o, d, eye.ahead)
+                    if not eye.near <= t < nearest[row, col, s] or t >= ground:
                         continue
                     nearest[row, col, s] = t
-                    light = ambient + (1 - ambient) * max(0.0, nx * sun[0] + ny * sun[1] + nz * sun[2])
-                    if kind[n] == 8 or kind[n] == 10:
-                        light = 1.0
+                    lit = ambient + (1 - ambient) * max(0.0, nx * sun[0] + ny * sun[1] + nz * sun[2])
+                    if kind[n] in (PANEL, SECTION):
+                        lit = 1.0
                     for c in range(3):
-                        color[row, col, s, c] = rgb[n, c] * light
+                        color[row, col, s, c] = rgb[n, c] * lit
                     if s == 0:
                         which[row, col] = n

@@ -7,7 +7,10 @@ cameras there. What hides a camera at one height hides all below it.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.measuring.viewshed_kernels import along
@@ -16,9 +19,32 @@ LEAST = 1e-4
 """Metres by which ground must stand above a line of sight to hide: less is rounding."""
 
 
+class Pinholes(NamedTuple):
+    """All cameras (n,): ``best_cameras.Cameras`` has their eyes (n, 3), axes (n, 3, 3), slopes (n, 2) and fitting."""
+
+    eyes: NDArray[Any]
+    axes: NDArray[Any]
+    slopes: NDArray[Any]
+    fitting: NDArray[Any]
+
+
+class Pieces(NamedTuple):
+    """The pieces of a target.
+
+    Attributes:
+        points, axis: (3, n). spans: (4,) the first piece of each kind, and n. weight: (n,), times their light.
+    """
+
+    points: NDArray[Any]
+    spans: NDArray[np.int64]
+    axis: NDArray[Any]
+    weight: NDArray[Any]
+
+
 @inlined
-def camera(eyes, axes, slopes, fitting, m):
+def camera(cameras, m):
     """The numbers of camera m that ``quality`` takes."""
+    eyes, axes, slopes, fitting = cameras
     return (
         eyes[m, 0], eyes[m, 1], eyes[m, 2], axes[m, 0, 0], axes[m, 0, 1], axes[m, 1, 0], axes[m, 1, 1], axes[m, 1, 2],
         axes[m, 2, 0], axes[m, 2, 1], axes[m, 2, 2], slopes[m, 0], slopes[m, 1], fitting[m],
@@ -50,14 +76,10 @@ def quality(cam, points, axis, i, kind, zero, one):
 
 
 @kernel
-def qualities(eyes, axes, slopes, fitting, m, points, spans, axis, out):
-    """``quality`` of all pieces for camera m.
-
-    Args:
-        points, axis: (3, n); spans: (4,) the first piece of each kind, and n.
-        out: (n,).
-    """
-    cam = camera(eyes, axes, slopes, fitting, m)
+def qualities(cameras, m, pieces, out):
+    """``quality`` of all ``Pieces`` for camera m of ``Pinholes``; out: (n,)."""
+    points, spans, axis, _ = pieces
+    cam = camera(cameras, m)
     for i in range(np.uint64(spans[0]), np.uint64(spans[1])):
         out[i] = quality(cam, points, axis, i, 0, 0.0, 1.0)
     for i in range(np.uint64(spans[1]), np.uint64(spans[2])):
@@ -67,19 +89,20 @@ def qualities(eyes, axes, slopes, fitting, m, points, spans, axis, out):
 
 
 @kernel
-def values(eyes, axes, slopes, fitting, points, spans, axis, weight, best, needed, first, last, out):
+def values(cameras, pieces, best, needed, first, last, out):
     """What cameras [first, last) add to what is seen already: Σ weight·max(q − best, 0) over the pieces they see.
 
     Args:
-        weight: (n,) of the pieces, times their light. best: (n,) the largest q so far.
+        best: (n,) the largest q so far.
         needed: (n,) the height over the place from which each piece is seen; −inf where that is not known: an upper
             bound results.
         out: (last − first,) float64.
     """
-    q = np.empty(points.shape[1])
+    weight = pieces.weight
+    q = np.empty(len(weight))
     for m in range(first, last):
-        qualities(eyes, axes, slopes, fitting, m, points, spans, axis, q)
-        height = eyes[m, 2]
+        qualities(cameras, m, pieces, q)
+        height = cameras.eyes[m, 2]
         for i in range(len(q)):
             more = weight[i] * max(q[i] - best[i], 0.0)
             q[i] = more if height >= needed[i] else 0.0
@@ -90,20 +113,21 @@ def values(eyes, axes, slopes, fitting, points, spans, axis, weight, best, neede
 
 
 @kernel
-def ceilings(eyes, axes, slopes, fitting, points, spans, axis, weight, starts, out):
+def ceilings(cameras, pieces, starts, out):
     """Upper bounds of what the best camera of each place shows: what is in its picture, hidden or not; float32 arrays.
 
     Args:
-        eyes, points: counted from the target's middle. slopes, fitting: a little too large, for the rounding.
+        cameras, pieces: places counted from the target's middle; slopes, fitting a little too large, for the rounding.
         starts: (places + 1,) the first camera of each. out: (places,) float64.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
+    points, spans, axis, weight = pieces
     n = points.shape[1]
     q = np.zeros(n + 3, np.float32)
     for p in range(len(starts) - 1):
         most = 0.0
         for m in range(starts[p], starts[p + 1]):
-            cam = camera(eyes, axes, slopes, fitting, m)
+            cam = camera(cameras, m)
             for i in range(np.uint64(spans[0]), np.uint64(spans[1])):
                 q[i] = weight[i] * quality(cam, points, axis, i, 0, zero, one)
             for i in range(np.uint64(spans[1]), np.uint64(spans[2])):
@@ -118,41 +142,33 @@ def ceilings(eyes, axes, slopes, fitting, points, spans, axis, weight, starts, o
 
 
 @kernel
-def look(
-    z, maxima, offset, per_row, at, place, lowest, heights, order, a, b,
-    eyes, axes, slopes, fitting, points, spans, axis, weight, best, needed, first, last, out,
-):  # fmt: skip
-    """Find ``needed`` of pieces order[a:b] from one place, and take what its cameras do not see from their values.
+def look(pyramid, at, heights, which, place, cameras, pieces, best, needed, first, last, out):
+    """Find ``needed`` of the pieces ``which`` from one place, and take what its cameras do not see from their values.
 
     Args:
-        z, maxima, offset, per_row: heights (``MISSING`` in holes) and their pyramid.
-        at: (n, 2) column and row of the pieces in z; place: (2,) those of the place.
-        lowest: height of the place's lowest camera. heights: (n,) what is looked at: the pieces, or what stands there.
+        pyramid: ``Pyramid`` of heights. at: (n, 2) column and row of the pieces in it.
+        heights: (n,) what is looked at: the pieces, or what stands there.
+        place: column, row and height of the place's lowest camera.
         out: (last − first,) the values, an upper bound before and after.
     """
-    nr, nc = z.shape[0] - 1, z.shape[1] - 1
-    for k in range(a, b):
-        i = order[k]
-        h, _ = along(
-            z, maxima, offset, per_row, nc, nr, at[i, 0], at[i, 1], heights[i], place[0], place[1], lowest, LEAST, False
-        )
+    points, spans, axis, weight = pieces
+    eyes, lowest = cameras.eyes, place[2]
+    for i in which:
+        h, _ = along(pyramid, (at[i, 0], at[i, 1], heights[i]), place, LEAST, False)
         needed[i] = h
         if h > lowest:
             kind = 0 if i < spans[1] else 1 if i < spans[2] else 2
             for m in range(first, last):
                 if eyes[m, 2] < h:
-                    q = quality(camera(eyes, axes, slopes, fitting, m), points, axis, i, kind, 0.0, 1.0)
+                    q = quality(camera(cameras, m), points, axis, i, kind, 0.0, 1.0)
                     out[m - first] -= weight[i] * max(q - best[i], 0.0)
 
 
 @kernel
-def lit(z, maxima, offset, per_row, at, heights, step, rise, out):
+def lit(pyramid, at, heights, step, rise, out):
     """Whether the sun reaches pieces: 1 or 0. step: (2,) columns and rows towards it, as far as ``rise`` metres up."""
-    nr, nc = z.shape[0] - 1, z.shape[1] - 1
     for i in range(at.shape[0]):
         end = heights[i] + rise
-        h, _ = along(
-            z, maxima, offset, per_row, nc, nr, at[i, 0], at[i, 1], heights[i], at[i, 0] + step[0], at[i, 1] + step[1],
-            end, LEAST, True,
-        )  # fmt: skip
+        start, sun = (at[i, 0], at[i, 1], heights[i]), (at[i, 0] + step[0], at[i, 1] + step[1], end)
+        h, _ = along(pyramid, start, sun, LEAST, True)
         out[i] = 1.0 if h <= end else 0.0

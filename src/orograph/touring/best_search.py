@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lighting.sun import Sun
-from orograph.measuring.viewshed_kernels import MISSING, first_level, next_level
+from orograph.measuring.viewshed_kernels import MISSING, Pyramid, first_level, next_level
 from orograph.parallel import for_each
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.touring.best_cameras import Cameras
-from orograph.touring.best_kernels import ceilings, lit, look, qualities, values
+from orograph.touring.best_kernels import Pieces, Pinholes, ceilings, lit, look, qualities, values
 from orograph.touring.best_target import AREA, Target
 
 Array = NDArray[np.float64]
@@ -53,15 +53,12 @@ class Ground:
 
     Attributes:
         level: of the terrain, 0 unless so much ground is too large for memory.
-        z, maxima, offset, per_row: float32 heights and their pyramid, as ``viewshed_kernels`` has them.
+        pyramid: of float32 heights.
         row, col: the first sample, at that level.
     """
 
     level: int
-    z: NDArray[np.float32]
-    maxima: NDArray[np.float32]
-    offset: NDArray[np.int64]
-    per_row: NDArray[np.int64]
+    pyramid: Pyramid
     row: int
     col: int
 
@@ -80,18 +77,16 @@ class Ground:
                 break
             level += 1
         z = terrain.read(level, row, end[1], col, end[0]).astype(np.float32)
-        return cls(level, *pyramid(z), row, col)
+        return cls(level, pyramid_of(z), row, col)
 
     def samples(self, terrain: Terrain, places: Array) -> Array:
-        """(n, 2) column and row in ``z`` of places (n, 2)."""
+        """(n, 2) column and row in the pyramid of places (n, 2)."""
         at = np.stack(terrain.grid.index(places[:, 0], places[:, 1]), -1)
         return np.asarray(at / 2**self.level - [self.col, self.row])
 
 
-def pyramid(
-    z: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-    """Heights with ``MISSING`` for NaN, the maxima over their cells, where each level begins and its nodes in a row."""
+def pyramid_of(z: NDArray[np.float32]) -> Pyramid:
+    """The pyramid of heights (rows, cols), NaN where missing."""
     z = np.where(np.isnan(z), np.float32(MISSING), z)
     levels: list[NDArray[np.float32]] = []
     nodes = z.shape[0] - 1, z.shape[1] - 1
@@ -103,7 +98,7 @@ def pyramid(
     sizes = np.array([one.size for one in levels])
     offset = np.concatenate([[-1, 0], np.cumsum(sizes)[:-1]]).astype(np.int64)
     per_row = np.array([z.shape[1] - 1, *(one.shape[1] for one in levels)], np.int64)
-    return z, np.concatenate([one.ravel() for one in levels]), offset, per_row
+    return Pyramid(z, np.concatenate([one.ravel() for one in levels]), offset, per_row)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +136,6 @@ class Search:
         here = target.points[:, :2]
         self.ground = Ground.between(terrain, np.concatenate([here, cams.place, here + shade[:2]]))
         g = self.ground
-        self._surface = g.z, g.maxima, g.offset, g.per_row
         self._at, self._place = g.samples(terrain, target.points[:, :2]), g.samples(terrain, cams.place)
         self._points = target.points + np.array([0.0, 0.0, lift])
         self._heights = np.ascontiguousarray(self._points[:, 2])
@@ -150,8 +144,9 @@ class Search:
         self.light = np.ones(len(self._points)) if sun is None else self._lit(terrain, sun, shade)
         weight = target.weight * self.light
         spans = np.searchsorted(target.kind, np.arange(4))
-        self._pieces = np.ascontiguousarray(self._points.T), spans, np.ascontiguousarray(target.axis.T), weight
-        self._cameras = cams.eyes, cams.axes(), cams.slopes(), cams.fitting()
+        points, axis = np.ascontiguousarray(self._points.T), np.ascontiguousarray(target.axis.T)
+        self._pieces = Pieces(points, spans, axis, weight)
+        self._cameras = Pinholes(cams.eyes, cams.axes(), cams.slopes(), cams.fitting())
         self._order = np.random.default_rng(SEED).permutation(len(self._points))
         self._needed: dict[int, Array] = {}
         self._done: dict[int, int] = {}
@@ -191,19 +186,16 @@ class Search:
         cams, middle = self.cams, self.cams.middle
         points, spans, axis, weight = self._pieces
         _, axes, slopes, fitting = self._cameras
-        single = [part.astype(np.float32) for part in (cams.eyes - middle, axes, slopes * WIDER, fitting * WIDER)]
-        pieces = (
-            (points - middle[:, None]).astype(np.float32),
-            spans,
-            axis.astype(np.float32),
-            weight.astype(np.float32),
-        )
+        wider = cams.eyes - middle, axes, slopes * WIDER, fitting * WIDER
+        cameras = Pinholes(*(part.astype(np.float32) for part in wider))
+        moved = points - middle[:, None]
+        pieces = Pieces(moved.astype(np.float32), spans, axis.astype(np.float32), weight.astype(np.float32))
         out = np.empty(len(cams.place))
         with self.progress.task("Judging cameras", total=len(out)) as task:
 
             def judge(a: int) -> None:
                 b = min(a + PLACES, len(out))
-                ceilings(*single, *pieces, cams.first[a : b + 1], out[a:b])
+                ceilings(cameras, pieces, cams.first[a : b + 1], out[a:b])
                 task.advance(b - a)
 
             for_each(judge, range(0, len(out), PLACES), self.jobs)
@@ -216,15 +208,8 @@ class Search:
         if not allowed[first:last].any():
             return np.full(last - first, -1.0)
         # (A picture's q has its light in it, and the kernels put it into the weight: there what was seen is without.)
-        values(
-            *self._cameras,
-            *self._pieces,
-            self._unlit(best),
-            self._needed.get(p, self._hidden_nothing),
-            first,
-            last,
-            out,
-        )
+        needed = self._needed.get(p, self._hidden_nothing)
+        values(self._cameras, self._pieces, self._unlit(best), needed, first, last, out)
         return np.where(allowed[first:last], out, -1.0)
 
     def _unlit(self, best: Array) -> Array:
@@ -260,9 +245,10 @@ class Search:
             self._needed[p] = np.full(n, -np.inf)
         first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
         lowest = float(self.cams.eyes[first:last, 2].min())
+        place = float(self._place[p, 0]), float(self._place[p, 1]), lowest
         look(
-            *self._surface, self._at, self._place[p], lowest, self._heights, self._order, begin, end,
-            *self._cameras, *self._pieces, unlit, self._needed[p], first, last, out,
+            self.ground.pyramid, self._at, self._heights, self._order[begin:end], place, self._cameras, self._pieces,
+            unlit, self._needed[p], first, last, out,
         )  # fmt: skip
         self.looks += end - begin
         self._done[p] = end
@@ -271,7 +257,7 @@ class Search:
         """(n,) q with its light of the pieces that a camera sees, all of which were tested; NaN of others."""
         p = int(np.searchsorted(self.cams.first, camera, "right")) - 1
         out = np.empty(len(self._points))
-        qualities(*self._cameras, camera, *self._pieces[:3], out)
+        qualities(self._cameras, camera, self._pieces, out)
         out[self.cams.eyes[camera, 2] < self._needed[p]] = 0.0
         return np.where(out > 0.0, out * self.light, np.nan)
 
@@ -280,7 +266,7 @@ class Search:
         from orograph.measuring.viewshed_kernels import ground_at
 
         for i, (x, y) in enumerate(self._at):
-            self._heights[i] = max(self._heights[i], ground_at(self.ground.z, x, y))
+            self._heights[i] = max(self._heights[i], ground_at(self.ground.pyramid.z, x, y))
 
     def _lit(self, terrain: Terrain, sun: Sun, shade: Array) -> Array:
         """(n,) AMBIENT to 1: the light on each piece."""
@@ -289,7 +275,7 @@ class Search:
             return np.full(len(self._points), AMBIENT)
         step = np.linalg.solve(terrain.grid.linear, shade[:2]) / 2**self.ground.level
         out = np.empty(len(self._points))
-        lit(*self._surface, self._at, self._heights, step, float(shade[2]), out)
+        lit(self.ground.pyramid, self._at, self._heights, step, float(shade[2]), out)
         facing = np.where(target.kind == AREA, np.maximum(target.axis @ towards, 0.0), 1.0)
         return np.asarray(AMBIENT + (1.0 - AMBIENT) * facing * out)
 

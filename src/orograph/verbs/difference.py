@@ -25,6 +25,7 @@ from orograph.lighting.api import Map
 from orograph.lighting.context import MEMORY
 from orograph.lighting.raster import Band
 from orograph.measuring.differing import Statistics, differ
+from orograph.measuring.told import cubic, square
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -119,7 +120,7 @@ class Difference:
         with temporary() as folder:
             file = Path(folder) / "difference.tif"
             self._map().save(file)
-            data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name="difference")
+            data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name="Difference")
             how = {"size": self._size(), "furniture": True, "title": self.name.replace("_", " "), **options}
             return render(self._relief(heard, options), view, data=[data], progress=heard, **how)
 
@@ -147,13 +148,13 @@ class Difference:
             return [("compared", "nothing: no sample is in both")]
         every = ", ".join(f"{100 * q:g} %: {value:+.3g}" for q, value in s.quantiles)
         return [
-            ("compared", f"{s.count:,} samples, {_areas(s.area)}" + (f"; {s.missing:,} missing" if s.missing else "")),
+            ("compared", f"{s.count:,} samples, {square(s.area)}" + (f"; {s.missing:,} missing" if s.missing else "")),
             ("mean", f"mean {s.mean:+.4g} m, median {s.median:+.4g} m"),
             ("spread", f"rms {s.rms:.4g} m, NMAD {s.nmad:.4g} m"),
             ("range", f"{s.low:+.4g} to {s.high:+.4g} m" + (f" ({every})" if every else "")),
-            ("gain", f"gain {s.gain:,.4g} m³ on {_areas(s.gain_area)}"),
-            ("loss", f"loss {s.loss:,.4g} m³ on {_areas(s.loss_area)}"),
-            ("net", f"net {s.net:+,.4g} m³"),
+            ("gain", f"gain {cubic(s.gain)} on {square(s.gain_area)}"),
+            ("loss", f"loss {cubic(s.loss)} on {square(s.loss_area)}"),
+            ("net", f"net {'+' if s.net > 0 else ''}{cubic(s.net)}"),
         ]  # fmt: skip
 
     def _map(self) -> Map:
@@ -338,7 +339,3 @@ def _terrain_of(given: Any) -> Terrain | None:
     if isinstance(given, Terrain):
         return given
     return open_store(str((files_of(given) or [])[0])) if _is_built(given) else None
-
-
-def _areas(metres2: float) -> str:
-    return f"{metres2 / 1e6:,.4g} km²" if metres2 >= 1e5 else f"{metres2:,.4g} m²"

@@ -227,15 +227,11 @@ class Ground:
 
     def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
         """The footprint of pixels on the ground (n, 4) and its least width (n,), metres (``kernels.footprints``)."""
-        rays, view, n = self.rays, self.rays.view, len(px)
+        n = len(px)
         gradient = self.relief.gradient(hits.points, hits.width)
         slope = np.asarray(gradient, np.float64) @ self.to_world.T
         ground, least = np.empty((n, 4)), np.empty(n)
-        parallel = view.projection == "plan"
-        footprints(
-            px, py, hits.t, *rays.basis, self.scene.surface.exaggeration,
-            view.pixel_metres if parallel else view.pixel_slope, parallel, slope, ground, least,
-        )  # fmt: skip
+        footprints(px, py, hits.t, self.rays.pixels, slope, ground, least)
         return ground, least
 
     def skyline(self, hits: Hits, sun: Sun, which: NDArray[np.int64]) -> Array:
@@ -257,4 +253,4 @@ class Ground:
         for r in self.windows:  # the last one that contains a point is the finest there
             inside = (x >= r.col0 << r.level) & (x <= (r.col1 - 1) << r.level)
             facet[inside & (y >= r.row0 << r.level) & (y <= (r.row1 - 1) << r.level)] = 1 << r.level
-        return np.asarray(np.maximum(facet, np.minimum(hits.width[which], 4.0)) * self.rays.spacing)
+        return np.asarray(np.maximum(facet, np.minimum(hits.width[which], 4.0)) * self.rays.to_samples.spacing)

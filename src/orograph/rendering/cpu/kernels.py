@@ -6,24 +6,42 @@ over. Colours are linear light, float32.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.rendering.lookup import LEAST, SHORE, bilinear
+from orograph.rendering.lookup import LEAST, SHORE, bilinear, within_map
 
 GRAZING = 0.02
 """Cosine of the angle between a ray and the ground's normal below which a pixel's footprint grows no longer."""
 
 
+class Light(NamedTuple):
+    """The light of a picture with the light "relief".
+
+    Attributes:
+        sun, sky: (3,) colours. bounce: the part of all light that ground sees instead of hidden sky.
+    """
+
+    sun: NDArray[np.float32]
+    sky: NDArray[np.float32]
+    bounce: float
+
+
 @kernel
-def footprints(px, py, t, o0, ou, ov, d0, du, dv, exaggeration, metres, parallel, slope, ground, least):
+def footprints(px, py, t, pixels, slope, ground, least):
     """What pixels cover of the ground: ``ground`` (n, 4), metres east and north from where a ray meets it to where the
     next pixel's to the right (0, 1) and to below (2, 3) meet its tangent plane; ``least`` (n,) metres of a footprint's
     minor axis, so that ground which is steep in the map does not want endless detail.
 
     Args:
-        slope: (n, 2) metres per metre east and north, of the true ground. metres, parallel: as for ``ends``.
+        pixels: ``PixelRays``; px, py, t: (n,) pixel positions and depths.
+        slope: (n, 2) metres per metre east and north, of the true ground.
     """
+    _, ou, ov, d0, du, dv = pixels.basis
+    exaggeration = pixels.exaggeration
     for i in range(len(px)):
         # In stretched space, where distances are those of the picture.
         x = d0[0] + px[i] * du[0] + py[i] * dv[0]
@@ -39,7 +57,7 @@ def footprints(px, py, t, o0, ou, ov, d0, du, dv, exaggeration, metres, parallel
             along = (a * ex + b * ey + ez) / facing
             ground[i, 2 * k] = ex - along * x
             ground[i, 2 * k + 1] = ey - along * y
-        least[i] = LEAST * (metres if parallel else metres * t[i] * length)
+        least[i] = LEAST * (pixels.pixel if pixels.parallel else pixels.pixel * t[i] * length)
 
 
 @kernel
@@ -61,37 +79,39 @@ def _shoulder(x):
 
 
 @inlined
-def _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor):
-    """Where in which table a sample's tint lies (below the sea's level?, entry, how far to the next), and its water."""
-    below = sea.shape[0] > 0 and points[i, 2] < 0.0
-    last = (sea.shape[0] if below else land.shape[0]) - 1
-    z = (points[i, 2] - floor) / -floor if below else (points[i, 2] - low) / (high - low)
+def _albedo(height, u, v, water_map, tint, water, drape, i):
+    """The ground's own colour: its tint, under water, under what layers make of both."""
+    below = tint.sea.shape[0] > 0 and height < 0.0
+    table = tint.sea if below else tint.land
+    last = table.shape[0] - 1
+    z = (height - tint.floor) / -tint.floor if below else (height - tint.low) / (tint.high - tint.low)
     z = min(max(z * last, 0.0), last - 1e-6)
     k = np.int64(z)
+    f = z - k
     wet = 0.0
-    if wet_map:
+    if water_map.shape[0] > 0:
         wet = min(max((bilinear(water_map, u, v) - (0.5 - SHORE)) / (2.0 * SHORE), 0.0), 1.0)
         wet = wet * wet * (3.0 - 2.0 * wet)
-    return below, k, z - k, wet
+    red = (table[k, 0] * (1.0 - f) + table[k + 1, 0] * f) * (1.0 - wet) + water[0] * wet
+    green = (table[k, 1] * (1.0 - f) + table[k + 1, 1] * f) * (1.0 - wet) + water[1] * wet
+    blue = (table[k, 2] * (1.0 - f) + table[k + 1, 2] * f) * (1.0 - wet) + water[2] * wet
+    if drape.shape[0] > 0:
+        red = red * drape[i, 3] + drape[i, 0]
+        green = green * drape[i, 4] + drape[i, 1]
+        blue = blue * drape[i, 5] + drape[i, 2]
+    return red, green, blue
 
 
 @kernel
-def paint(points, light, water_map, scale, row0, col0, land, low, high, sea, floor, drape, water, out):
+def paint(points, light, water_map, place, tint, water, drape, out):
     """Colours (n, 3) of ground under a light (n, 3) float32; other arguments as for ``compose``."""
-    wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
     for i in range(len(points)):
         if points[i, 0] != points[i, 0]:
             continue
-        u = (points[i, 0] + 0.5) / scale - 0.5 - col0
-        v = (points[i, 1] + 0.5) / scale - 0.5 - row0
-        below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)
-        table = sea if below else land
+        u, v = within_map(place, points[i, 0], points[i, 1])
+        albedo = _albedo(points[i, 2], u, v, water_map, tint, water, drape, i)
         for c in range(3):
-            albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
-            albedo = albedo * (1.0 - wet) + water[c] * wet
-            if draped:
-                albedo = albedo * drape[i, 3 + c] + drape[i, c]
-            out[i, c] = _shoulder(albedo * light[i, c])
+            out[i, c] = _shoulder(albedo[c] * light[i, c])
 
 
 @kernel
@@ -106,55 +126,28 @@ def normals(gradient, to_world, stretch, out):
 
 
 @kernel
-def compose(
-    points,
-    cosine,
-    tilt,
-    sunlit,
-    sky_map,
-    water_map,
-    scale,
-    row0,
-    col0,
-    land,
-    low,
-    high,
-    sea,
-    floor,
-    drape,
-    water,
-    sunlight,
-    skylight,
-    bounce,
-    out,
-):
+def compose(points, lit, tilt, sky_map, water_map, place, tint, water, drape, light, out):
     """Colours (n, 3) of lit ground.
 
     Args:
-        sunlit: (n,) part of the sun seen. sky_map, water_map: fields over samples of 2^level = ``scale``, first
-            (row0, col0); water_map is 0.5 on the shore and may have no samples.
-        land: (k, 3) tint from height ``low`` to ``high``; sea: (m, 3) from ``floor`` to 0 m, or (0, 3).
+        points: (n, 3) sample coordinates and height, metres.
+        lit: (n,) cosine of the sun's angle to the normal, times the part of the sun seen. tilt: as of ``incidence``.
+        sky_map, water_map: fields over the samples of a ``MapPlace``; water_map is 0.5 on the shore and may have no
+            samples.
+        tint: ``geovis.color.Tint``. water: (3,) its colour. light: ``Light``.
         drape: (n, 7) what layers make of tint and water (``geovis.layers.composite``), or (0, 7).
-        water, sunlight, skylight: (3,) colours; bounce: part of all light that ground sees instead of hidden sky.
     """
-    wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
+    sunlight, skylight, bounce = light
     for i in range(len(points)):
         if points[i, 0] != points[i, 0]:
             continue
-        u = (points[i, 0] + 0.5) / scale - 0.5 - col0
-        v = (points[i, 1] + 0.5) / scale - 0.5 - row0
+        u, v = within_map(place, points[i, 0], points[i, 1])
         sky = bilinear(sky_map, u, v)
         if sky != sky:
             sky = 1.0
-        below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)
-        table = sea if below else land
-        lit = cosine[i] * sunlit[i]
+        albedo = _albedo(points[i, 2], u, v, water_map, tint, water, drape, i)
         # Light from the sky comes from around the zenith: what leans away sees less of it besides its horizon.
         open_sky = sky * (0.5 + 0.5 * tilt[i])
         for c in range(3):
-            albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
-            albedo = albedo * (1.0 - wet) + water[c] * wet
-            if draped:
-                albedo = albedo * drape[i, 3 + c] + drape[i, c]
-            light = lit * sunlight[c] + open_sky * skylight[c] + (1.0 - sky) * bounce * (sunlight[c] + skylight[c])
-            out[i, c] = _shoulder(albedo * light)
+            whole = lit[i] * sunlight[c] + open_sky * skylight[c] + (1.0 - sky) * bounce * (sunlight[c] + skylight[c])
+            out[i, c] = _shoulder(albedo[c] * whole)

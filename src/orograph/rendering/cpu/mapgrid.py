@@ -15,7 +15,7 @@ from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.horizon import sky_view
 from orograph.memo import Memo
 from orograph.rendering.cpu.ground import Ground
-from orograph.rendering.lookup import SHORE
+from orograph.rendering.lookup import SHORE, MapPlace
 from orograph.rendering.survey import Survey
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
@@ -38,8 +38,9 @@ class MapGrid:
 
     Attributes:
         window: the grid, of a level of box means.
-        sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
-            Water is where the water field, interpolated, is above 0.5. The sky is swept for the light "relief" only.
+        place: where its samples lie.
+        sky_view, water: (rows, cols) float32; water may be empty. Water is where the water field, interpolated, is
+            above 0.5. The sky is swept for the light "relief" only.
         strength: factor on slopes for shading unless the scene sets one.
         water_fraction: of the working grid.
     """
@@ -47,8 +48,8 @@ class MapGrid:
     def __init__(self, scene: Scene, ground: Ground, survey: Survey, memo: Memo) -> None:
         terrain = scene.terrain
         self.window = window = working_window(terrain, survey.hits.points)
-        self.scale, self.row0, self.col0 = 2.0**window.level, window.row0, window.col0
-        linear = terrain.chart.linear * self.scale
+        self.place = MapPlace(2.0**window.level, window.row0, window.col0)
+        linear = terrain.chart.linear * self.place.scale
 
         def sky() -> NDArray[np.float32]:
             heights = terrain.read_mean(*window)
@@ -107,7 +108,7 @@ def _water(scene: Scene, ground: Ground, window: Rectangle) -> tuple[NDArray[np.
     heights = scene.terrain.read_mean(*window)
     field: NDArray[np.floating] = np.empty((0, 0), np.float32)
     if scene.data.water == "auto":
-        found = water_in(scene.terrain, ground.rays.spacing, window.level, window.row0, window.col0, heights)
+        found = water_in(scene.terrain, ground.rays.to_samples.spacing, window.level, window.row0, window.col0, heights)
         if found.any():
             field = shore(found)
     else:

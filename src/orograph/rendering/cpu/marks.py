@@ -15,12 +15,14 @@ from orograph.lighting.relief import Relief
 from orograph.memo import Memo
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.mapgrid import MapGrid
-from orograph.rendering.lines.contour_kernels import AROUND, WIDE, line_cover, thin_out
+from orograph.rendering.lines import contour_kernels
+from orograph.rendering.lines.contour_kernels import AROUND, WIDE, Seen, line_cover, thin_out
 from orograph.rendering.lines.label_type import Lettering
 from orograph.rendering.lines.labels import Placer
 from orograph.rendering.lines.smooth import smoothed
-from orograph.rendering.palette import ink
+from orograph.rendering.palette import PAPER, ink
 from orograph.rendering.rays import Hits
+from orograph.scene.contours import CASING
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -66,7 +68,9 @@ class Lines:
             self._area = top - RIM, top + scene.view.height + RIM, left - RIM, left + scene.view.width + RIM
             self._sheet = self.letters.sheet(self._area)
         self.facts["labels"] = len(self.letters.words)
-        self._basis = np.array(ground.rays.basis)
+        self._basis = ground.rays.pixels.basis
+        contours = self.contours
+        self._lines = contour_kernels.Lines(float(contours.interval or 1.0), contours.index, contours.width)
 
     def draw(self, hits: Hits, px: Array, py: Array, out: Colors) -> None:
         """Draw over the colours (n, 3) of hits at pixel positions (n,) of the whole picture."""
@@ -81,22 +85,29 @@ class Lines:
             heights = self.under.caster.surfaces(hits.points[:, 0], hits.points[:, 1])
             gradient = own.gradient(hits.points, hits.width)
             heights = smoothed(own, hits.points, hits.width, heights)
-        line_cover(
-            px, py, hits.t, hits.points, heights, gradient, drawn, maps.water, maps.scale, maps.row0, maps.col0,
-            self.ground.to_world, self._basis, float(c.interval or 1.0), c.index, c.width, cover,
-        )  # fmt: skip
-        lines = np.flatnonzero(cover > 0)
+        seen = Seen(hits.points, heights, gradient, drawn, self.ground.to_world)
+        about = px, py, hits.t, seen, self._basis, self._lines
+        line_cover(*about, maps.water, maps.place, 0.0, cover)
+        light = np.zeros_like(cover)
+        if c.casing:
+            line_cover(*about, maps.water, maps.place, CASING, light)
+        lines = np.flatnonzero((light if c.casing else cover) > 0)
         if len(lines):
-            cover[lines] = self._thinned(hits, px, py, heights, own, lines, cover[lines])
+            thinned = self._thinned(hits, px, py, heights, own, lines)
+            cover[lines] *= thinned
+            light[lines] *= thinned * np.float32(c.casing or 0)
         cover *= np.float32(c.opacity)
         if self.letters.words:
             top, _, left, _ = self._area
             found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
             letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
             gaps = np.flatnonzero(letters[:, 1] > 0)
-            out[gaps] += (np.float32(GLOW) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            out[gaps] += (np.float32(max(GLOW, c.casing or 0)) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            light *= 1 - letters[:, 1]
             cover *= 1 - letters[:, 1]
             cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
+        if c.casing:
+            out += light[:, None] * (PAPER - out)
         some = np.flatnonzero(cover > 0)
         out[some] += cover[some, None] * (self.ink - out[some])
 
@@ -107,9 +118,10 @@ class Lines:
         return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.surface.exaggeration], -1)
 
     def _thinned(
-        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colors
+        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp]
     ) -> Colors:
-        """``cover`` (m,) of the hits ``lines``, reduced where lines around run together."""
+        """What remains (m,), 0 to 1, of the lines at the hits ``lines``: less where those around run together."""
+        cover = np.ones(len(lines), np.float32)
         points, width = hits.points[lines], hits.width[lines]
         away = np.zeros((4, *points.shape))
         away[0, :, 0], away[1, :, 1] = AROUND * width, AROUND * width
@@ -117,7 +129,7 @@ class Lines:
         around = np.stack([own.gradient(points + step, WIDE * width) for step in away])
         thin_out(
             px[lines], py[lines], hits.t[lines], heights[lines], around, self.ground.to_world, self._basis,
-            float(self.contours.interval or 1.0), self.contours.index, cover,
+            self._lines, cover,
         )  # fmt: skip
         return cover
 

@@ -21,7 +21,7 @@ from orograph.lighting.shade import disc_fraction
 from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.ground import Ground
-from orograph.rendering.cpu.kernels import compose, paint
+from orograph.rendering.cpu.kernels import Light, compose, paint
 from orograph.rendering.cpu.lighting import Lighting, Shine, field_ahead, lighting_of
 from orograph.rendering.cpu.mapgrid import MapGrid
 from orograph.rendering.lookup import LEAST
@@ -171,10 +171,7 @@ class Shader:
         else:
             maps, tint = self.maps, self.tint
             light = self.lighting.on(hits, px, py, self.scene.surface.samples if counted is None else 1)
-            paint(
-                hits.points, light, maps.water, maps.scale, maps.row0, maps.col0, tint.land, tint.low, tint.high,
-                tint.sea, tint.floor, drape, WATER, out,
-            )  # fmt: skip
+            paint(hits.points, light, maps.water, maps.place, tint, WATER, drape, out)
         met = np.flatnonzero(~np.isnan(hits.t))
         if counted is not None:
             bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.void_fill))
@@ -204,9 +201,8 @@ class Shader:
             )
         maps = self.maps
         compose(
-            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0,
-            self.tint.land, self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight,
-            self.skylight, BOUNCE, out,
+            hits.points, cosine * sunlit, tilt, maps.sky_view, maps.water, maps.place, self.tint, WATER, drape,
+            Light(self.sunlight, self.skylight, BOUNCE), out,
         )  # fmt: skip
 
     def _wet(self, points: Array) -> NDArray[np.bool_]:
@@ -214,8 +210,9 @@ class Shader:
         maps = self.maps
         if not maps.water.size:
             return np.zeros(len(points), bool)
-        c = np.rint((points[:, 0] + 0.5) / maps.scale - 0.5 - maps.col0).astype(np.intp)
-        r = np.rint((points[:, 1] + 0.5) / maps.scale - 0.5 - maps.row0).astype(np.intp)
+        scale, row0, col0 = maps.place
+        c = np.rint((points[:, 0] + 0.5) / scale - 0.5 - col0).astype(np.intp)
+        r = np.rint((points[:, 1] + 0.5) / scale - 0.5 - row0).astype(np.intp)
         rows, cols = maps.water.shape
         return maps.water[np.clip(r, 0, rows - 1), np.clip(c, 0, cols - 1)] > 0.5
 

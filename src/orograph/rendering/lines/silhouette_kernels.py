@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
 
@@ -28,9 +31,23 @@ GRAZING = 0.12, 0.34
 """n · v up to which creases have their whole weight, and from which on they have none."""
 
 
+class Border(NamedTuple):
+    """Where a terrain ends.
+
+    Attributes:
+        last_col, last_row: of the raster. away, step: ``silhouettes.terrain_ends``.
+    """
+
+    last_col: float
+    last_row: float
+    away: NDArray[np.float32]
+    step: int
+
+
 @inlined
-def farness(z, near, far):
+def farness(z, depths):
     """0 at the nearest ground, 1 at the farthest, by the logarithm of the depth."""
+    near, far = depths
     return min(max(np.log(z / near) / np.log(far / near), 0.0), 1.0)
 
 
@@ -68,19 +85,19 @@ def _hides(depth, i, j, di, dj):
 
 
 @kernel
-def breaks(
-    depth, left, top, basis, linear, offset, pixel, spacing, last_col, last_row, away, step, near, far, strong, nearest
-):  # fmt: skip
+def breaks(depth, left, top, pixels, to_samples, border, depths, strong, nearest):
     """Weights of the breaks between each pixel and the next one to the right (0) and below (1).
 
     Args:
         depth: (rows, cols), NaN: nothing. left, top: pixel position of the first one.
-        basis: (6, 3) of ``View.ray_basis``; linear, offset: from there to sample coordinates.
-        pixel: metres that a pixel is at unit depth. spacing: of samples, metres. last_col, last_row: of the raster.
-        away, step: ``silhouettes.terrain_ends``. near, far: depths in view, metres.
+        pixels: ``PixelRays``, in perspective. to_samples: ``ToSamples``. border: ``Border``.
+        depths: the nearest and the farthest in view, metres.
         strong, nearest: out (2, rows, cols): weights, and the depth of the nearer side.
     """
     rows, cols = depth.shape
+    o0, _, _, d0, du, dv = pixels.basis
+    linear, offset, spacing = to_samples
+    away, step = border.away, border.step
     for i in range(rows):
         for j in range(cols):
             for k in range(2):
@@ -99,22 +116,22 @@ def breaks(
                 else:
                     # Against nothing: unless the terrain ends there.
                     px, py = left + j + (0 if one else dj), top + i + (0 if one else di)
-                    x = basis[0, 0] + z * (basis[3, 0] + px * basis[4, 0] + py * basis[5, 0])
-                    y = basis[0, 1] + z * (basis[3, 1] + px * basis[4, 1] + py * basis[5, 1])
+                    x = o0[0] + z * (d0[0] + px * du[0] + py * dv[0])
+                    y = o0[1] + z * (d0[1] + px * du[1] + py * dv[1])
                     col = linear[0, 0] * x + linear[0, 1] * y + offset[0]
                     row = linear[1, 0] * x + linear[1, 1] * y + offset[1]
                     # A pixel's ground may reach as far as that of the one before it.
                     y0, x0 = (i - di, j - dj) if one else (i + 2 * di, j + 2 * dj)
                     before = depth[y0, x0] if 0 <= y0 < rows and 0 <= x0 < cols else z
                     reach = 2.0 * abs(z - before) / spacing if before == before else 0.0
-                    margin = 2.0 + 3.0 * pixel * z / spacing + reach
+                    margin = 2.0 + 3.0 * pixels.pixel * z / spacing + reach
                     y0 = min(max(int(row / step + 0.5), 0), away.shape[0] - 1)
                     x0 = min(max(int(col / step + 0.5), 0), away.shape[1] - 1)
                     inner = away[y0, x0] - 1.75 * (step - 1)
-                    if min(col, row, last_col - col, last_row - row, inner) < margin:
+                    if min(col, row, border.last_col - col, border.last_row - row, inner) < margin:
                         weight = 0.0
                 if weight > 0.0:
-                    strong[k, i, j] = weight * (1.0 - (1.0 - FAINT) * farness(z, near, far))
+                    strong[k, i, j] = weight * (1.0 - (1.0 - FAINT) * farness(z, depths))
                     nearest[k, i, j] = z
 
 
@@ -138,7 +155,7 @@ def _prominence(facing, i, j, di, dj):
 
 
 @kernel
-def creases(facing, depth, near, far, weight, strong, nearest):
+def creases(facing, depth, depths, weight, strong, nearest):
     """Add to ``strong`` and ``nearest`` (``breaks``) the lines where ground turns away and back.
 
     Args:
@@ -167,7 +184,7 @@ def creases(facing, depth, near, far, weight, strong, nearest):
                 for n in range(-NEARBY, NEARBY):
                     beside = max(beside, _hides(depth, i + n * di, j + n * dj, di, dj))
                 z = depth[i, j]
-                s *= (1.0 - beside) * (1.0 - (1.0 - FAINT) * farness(z, near, far))
+                s *= (1.0 - beside) * (1.0 - (1.0 - FAINT) * farness(z, depths))
                 # On the side of the lower neighbour: the valley's floor is there.
                 r, c = (i, j) if after <= before else (i - di, j - dj)
                 if s > strong[k, r, c]:
@@ -175,11 +192,11 @@ def creases(facing, depth, near, far, weight, strong, nearest):
 
 
 @kernel
-def gather(strong, nearest, near, far, width, reach, cover, depth):
+def gather(strong, nearest, depths, width, casing, reach, cover, depth):
     """Coverage (rows, cols) of pixels by lines on breaks, and the depth of the line that covers most.
 
     Args:
-        width: of the nearest lines, pixels. reach: pixels to look around.
+        width: of the nearest lines, pixels. casing: pixels more to each side. reach: pixels to look around.
     """
     rows, cols = cover.shape
     for i in range(rows):
@@ -196,8 +213,8 @@ def gather(strong, nearest, near, far, width, reach, cover, depth):
                             dx, dy = c + 0.5 - j, max(abs(r - i) - 0.5, 0.0)
                         else:
                             dx, dy = max(abs(c - j) - 0.5, 0.0), r + 0.5 - i
-                        f = farness(nearest[k, r, c], near, far)
-                        half = 0.5 * width * (1.0 - (1.0 - THIN) * f)
+                        f = farness(nearest[k, r, c], depths)
+                        half = 0.5 * width * (1.0 - (1.0 - THIN) * f) + casing
                         s *= min(max(half + 0.5 - np.sqrt(dx * dx + dy * dy), 0.0), min(2.0 * half, 1.0))
                         if s > best:
                             best, z = s, nearest[k, r, c]

@@ -237,7 +237,7 @@ class _ground:
     """The ground that ``MapGrid`` needs: its description and the spacing of samples."""
 
     def __init__(self, scene: Scene) -> None:
-        self.rays, self.bare = self, scene
+        self.rays, self.to_samples, self.bare = self, self, scene
         chart = scene.terrain.chart
         self.spacing, self.linear = chart.spacing, chart.linear
 
