@@ -1,12 +1,12 @@
 """Data on the ground: what each style, sign and kind of thing costs beside the bare picture, and the manual's pictures.
 
-    python bench/geovis.py [--pictures FOLDER] [--quick | --uncertain] [--only KIND ...]
+    python bench/geovis.py [--pictures FOLDER] [--quick | --uncertain] [--times N] [--only KIND ...]
 
 The terrain is 2 km orography of the western United Kingdom; its data are ERA5's temperature at noon on the days of
 March 2019 (their mean, and how the days differ) where that file is at hand, else a made field of 13 members. Each time
-is the median of three pictures of 900 × 640 pixels, kernels compiled: seconds on the clock, and seconds of processors,
-which say more on a busy machine; with ``--quick`` that of one of a ninth of the pixels. ``--only T figure`` makes the
-pictures of priorities and of figure 5 alone (rows by the beginnings of their names).
+is the median of three (``--times``) pictures of 900 × 640 pixels, kernels compiled: seconds on the clock, and seconds
+of processors, which say more on a busy machine; with ``--quick`` that of one of a ninth of the pixels. ``--only T
+figure`` makes the pictures of priorities and of figure 5 alone (rows by the beginnings of their names).
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ def uncertain() -> None:
     middle = land.grid.xy(512, 512)
     level = 0.5 * (low + high)
     measures: dict[str, Any] = {
-        "slope": lambda error, draws: measuring.probable_slope(land, error, [20.0], draws=draws),
-        "contours": lambda error, draws: measuring.probable_contours(land, error, interval=50.0, draws=draws),
+        "slope": lambda error, draws: measuring.slope(land, error, [20.0], draws=draws),
+        "contours": lambda error, draws: measuring.contours(land, error, interval=50.0, draws=draws),
         "flood": lambda error, draws: measuring.flood(land, level, [middle], error, draws=draws),
         "viewshed": lambda error, draws: measuring.probable_viewshed(land, middle, error, 100.0, draws=draws),
     }
@@ -168,13 +168,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--pictures", type=Path, help="write the manual's pictures there")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--times", type=int, default=3, metavar="N")
     parser.add_argument("--uncertain", action="store_true", help="only what draws of uncertain terrain cost")
     parser.add_argument("--only", nargs="+", metavar="KIND", help="only rows whose names begin so, or figure")
     given = parser.parse_args()
     if given.uncertain:
         uncertain()
         return
-    terrain, data, times = ground(), members(), 1 if given.quick else 3
+    terrain, data, times = ground(), members(), 1 if given.quick else given.times
     view = orograph.camera.whole(terrain, SIZE, exaggeration=STRETCH)
     common: dict[str, Any] = {"terrain": terrain, "view": view, "exaggeration": STRETCH, "progress": False}
     made: dict[str, Picture] = {}

@@ -31,7 +31,7 @@ MEANT = {
 
 def remedy(name: str, known: Iterable[str]) -> str:
     """What to use instead of a name that is not in ``known``."""
-    names = list(known)
+    names = list(dict.fromkeys(known))
     if MEANT.get(name) in names:
         return f"It is called {MEANT[name]} here."
     close = difflib.get_close_matches(name, names, 1)

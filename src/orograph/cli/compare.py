@@ -66,7 +66,7 @@ def command(
     """Measure methods side by side on a DEM (one file or many) or a store.
 
     For each: triangles, milliseconds to select them (the median), millions of triangles per second, errors in pixels as
-    the referee finds them, tiles read, and whether the tolerance is guaranteed; on a flight also the part of the mesh
+    the referee finds them, tiles read, and whether the tolerance is promised; on a flight also the part of the mesh
     that changes from frame to frame.
 
     A mesh is judged at every full-resolution sample in view, and on all of the surface between them. Rays are judged by
@@ -108,8 +108,8 @@ def command(
     # Without a promise, the table says what is wrong with a mesh.
     if found.broken:
         raise OrographError(
-            f"{' and '.join(found.broken)} broke the guaranteed tolerance.",
-            remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
+            f"{' and '.join(found.broken)} broke the promised tolerance.",
+            remedy="This is a fault of the method: please report it, with the terrain and the views.",
         )
 
 

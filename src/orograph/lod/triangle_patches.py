@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import Frustum
 from orograph.errors import UsageError
-from orograph.lod.field import check_surface
+from orograph.lod.budget import by_tolerance
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import option
 from orograph.lod.patches.expand import expand
@@ -50,7 +50,7 @@ from orograph.lod.patches.selection import (
 )
 from orograph.lod.patches.shape import ALL_LEGS, INSTANCE, patch_indices, patch_vertices
 from orograph.lod.patches.tables import PatchTerrain, cell_size
-from orograph.lod.right_triangles import METRIC, MeshOptions, RightTriangles, by_tolerance
+from orograph.lod.right_triangles import METRIC, MeshOptions, RightTriangles
 from orograph.lod.selection import WANTED, PatchSet, Topology
 from orograph.store.patches import KAPPA, LEGS, MemoryPatches, patch_colors
 from orograph.store.terrain import tile_shape
@@ -97,7 +97,7 @@ class Patches:
             pixels: float32 (t,), the errors that patches out of them take away.
         stats: patches, triangles, split, nodes, blocked (diamonds that wait for tiles), pixels (the largest bound of a
             patch's error).
-        within, tolerance: as of a ``right_triangles.Mesh``.
+        within, tolerance: as of ``budget.Coarsened``.
     """
 
     instances: NDArray[Any]
@@ -177,7 +177,6 @@ class TrianglePatches(RightTriangles):
 
     def _pages(self) -> Pager:
         self.legs: int = min(self.options.legs, 1 << self.terrain.n)
-        check_surface(self.terrain)
         ground: Any = PatchTerrain(
             self.terrain, self.options.error, self.legs, jobs=self.jobs, progress=self.resources.progress
         )

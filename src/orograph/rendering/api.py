@@ -72,7 +72,7 @@ def render(
         size: (width, height) in pixels if no view is given; a view has its own size. Default 1280 × 720.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU if
             there is none). Default "cpu".
-        conservative: refuse a ``method`` that does not guarantee the tolerance for every sample in view.
+        conservative: refuse a ``method`` that does not promise the tolerance for every sample in view.
         each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
             the relief), "data" (one for each, with scales of their own), or "member", "band" or "time" of the first
             data, all or some: "member=1-6", "time=T12".

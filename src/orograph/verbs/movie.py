@@ -62,7 +62,7 @@ def movie(
         begin, end: the part of the tour to film, seconds; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
         overwrite: redraw existing pictures; otherwise an interrupted film is continued.
-        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not guarantee the tolerance.
+        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not promise the tolerance.
         progress: gets progress reports; False: silent.
         workers: draw in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.

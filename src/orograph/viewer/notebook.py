@@ -66,7 +66,7 @@ def view(
         size: of the cell's picture, pixels.
         panels: whether panels are shown initially (Tab toggles them).
         gpu_memory: bytes of GPU memory for tiles.
-        conservative: refuse a ``method`` that does not guarantee the tolerance.
+        conservative: refuse a ``method`` that does not promise the tolerance.
         progress: gets progress reports on reading the terrain; False: silent.
         options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 

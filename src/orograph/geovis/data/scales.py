@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import ImageColor
 
 from orograph.errors import UsageError
-from orograph.geovis.color import color_table, srgb_to_linear
+from orograph.geovis.color import color_table, linear_to_srgb, srgb_to_linear
 from orograph.geovis.data.dataset import Breaks
 from orograph.geovis.tables import DISTINCT
 
@@ -35,6 +35,9 @@ JENKS_SAMPLES = 4096
 
 PALE = (0.86, 0.86, 0.86)
 """Linear grey: what nothing is known of, in a value-suppressing palette."""
+
+GREYISH = 0.2
+"""Range of the channels of a colour, below which it is nearly grey."""
 
 LEVELS = 4
 """Of uncertainty in such a palette: 8 classes of values where they are certain, then 4, 2 and 1."""
@@ -104,6 +107,21 @@ class ColorScale:
     def colors(self) -> Colors:
         """(256, 3) at even steps of the values: what a legend shows."""
         return self.color(np.linspace(self.low, self.high, 256))
+
+    @property
+    def telling(self) -> float:
+        """A value whose colour shows best how it fades: the middle, unless that is grey or white, as in diverging maps;
+        then the one of the strongest colour."""
+        shades = np.linspace(self.low, self.high, 256)
+        chroma = np.ptp(linear_to_srgb(self.color(shades)), axis=1)
+        middle = (self.low + self.high) / 2
+        weak = chroma[len(chroma) // 2] < GREYISH < chroma.max()
+        return float(shades[np.argmax(chroma)]) if weak else middle
+
+    def exceeded(self, values: NDArray[Any]) -> tuple[bool, bool]:
+        """Whether there are values below and above its ends, more than rounding."""
+        slack = 1e-6 * (self.high - self.low)
+        return bool((values < self.low - slack).any()), bool((values > self.high + slack).any())
 
     def color(self, values: NDArray[Any]) -> Colors:
         """Colours (…, 3); those of NaN mean nothing."""

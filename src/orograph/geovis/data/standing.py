@@ -225,7 +225,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         rgb += (np.float32(FADED) * points.ages[order].astype(np.float32))[:, None] * (1 - rgb)
     main = Things(
         np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height, rgb, values,
-        key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
+        key_of(dataset, points.name, values, scale, unit, note, sign, doubt, points.classes), ends,
         None if ends is None or not dataset.through else np.full(len(values), dataset.through), sigma=sigma,
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
@@ -285,16 +285,15 @@ def longer(grid: Grid) -> float:
 
 
 def key_of(
-    dataset: Dataset, name: str, scale: ColorScale, unit: str, note: str, sign: str, doubt: tuple[float, float],
-    classes: tuple[str, ...] | None = None,
+    dataset: Dataset, name: str, values: Array, scale: ColorScale, unit: str, note: str, sign: str,
+    doubt: tuple[float, float], classes: tuple[str, ...] | None = None,
 ) -> Legend:  # fmt: skip
     """What the colours of things mean."""
     title = dataset.name or name
-    beyond = dataset.range is None
-    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, below=beyond, above=beyond)
+    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, *scale.exceeded(values))
     swatches: list[tuple[str, Any]] = []
     if sign not in ("none", "errorbars"):
-        middle = np.full(len(SWATCHES), (scale.low + scale.high) / 2)
+        middle = np.full(len(SWATCHES), scale.telling)
         shades: Any = linear_to_srgb(colored(middle, np.array(SWATCHES), scale, sign))
         if sign in MARKS:
             shades = [swatch(scale.color(middle[:1])[0], part, sign) for part in SWATCHES]

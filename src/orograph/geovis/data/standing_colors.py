@@ -71,5 +71,5 @@ def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, 
     if sigma is not None and dataset.uncertainty is not None:
         doubt = dataset.uncertainty.range or doubted(sigma)
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
-    legend = key_of(dataset, told.name, scale, told.unit, told.note, sign, doubt, told.classes)
+    legend = key_of(dataset, told.name, values, scale, told.unit, told.note, sign, doubt, told.classes)
     return Colored(colored(values, u, scale, sign), legend, u, sign if sigma is not None else "none")
