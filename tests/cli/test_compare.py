@@ -126,6 +126,12 @@ def test_all_that_can_reach_a_budget(run, hilly, one_more):
         assert f"{name} does not support the goal triangles and is left out" in err
 
 
+def test_a_list_of_methods_is_each_of_them(run, hilly):
+    code, said, _ = run("compare", hilly, "--methods", "soar,stateless", "--json", "-", "-q", *SMALL[:2])
+    assert code == 0 and list(json.loads(said)["methods"]) == ["soar", "stateless"]
+    assert run("compare", hilly, "--methods", "soar,no-such", *SMALL[:2])[0] == 2
+
+
 def test_a_flight(run, hilly, tmp_path):
     path = tmp_path / "flight.json"
     slow = {"time": 0.5, **EYE, "eye": [500_930, 3_997_560, 1390]}

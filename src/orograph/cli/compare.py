@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 )
 @refining.method_option("Which method to compare; may be repeated.", multiple=True)
 @click.option(
-    "--methods", "every", type=click.Choice(["all"]), help="All methods, in addition to those of --method.  [default]"
+    "--methods",
+    "every",
+    metavar="all|NAME,NAME…",
+    help="All methods, or these, besides those of --method.  [default: all, without --method]",
 )
 @refining.goal_options
 @click.option("--size", type=Size(), help=f"The views' size{SIZES}.  [default: 1280x720, or the files']")
@@ -89,7 +92,7 @@ def command(
         check_folder(Path(json_file))
     refine = {name: options[name] for name in refining.REFINE}
     found = compare(
-        list(paths), views, flight=flight, judged=judged, methods=(*(["all"] * bool(every)), *method),
+        list(paths), views, flight=flight, judged=judged, methods=(*([every] if every else []), *method),
         size=size, picture=picture, dpi=dpi_of(size), max_memory=max_memory, jobs=jobs, progress=progress,
         **refine, **source_of(options, set(refining.REFINE)),
     )  # fmt: skip

@@ -260,14 +260,14 @@ class ErrorField:
 
     def _map(self, out: Values, jobs: int | None) -> None:
         """Fill in the standard deviation of each sample; NaN where the height is unknown."""
-        field = None if self.error.is_number else _deviations(self.error.sigma, self.terrain.grid)
+        field = None if self.error.is_number else deviations_of(self.error.sigma, self.terrain.grid)
         windows = list(rectangles(self.terrain.grid.shape, TILE, 4 * TILE))
         lacking = np.zeros(len(windows), np.int64)
 
         def fill(k: int) -> None:
             row0, row1, col0, col1 = windows[k]
             heights, inner = around(self.terrain, *windows[k])
-            sigma: Any = float(self.error.sigma) if field is None else _sampled(field, self.terrain.grid, *windows[k])
+            sigma: Any = float(self.error.sigma) if field is None else sampled(field, self.terrain.grid, *windows[k])
             if self.error.horizontal:
                 east, north = gradient(heights, self.terrain.grid.linear, 1)
                 tangent = np.hypot(east[inner].astype(np.float64), north[inner])
@@ -295,7 +295,7 @@ def around(terrain: Terrain, row0: int, row1: int, col0: int, col1: int) -> tupl
     return heights, (slice(row0 - r0, row1 - r0), slice(col0 - c0, col1 - c0))
 
 
-def _deviations(source: Any, grid: Grid) -> Field:
+def deviations_of(source: Any, grid: Grid) -> Field:
     """A raster of standard deviations over a terrain."""
     from orograph.geovis.data.dataset import Uncertainty
     from orograph.geovis.data.reading import read
@@ -310,7 +310,7 @@ def _deviations(source: Any, grid: Grid) -> Field:
     return field
 
 
-def _sampled(field: Field, grid: Grid, row0: int, row1: int, col0: int, col1: int) -> Array:
+def sampled(field: Field, grid: Grid, row0: int, row1: int, col0: int, col1: int) -> Array:
     from orograph.geovis.data.sampling import Positions
 
     return Positions.of(grid.window(row0, row1, col0, col1), field).values(field.values[0]).astype(np.float64)

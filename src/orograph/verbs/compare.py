@@ -196,12 +196,15 @@ def compare(
 
 
 def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: Progress) -> list[Choice]:
-    """The methods to measure, each once; for "all", those that can reach the goal.
+    """The methods to measure, each once, also of a list of names; for "all", those that can reach the goal.
 
     Raises:
         UsageError: one that is given cannot, or is refused.
     """
     found: dict[str, Choice] = {}
+    given = [
+        name for text in given for name in (text.split(",") if {*text.split(",")} <= {*METHODS, "all"} else [text])
+    ]
     for name in METHODS if not given or "all" in given else ():
         choice = choice_of(name, conservative)
         if goal.name in choice.info.goals:
