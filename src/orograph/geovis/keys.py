@@ -82,6 +82,11 @@ class Legend:
         return " ".join([*(scale.words for scale in self.scales), *both, *named])
 
 
+def minus(number: str) -> str:
+    """A number's text with a true minus sign."""
+    return number.replace("-", "−")
+
+
 UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",
          "degree_celsius": "°C", "degrees celsius": "°C", "kelvin": "K", "percent": "%", "m s**-1": "m/s",
          "m s-1": "m/s", "1": "", "millibars": "hPa", "millibar": "hPa", "mbar": "hPa", "mb": "hPa"}  # fmt: skip

@@ -26,8 +26,8 @@ from orograph.tessellation import Tessellation
 
 def tin(
     terrain: Any,
-    *,
     max_error: float | None = None,
+    *,
     triangles: int | None = None,
     bound: Literal["surface", "samples"] = "surface",
     breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
@@ -77,7 +77,7 @@ def tin(
     how = print_of(output, base, model_size, scale, exaggeration)
     if output is not None:
         if how is None:
-            mesh_format(output)
+            mesh_format(output, MODELS)
         check_folder(Path(output))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="tin", **reading)
     lines = [] if breaklines is None else lines_of(ground, breaklines)

@@ -15,7 +15,7 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.points import Points, is_points, seconds_in
-from orograph.geovis.data.scales import spanned
+from orograph.geovis.data.scales import doubted, spanned
 from orograph.geovis.data.standing import KINDS
 from orograph.geovis.data.times import is_span, lasting, seconds_of, seconds_of_trail, span_within, written
 
@@ -75,7 +75,7 @@ def happened(given: Dataset, points: Points) -> tuple[Dataset, Points, str]:
         given = given.but(range=spanned(points.values, None))
     doubt = given.uncertainty
     if isinstance(doubt, Uncertainty) and doubt.range is None and points.sigma is not None:
-        given = given.but(uncertainty=replace(doubt, range=(0.0, spanned(points.sigma, None)[1])))
+        given = given.but(uncertainty=replace(doubt, range=doubted(points.sigma)))
     return given, replace(points.some(some), ages=None if ages is None else ages[some]), words
 
 

@@ -25,7 +25,7 @@ from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.shared import once
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors
@@ -150,7 +150,7 @@ def shown(
     doubt = (0.0, 1.0)
     if sigma is not None:
         asked = None if dataset.uncertainty is None else dataset.uncertainty.range
-        doubt = asked or (0.0, spanned(sigma, None)[1])
+        doubt = asked or doubted(sigma)
     streaks = None
     if style == "lic" and toward is not None:
         flat = np.zeros(over.shape) if surface is None else surface(over)
@@ -194,7 +194,7 @@ def _shown_classes(dataset: Dataset, field: Field, grid: Grid, texels: int, prio
         )  # fmt: skip
     doubt = (0.0, 1.0)
     if sigma is not None and given is not None:
-        doubt = given.range or (0.0, spanned(sigma, None)[1])
+        doubt = given.range or doubted(sigma)
     scale = ColorScale.of_classes(names, colors)
     return Shown(dataset, "classes", sign, field, values, sigma, over, scale, doubt, classes=names)
 

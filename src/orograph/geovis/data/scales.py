@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from PIL import ImageColor
 
 from orograph.errors import UsageError
-from orograph.geovis.color import color_table, srgb_to_linear
+from orograph.geovis.color import color_table, linear_to_srgb, srgb_to_linear
 from orograph.geovis.data.dataset import Breaks
+from orograph.geovis.tables import DISTINCT
 
 Colors = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -32,13 +33,11 @@ MOST_NAMED = 12
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
 
-DISTINCT = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#555555", "#7f3c8d",
-            "#a5aa99", "#80ba5a", "#8c510a")  # fmt: skip
-"""Colours of classes without an order, at most twelve: Okabe & Ito's (2008), which colour-blind readers tell apart,
-then others."""
-
 PALE = (0.86, 0.86, 0.86)
 """Linear grey: what nothing is known of, in a value-suppressing palette."""
+
+GREYISH = 0.2
+"""Range of the channels of a colour, below which it is nearly grey."""
 
 LEVELS = 4
 """Of uncertainty in such a palette: 8 classes of values where they are certain, then 4, 2 and 1."""
@@ -109,6 +108,21 @@ class ColorScale:
         """(256, 3) at even steps of the values: what a legend shows."""
         return self.color(np.linspace(self.low, self.high, 256))
 
+    @property
+    def telling(self) -> float:
+        """A value whose colour shows best how it fades: the middle, unless that is grey or white, as in diverging maps;
+        then the one of the strongest colour."""
+        shades = np.linspace(self.low, self.high, 256)
+        chroma = np.ptp(linear_to_srgb(self.color(shades)), axis=1)
+        middle = (self.low + self.high) / 2
+        weak = chroma[len(chroma) // 2] < GREYISH < chroma.max()
+        return float(shades[np.argmax(chroma)]) if weak else middle
+
+    def exceeded(self, values: NDArray[Any]) -> tuple[bool, bool]:
+        """Whether there are values below and above its ends, more than rounding."""
+        slack = 1e-6 * (self.high - self.low)
+        return bool((values < self.low - slack).any()), bool((values > self.high + slack).any())
+
     def color(self, values: NDArray[Any]) -> Colors:
         """Colours (…, 3); those of NaN mean nothing."""
         at = np.nan_to_num(self.place(values))
@@ -128,6 +142,13 @@ def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[flo
         low, high = float(known.min()), float(known.max())
     alike = high - low <= ALIKE * max(abs(low), abs(high))  # (by rounding only)
     return (low - 0.5, low + 0.5) if alike else (low, high)
+
+
+def doubted(sigma: NDArray[Any]) -> tuple[float, float]:
+    """The ends of a scale of uncertainties: 0 and the 98th percentile (1 if all are 0 or unknown)."""
+    known = sigma[np.isfinite(sigma)]
+    high = float(np.percentile(known, PERCENTILES[1]) or known.max()) if len(known) else 0.0
+    return 0.0, high or 1.0
 
 
 def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:

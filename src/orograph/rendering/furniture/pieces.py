@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.color import linear_to_srgb
-from orograph.geovis.keys import Legend, Scale, Square
+from orograph.geovis.keys import Legend, Scale, Square, minus
 from orograph.rendering.furniture.lettering import Color, Style, cut, length
 
 PAPER: Color = (246, 244, 239)
@@ -117,7 +117,7 @@ def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, ba
             piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
     span = scale.high - scale.low
     values = ticks(scale.low, scale.high, max(2, int(tall / (1.9 * u))))
-    names = [number(v, values) for v in values]
+    names = [style.text(number(v, values)) for v in values]
     for value, name in zip(values, names):
         y = top + tall * (1 - (value - scale.low) / span) if span > 0 else top + tall / 2
         piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
@@ -144,13 +144,13 @@ def _square(piece: Piece, both: Square, style: Style) -> None:
     ends, names = (both.up_edges[1:-1], both.across_edges[1:-1]), []
     for k, value in enumerate(ends[0]):
         y = top + (rows - 1 - k) * cell
-        names.append(f"{value:.3g}")
+        names.append(style.text(minus(f"{value:.3g}")))
         piece.box(left + cols * cell, y - style.hair / 2, left + cols * cell + 0.35 * u, y + style.hair / 2, INK)
         piece.texts.append((left + cols * cell + 0.65 * u, y + 0.31 * u, names[-1], small, INK, "ls"))
     for k, value in enumerate(ends[1]):
         x = left + (k + 1) * cell
         piece.box(x - style.hair / 2, top + rows * cell, x + style.hair / 2, top + rows * cell + 0.35 * u, INK)
-        piece.texts.append((x, top + rows * cell + 1.3 * u, f"{value:.3g}", small, INK, "ms"))
+        piece.texts.append((x, top + rows * cell + 1.3 * u, style.text(minus(f"{value:.3g}")), small, INK, "ms"))
     piece.texts.append((left, top + rows * cell + 2.6 * u, across, small, GREY, "ls"))
     beside = cols * cell + 0.8 * u + max([length(small, one) for one in names], default=0.0)
     piece.width = max(piece.width, beside, length(small, up), length(small, across))
@@ -351,7 +351,7 @@ def number(value: float, among: list[float]) -> str:
     while decimals < MOST_DECIMALS and any(abs(round(v, decimals) - v) > 1e-6 * min(steps) for v in among):
         decimals += 1
     text = f"{value:,.{decimals}f}" if abs(value) >= 10_000 else f"{value:.{decimals}f}"
-    return "0" if float(text.replace(",", "")) == 0 else text.replace(",", " ")
+    return "0" if float(text.replace(",", "")) == 0 else minus(text.replace(",", " "))
 
 
 def bar_length(most: float) -> tuple[float, int, str]:
