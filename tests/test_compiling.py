@@ -8,6 +8,7 @@ import time
 import pytest
 
 from orograph import compiling
+from orograph._needed import Kernel, needed
 from orograph.cli.progress import COMPILING_KERNELS, LineProgress
 from orograph.compiling import COMPILING
 
@@ -65,42 +66,48 @@ def test_compiling_has_a_line_of_its_own(capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().err.startswith("Again")
 
 
+class Recorder:
+    """What compilers are asked for, without any."""
+
+    def __init__(self) -> None:
+        self.expected: list[Kernel] = []
+
+    def expect(self, kernels) -> None:
+        self.expected += kernels
+
+    def compile(self, kernel, request) -> bool:
+        self.expected.append(kernel)
+        return True
+
+
 @pytest.fixture
-def started(monkeypatch):
-    found = []
-    monkeypatch.setattr(compiling, "_start", lambda *command: found.append(command))
+def asked(monkeypatch):
+    recorder = Recorder()
+    monkeypatch.setattr(compiling, "_compilers", lambda: recorder)
     monkeypatch.setattr(compiling, "_worthwhile", lambda: True)
-    return found
+    monkeypatch.setattr(compiling, "_allowed", lambda: True)
+    monkeypatch.setattr(compiling, "_TOLD", set())
+    monkeypatch.setattr(compiling, "_EXPECTED", {})
+    return recorder.expected
 
 
-def a_kernel():
-    COMPILING.begin()
-    COMPILING.end()
+def test_what_the_cache_lacks_is_begun_with_the_work(asked, monkeypatch):
+    monkeypatch.setattr(compiling, "lacking", lambda kernels: kernels[:2])
+    compiling.expect("tin", "tin")
+    compiling.expect("tin")
+    assert asked == needed(["tin"])[:2]
 
 
-def test_the_first_kernel_starts_the_other_process_once(started):
-    with compiling.while_compiling("a.program", "ao"):
-        assert started == []
-        a_kernel()
-        a_kernel()
-    assert started == [("a.program", "ao")]
-    with compiling.while_compiling("a.program"):  # nothing to do
-        a_kernel()
-    assert len(started) == 1
+def test_otherwise_the_first_kernel_that_is_missed_brings_the_others(asked, monkeypatch):
+    from numba import types
 
-
-def test_without_a_kernel_nothing_is_started(started):
-    before = list(COMPILING.changed)
-    with pytest.raises(ValueError, match="x"), compiling.while_compiling("a.program", "ao"):
-        raise ValueError("x")
-    a_kernel()
-    assert started == [] and COMPILING.changed == before
-
-
-def test_the_other_process_starts_none_and_ends(monkeypatch):
-    monkeypatch.setattr(compiling, "_STARTED", {})
-    compiling._start("this")  # prints the Zen of Python
-    assert compiling._STARTED["this"].wait(60) == 0
+    monkeypatch.setattr(compiling, "lacking", lambda kernels: [])
+    compiling.expect("tin")
+    assert asked == []
+    for name in ("first", "second"):
+        assert compiling.compiled_elsewhere("orograph.store.levels", name, (types.int64, types.unicode_type))
+    kernels = [Kernel("orograph.store.levels", name, "(int64, unicode_type)") for name in ("first", "second")]
+    assert asked == [*needed(["tin"]), *kernels]
 
 
 @pytest.mark.parametrize(
@@ -119,22 +126,16 @@ def test_only_python_itself_is_started(monkeypatch, executable, wanted, expected
 @pytest.mark.parametrize(("seconds", "starts"), [(0.5, False), (30.0, True)])
 def test_a_long_first_run_has_the_rest_compiled(monkeypatch, seconds, starts):
     found = []
-
-    def start(program, **how):
-        found.append((program, how))
-        compiling._STARTED[program] = None
-
-    monkeypatch.setattr(compiling, "_STARTED", {})
-    monkeypatch.setattr(compiling, "_start", start)
+    monkeypatch.setattr(compiling, "run", lambda *command, **how: found.append((command, how)) or found)
     monkeypatch.setattr(compiling, "_worthwhile", lambda: True)
     monkeypatch.setattr(COMPILING, "seconds", seconds)
-    assert compiling.compile_rest("a.program") is starts
-    assert found == [("a.program", {"start_new_session": True})] * starts
+    assert compiling.compile_rest() is starts
+    assert found == [(("orograph._compiler", "--rest", "0"), {"start_new_session": True})] * starts
 
 
 def test_nothing_is_left_behind_where_nobody_sits(monkeypatch, capsys):
     from orograph import cli
 
-    monkeypatch.setattr(compiling, "compile_rest", lambda program: pytest.fail("started"))
+    monkeypatch.setattr(cli, "compile_rest", lambda: pytest.fail("started"))
     cli._compile_rest(quiet=False)  # (pytest's standard error is no terminal)
     assert capsys.readouterr().err == ""

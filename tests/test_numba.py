@@ -55,7 +55,8 @@ def run(code: str, cache: Path, **environment: str) -> str:
 
 SUMS = """
     import numpy as np
-    from orograph.compiling import COMPILING, _COMPILER
+    from orograph import _compilers, compiling
+    from orograph.compiling import COMPILING
     from orograph.store.levels import box_sums
 
     heights, total, count = np.arange(16, dtype=np.float32).reshape(4, 4), np.zeros((2, 2)), np.zeros((2, 2), np.uint32)
@@ -77,31 +78,33 @@ def test_kernels_are_compiled_by_another_process(tmp_path: Path) -> None:
 
 def test_a_compiler_that_was_ended_is_started_again(tmp_path: Path) -> None:
     ended = """
-    from orograph.compiling import compiled_elsewhere
-    assert not compiled_elsewhere("orograph.store.levels", "there_is_none", ())
-    _COMPILER._process.kill()"""
+    processes, piped = [], _compilers.piped
+    _compilers.piped = lambda program: processes.append(piped(program)) or processes[-1]
+    assert not compiling.compiled_elsewhere("orograph.store.levels", "there_is_none", ())
+    processes[0].kill()"""
     assert run(SUMS.format(before=ended), tmp_path) == "False 1\n"
 
 
 @pytest.mark.parametrize(
-    "before", ["_COMPILER.compile = lambda request: False", "_COMPILER._ask = lambda request: b''"]
+    "before",
+    ["_compilers._Compiler.compile = lambda self, request: False", "_compilers._Compiler._ask = lambda *request: b''"],
 )
 def test_what_no_other_process_compiles_is_compiled_here(tmp_path: Path, before: str) -> None:
     assert run(SUMS.format(before=before), tmp_path) == "True 1\n"
 
 
 def test_a_compiler_that_does_not_start_is_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    from orograph import compiling
+    from orograph import _compilers
 
     started = []
-    piped = compiling._piped
-    monkeypatch.setattr(compiling, "_piped", lambda program: started.append(program) or piped("there.is.none"))
-    compiler = compiling._Compiler()
+    piped = _compilers.piped
+    monkeypatch.setattr(_compilers, "piped", lambda program: started.append(program) or piped("there.is.none"))
+    compiler = _compilers._Compiler()
     assert not compiler.compile(b"") and not compiler.compile(b"")
     assert len(started) == 2
 
 
-def test_an_interrupted_request_leaves_no_answer_behind(tmp_path: Path) -> None:
+def test_what_is_interrupted_is_compiled_all_the_same(tmp_path: Path) -> None:
     interrupted = """
     import signal, threading, time, os
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -110,9 +113,21 @@ def test_an_interrupted_request_leaves_no_answer_behind(tmp_path: Path) -> None:
         time.sleep(9)
     except KeyboardInterrupt:
         pass
-    assert _COMPILER._process is None or _COMPILER._process.poll() is None
     total[:], count[:] = 0, 0"""
     assert run(SUMS.format(before=interrupted), tmp_path).startswith("False")
+
+
+def test_a_forked_process_has_compilers_of_its_own(tmp_path: Path) -> None:
+    forked = """
+    import os
+    assert not compiling.compiled_elsewhere("orograph.store.levels", "there_is_none", ())
+    child = os.fork()
+    if child:
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        os._exit(0)
+    """
+    if hasattr(os, "fork"):
+        assert run(SUMS.format(before=forked), tmp_path) == "False 1\n"
 
 
 LINKED = """

@@ -51,7 +51,7 @@ def test_a_killed_run_leaves_nothing_for_long(tmp_path, how):
     """Killed in the midst of writing; then the same is written again."""
     code = {
         "light": "with Beside(out) as part: part.with_name(part.name + '.tif').write_text('x'); end()",
-        "picture": "from orograph.rendering.large import Scratch\nwith Scratch(out, 4, 4) as scratch: end()",
+        "picture": "from orograph.rendering.assembly import Assembly\nwith Assembly(out, 4, 4): end()",
         "synth": "import rasterio; rasterio.open = lambda path, *a, **k: (open(path, 'w'), end())\n"
         "from orograph.dem.synth import Synth\nSynth((17, 17)).write(out)",
     }[how]
@@ -144,9 +144,9 @@ def test_what_cannot_be_removed_does_not_hide_what_went_wrong(tmp_path, monkeypa
 
     def work():
         if who == "large":
-            from orograph.rendering.large import Scratch
+            from orograph.rendering.assembly import Assembly
 
-            with Scratch(tmp_path / "a.png", 4, 4):
+            with Assembly(tmp_path / "a.png", 4, 4):
                 raise OSError(errno.EIO, os.strerror(errno.EIO))
         elif who == "synth":
             from orograph.dem.synth import Synth

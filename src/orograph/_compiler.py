@@ -1,10 +1,12 @@
 """The program that compiles kernels for another process: ``python -m orograph._compiler`` (see ``compiling``).
 
 It reads (module, name, types) as pickles, and answers each with a byte: 1 if Numba's cache has the kernel now, else 0.
+With ``--rest`` it compiles whatever the cache lacks of ``kernels.txt``.
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import os
@@ -15,6 +17,9 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+from orograph._needed import lacking, lines, types_of
+from orograph._spared import spare_imports
+
 IDLE = 1.0
 """Seconds without work after which it ends."""
 
@@ -22,14 +27,16 @@ LARGEST = 320 << 20
 """Bytes of memory after which it ends, for another to begin small."""
 
 
-def compile_kernel(module: str, name: str, types: tuple[object, ...]) -> None:
-    """Compile a kernel for arguments of these types, and keep it."""
-    found = getattr(importlib.import_module(module), name)
-    getattr(found, "alone", found).compile(types)
+def compile_kernel(module: str, name: str, types: str | tuple[object, ...]) -> None:
+    """Compile a kernel for arguments of these types (or their names), and keep it."""
+    found = getattr(importlib.import_module(module), name.removesuffix(".alone"))
+    getattr(found, "alone", found).compile(types_of(types) if isinstance(types, str) else types)
 
 
 def hasten() -> None:
-    """Spare a process that compiles and ends what takes Numba a sixth of its time."""
+    """Spare a process that compiles and ends what takes Numba a fifth of its time."""
+    spare_imports()
+    from numba.core import event
     from numba.core.targetconfig import TargetConfig
 
     def equal(self: Any, other: Any) -> bool:  # (Numba's reads each of 30 options, and is called 500 times a kernel)
@@ -37,6 +44,7 @@ def hasten() -> None:
 
     gc.set_threshold(100_000, 20, 20)  # a compiler's objects live long
     cast(Any, TargetConfig).__eq__ = equal
+    event.broadcast = lambda told: None  # nobody listens
 
 
 def serve(requests: BufferedReader, answers: BinaryIO) -> None:
@@ -61,6 +69,19 @@ def serve(requests: BufferedReader, answers: BinaryIO) -> None:
             return
 
 
+def compile_rest(begin: int) -> None:
+    """Compile what the cache lacks of ``kernels.txt``, from its line ``begin`` on; begin anew when grown large."""
+    if hasattr(os, "nice"):
+        os.nice(19 if begin == 0 else 0)
+    hasten()
+    for number, (_, kernel) in enumerate(lines()[begin:], begin + 1):
+        if lacking([kernel]):
+            with contextlib.suppress(Exception):  # nobody reads this: the verb itself will report what is wrong
+                compile_kernel(*kernel)
+        if _resident() > LARGEST:
+            os.execv(sys.executable, [sys.executable, "-P", "-m", "orograph._compiler", "--rest", str(number)])
+
+
 def _resident() -> int:
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -69,6 +90,9 @@ def _resident() -> int:
 
 
 if __name__ == "__main__":
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what imports may print is no answer
-    serve(sys.stdin.buffer, answers)  # type: ignore[arg-type]
+    if "--rest" in sys.argv:
+        compile_rest(int(sys.argv[-1]))
+    else:
+        answers = os.fdopen(os.dup(1), "wb")
+        os.dup2(2, 1)  # what imports may print is no answer
+        serve(sys.stdin.buffer, answers)  # type: ignore[arg-type]

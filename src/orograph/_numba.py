@@ -91,8 +91,7 @@ def _compile_elsewhere(dispatcher: Any) -> None:
     compile_here = dispatcher._compiler.compile
 
     def compile(types: tuple[Any, ...], returned: object) -> Any:
-        name = function.__qualname__.removesuffix(".alone")
-        if returned is None and compiled_elsewhere(function.__module__, name, types):
+        if returned is None and compiled_elsewhere(function.__module__, function.__qualname__, types):
             found = dispatcher._cache.load_overload(types, context)
             if found is not None:
                 context.insert_user_function(found.entry_point, found.fndesc, [found.library])

@@ -1,26 +1,26 @@
 """Counts how many kernels were compiled and how long that took; ``_numba`` counts, progress shows it.
 
 Compiling happens inside whatever needs a kernel first, once per machine: without this, its time would be attributed to
-that work. This module imports nothing of the package, so showing the counts does not load the compiler.
+that work. This module does not import Numba, so showing the counts does not load the compiler.
 
-Kernels are compiled by a process that does nothing else (``compiled_elsewhere``), so that its memory is not the work's.
-Numba compiles one kernel at a time in a process. Long work therefore has a second one compile what it needs last, while
-it compiles what it needs first (``while_compiling``); each finds the other's kernels in Numba's cache. And a command
-that had to compile for long leaves a process behind that compiles what the other verbs need (``compile_rest``).
+Kernels are compiled by processes that do nothing else (``compiled_elsewhere``), so that their memory is not the work's.
+They begin with what a work will need when it begins (``expect``). And a command that had to compile for long leaves a
+process behind that compiles what the other verbs need (``compile_rest``).
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import pickle
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from orograph._compilers import MOST, Compilers, run
+from orograph._needed import Kernel, lacking, needed, written
 
 
 class Compiling:
@@ -59,80 +59,38 @@ LONG = 4.0
 COMPILING = Compiling()
 """When this process began."""
 
+_TOLD: set[str] = set()
 
-@contextlib.contextmanager
-def while_compiling(program: str, *arguments: str) -> Iterator[None]:
-    """Inside this context, the first kernel that must be compiled starts ``python -m program``, once per process.
+_OWN: dict[str, Any] = {}
 
-    On one core, in a program that is not Python itself (its executable would start that program), where
-    ``OROGRAPH_COMPILE_AHEAD`` is 0, or without arguments, nothing is started. What is started ends by itself.
+
+_EXPECTED: dict[str, None] = {}
+"""The works that have been told of and whose kernels have not been asked for."""
+
+
+def expect(*works: str) -> None:
+    """Tell that a work begins that ``kernels.txt`` knows.
+
+    If the cache lacks some of its kernels, other processes compile them from now on, those that are needed last too.
+    On one core, in a program that is not Python itself (its executable would start that program), and where
+    ``OROGRAPH_COMPILE_AHEAD`` is 0, this does nothing.
     """
-
-    def start() -> None:
-        COMPILING.changed.remove(start)
-        _start(program, *arguments)
-
-    if program in _STARTED or not arguments or not _worthwhile():
-        yield
+    fresh = [work for work in works if work not in _TOLD]
+    if not fresh or not _worthwhile():
         return
-    COMPILING.changed.append(start)
-    try:
-        yield
-    finally:
-        if start in COMPILING.changed:
-            COMPILING.changed.remove(start)
+    _TOLD.update(fresh)
+    missing = lacking(needed(fresh))
+    if missing:
+        _compilers().expect(missing)
+    else:
+        _EXPECTED.update(dict.fromkeys(fresh))
 
 
-class _Compiler:
-    """The process that compiles for this one: ``python -m orograph._compiler``, started when it is needed.
-
-    It ends by itself: when it has had nothing to do, when it has grown large, and with this process.
-    """
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._owner = 0
-        self._useless = False
-        self._lock = threading.Lock()
-
-    def compile(self, request: bytes) -> bool:
-        """Have a pickled (module, name, types) compiled; whether that was done."""
-        with self._lock:
-            if self._useless:
-                return False
-            answer = self._ask(request) or self._ask(request)  # (once more: it may just have ended)
-            self._useless = not answer  # it cannot be started as this process was
-        return answer == b"1"
-
-    def _ask(self, request: bytes) -> bytes:
-        if self._process is None or self._owner != os.getpid():
-            self._process, self._owner = _piped("orograph._compiler"), os.getpid()
-        process, self._process = self._process, None
-        if process is None or process.stdin is None or process.stdout is None:
-            return b"0"
-        try:
-            process.stdin.write(request)
-            process.stdin.flush()
-            answer = process.stdout.read(1)
-        except OSError:
-            answer = b""
-        except BaseException:  # interrupted: its answer would be taken for that of the next request
-            process.kill()
-            raise
-        if answer:
-            self._process = process
-        else:
-            process.wait()
-        return answer
-
-
-_COMPILER = _Compiler()
-
-
-def compiled_elsewhere(module: str, name: str, types: object) -> bool:
+def compiled_elsewhere(module: str, name: str, types: Any) -> bool:
     """Have another process compile a kernel of this package for arguments of these types; whether Numba's cache has it.
 
-    Where no process may be started (see ``while_compiling``; one core is enough) or it fails, nothing is done.
+    Where no process may be started (see ``expect``; one core is enough) or it fails, nothing is done. All that work
+    needs which was told of is compiled after it.
     """
     if not module.startswith("orograph.") or not _allowed():
         return False
@@ -140,18 +98,33 @@ def compiled_elsewhere(module: str, name: str, types: object) -> bool:
         request = pickle.dumps((module, name, types))
     except Exception:  # a type that only this process knows
         return False
-    return _COMPILER.compile(request)
+    try:
+        kernel = Kernel(module, name, written(types))
+    except ValueError:
+        kernel = Kernel(module, name, str(types))
+    compilers = _compilers()
+    if _EXPECTED:
+        compilers.expect(one for one in needed(_EXPECTED) if one != kernel)
+        _EXPECTED.clear()
+    return compilers.compile(kernel, request)
 
 
-def compile_rest(program: str) -> bool:
-    """Start ``python -m program`` if this process spent long on compiling; returns whether it was started.
+def _compilers() -> Compilers:
+    """Those of this process: one that was forked has none of its parent's threads."""
+    if _OWN.get("process") != os.getpid():
+        _OWN.update(process=os.getpid(), compilers=Compilers(MOST if _worthwhile() else 1))
+    found: Compilers = _OWN["compilers"]
+    return found
+
+
+def compile_rest() -> bool:
+    """Start a process that compiles all of ``kernels.txt`` if this one spent long on compiling; whether it was started.
 
     The new process outlives this one, and signals that stop this one do not stop it.
     """
     if COMPILING.seconds < LONG or not _worthwhile():
         return False
-    _start(program, start_new_session=True)
-    return program in _STARTED
+    return run("orograph._compiler", "--rest", "0", start_new_session=True) is not None
 
 
 def _worthwhile() -> bool:
@@ -162,27 +135,3 @@ def _worthwhile() -> bool:
 def _allowed() -> bool:
     wanted = os.environ.get("OROGRAPH_COMPILE_AHEAD", "1") != "0"
     return wanted and Path(sys.executable or "").stem.startswith("python")
-
-
-def _start(program: str, *arguments: str, **how: Any) -> None:
-    process = _run(program, *arguments, **how)
-    if process is not None:
-        _STARTED[program] = process
-
-
-def _piped(program: str) -> subprocess.Popen[bytes] | None:
-    return _run(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-
-
-def _run(program: str, *arguments: str, **how: Any) -> subprocess.Popen[bytes] | None:
-    """Start ``python -m program``; None if it cannot be started."""
-    command = [sys.executable, "-P", "-m", program, *arguments]  # -P: modules of the folder one is in are not ours
-    silent, alone = subprocess.DEVNULL, os.environ | {"OROGRAPH_COMPILE_AHEAD": "0"}
-    try:
-        return subprocess.Popen(command, **{"stdin": silent, "stdout": silent, **how}, stderr=silent, env=alone)
-    except OSError:  # this process compiles all, then
-        return None
-
-
-_STARTED: dict[str, subprocess.Popen[bytes]] = {}
-"""The processes that this one started, by program."""

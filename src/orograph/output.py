@@ -33,7 +33,7 @@ def check_vacant(path: Path, overwrite: bool) -> None:
 
 
 def beside(out: Path, ending: str) -> Path:
-    """A temporary name beside ``out`` for this process; leftovers of ended processes are removed.
+    """A temporary name beside ``out`` for a file or folder of this process; leftovers of ended processes are removed.
 
     Args:
         ending: "part" or "raw".
@@ -43,7 +43,7 @@ def beside(out: Path, ending: str) -> Path:
     for path in _left(out.parent.absolute()):
         found = ours.fullmatch(path.name)
         if found is not None and not running(int(found[1])):
-            remove(path)
+            shutil.rmtree(path, ignore_errors=True) if path.is_dir() else remove(path)
     return out.with_name(f".{out.name}.{host()}.{os.getpid()}.{ending}")
 
 

@@ -1,11 +1,12 @@
 """Visible progress: bars in terminals and notebooks (rich), and warnings in the way that fits the place.
 
-Functions of the package take ``progress``: a ``Progress``, True or None (``Shown``: bars if a person is watching, and
-Python's warnings), or False (silent). ``reporting`` converts them.
+Functions of the package take ``progress``: a ``Progress``, True or None (``Shown``: bars and notes if a person is
+watching, and Python's warnings), or False (silent). ``reporting`` converts them.
 """
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 import time
@@ -18,6 +19,8 @@ from orograph.progress import SILENT, Progress, Task
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
+
+LOG = logging.getLogger("orograph")
 
 LASTS = 0.7
 """Seconds after which a task gets a bar."""
@@ -43,7 +46,8 @@ def bars(console: Any) -> Bar:
 
 class Shown(Progress):
     """Progress for Python users: bars for long tasks in a terminal or a notebook; warnings are Python's
-    (``UserWarning``)."""
+    (``UserWarning``). Notes go to the logger ``orograph`` (INFO), and where nobody has given it a handler, to stderr if
+    a person is watching."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -58,6 +62,16 @@ class Shown(Progress):
         while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "orograph":
             depth, frame = depth + 1, frame.f_back
         warnings.warn(text, UserWarning, stacklevel=depth)
+
+    def note(self, text: str) -> None:
+        LOG.info(text)
+        if not _watched() or LOG.hasHandlers():
+            return
+        with self.lock:
+            if self.bar is not None:
+                self.bar.console.print(text, markup=False, highlight=False)
+            else:
+                print(text, file=sys.stderr)
 
 
 def _watched() -> bool:

@@ -22,12 +22,14 @@ import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import named
 from orograph.cards import amount, card, heights_row
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.output import Beside
 
 
+@named("A tessellation")
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tessellation:
     """A triangle mesh over a terrain.
@@ -217,6 +219,17 @@ class Tessellation:
                 path=path,
                 remedy="Make one with orograph tessellate -o NAME.npz.",
             ) from error
+
+
+def welded(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Points (n, 3), each once, and the number of each among them (n,). (``np.unique`` of rows takes far longer.)"""
+    order = np.lexsort(points.T)
+    ranked = points[order]
+    new = np.ones(len(ranked), bool)
+    new[1:] = (ranked[1:] != ranked[:-1]).any(1)
+    where = np.empty(len(ranked), np.int32)
+    where[order] = np.cumsum(new) - 1
+    return ranked[new], where
 
 
 def turn(grid: Grid) -> int:

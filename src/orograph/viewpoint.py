@@ -24,6 +24,7 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import named
 from orograph.cards import card
 from orograph.documents import load_object, naming, write
 from orograph.errors import UsageError
@@ -56,6 +57,7 @@ class RayBasis(NamedTuple):
     dv: Array
 
 
+@named("A view")
 @dataclass(frozen=True, slots=True, repr=False)
 class View:
     """A camera.

@@ -18,7 +18,7 @@ def run(monkeypatch, capsys):
         raise SystemExit(code)
 
     monkeypatch.setattr("orograph.cli._leave", leave)
-    monkeypatch.setattr("orograph.cli._spare_imports", lambda args: None)
+    monkeypatch.setattr("orograph.cli.spare_imports", lambda s3: None)
 
     def call(*args):
         with pytest.raises(SystemExit) as stop:

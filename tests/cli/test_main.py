@@ -106,7 +106,7 @@ def test_faults_of_orograph_say_so(monkeypatch, capsys):
         raise SystemExit(code)
 
     monkeypatch.setattr(cli, "_leave", leave)
-    monkeypatch.setattr(cli, "_spare_imports", lambda args: None)
+    monkeypatch.setattr(cli, "spare_imports", lambda s3: None)
     monkeypatch.setattr(cli.cli, "main", fail)
     for argv, shown in ((["info", "x"], False), (["info", "x", "--debug"], True)):
         with pytest.raises(SystemExit) as stop:

@@ -34,6 +34,7 @@ def test_every_method_is_described(run):
         for one in described(info.options):
             assert f"\n  {one.key}: " in about and one.help.split()[0] in about
             assert one.help.endswith(".")
+        assert ("may have cracks" in about) is not info.conforming
     code, _, err = run("methods", "sore")
     assert code == 2 and "no method 'sore'" in err and "soar" in err
 

@@ -17,7 +17,7 @@ from orograph.errors import OutputError
 from orograph.geo.grid import Grid
 from orograph.lighting.raster import Band
 from orograph.lighting.raster import write as write_light
-from orograph.rendering.large import DepthFile, Scratch, encode
+from orograph.rendering.assembly import Assembly
 from orograph.rendering.picture import Picture
 from orograph.viewpoint import View
 
@@ -35,19 +35,12 @@ def picture() -> Picture:
     return Picture(NOISE, NOISE[..., 0].astype(np.float32) / 7, view, grid=PLACE)
 
 
-def depth_by_rows(out: Path) -> None:
-    with DepthFile(out, SIDE, SIDE, PLACE) as file:
-        for top in range(0, SIDE, 16):
-            file.write(NOISE[top : top + 16, :, 0].astype(np.float32) / 7, top)
-
-
-def large(kind: str) -> Write:
+def large(kind: str, depth: bool = False) -> Write:
     def write(out: Path) -> None:
-        with Scratch(out, SIDE, SIDE) as scratch:
+        with Assembly(out, SIDE, SIDE, depth=depth, place=PLACE) as assembly:
             with at_most(resource.RLIM_INFINITY):
-                scratch.write(NOISE)
-                scratch.close()
-            encode(scratch, kind, PLACE)
+                assembly.write(0, 0, NOISE[..., 0].astype(np.float32) / 7 if depth else NOISE)
+            assembly.encode(kind)
 
     return write
 
@@ -59,7 +52,7 @@ def light(out: Path) -> None:
 FORMATS: dict[str, tuple[str, Write]] = {
     "plan": (".tif", lambda out: picture().save(out)),
     "depth": (".tif", lambda out: picture().save_depth(out)),
-    "depth-by-rows": (".tif", depth_by_rows),
+    "large-depth": (".tif", large("TIFF", depth=True)),
     "synth": (".tif", lambda out: Synth((SIDE, SIDE)).write(out)),
     "large-tif": (".tif", large("TIFF")),
     "large-png": (".png", large("PNG")),

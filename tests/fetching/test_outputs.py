@@ -192,7 +192,7 @@ def test_geometries_on_both_sides_of_the_180th_meridian_are_one_small_box():
 
 def test_options_that_do_not_go_together(web, tmp_path):
     out = tmp_path / "a.tif"
-    assert "Give one of --bbox" in fetch("-o", out, code=2)
+    assert "An area is needed: --bbox" in fetch("-o", out, code=2)
     assert "--radius needs --at" in fetch("--bbox", "0,0,1,1", "--radius", "5", "-o", out, code=2)
     assert "Missing option" in fetch("--bbox", "0,0,1,1", code=2)
     with pytest.raises(UsageError, match=r"more than 10 MiB"):
@@ -217,13 +217,12 @@ def test_a_store_of_the_webs_mercator_is_true_to_scale(web, shared_data, tmp_pat
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "TIFF"])
 def test_large_pictures_name_the_makers(tmp_path, kind):
-    from orograph.rendering.large import Scratch, encode
+    from orograph.rendering.assembly import Assembly
 
     out = tmp_path / "picture"
-    with Scratch(out, 64, 32) as scratch:
-        scratch.write(np.zeros((32, 64, 3), np.uint8))
-        scratch.close()
-        encode(scratch, kind, None, ("© the makers & others",))
+    with Assembly(out, 64, 32) as assembly:
+        assembly.write(0, 0, np.zeros((32, 64, 3), np.uint8))
+        assembly.encode(kind, ("© the makers & others",))
     with Image.open(out) as image:
         said = {"PNG": lambda: image.text["Copyright"], "JPEG": lambda: image.getexif()[0x8298],
                 "TIFF": lambda: image.tag_v2[0x8298]}[kind]()  # fmt: skip

@@ -122,6 +122,9 @@ def test_classes(ground: orograph.Terrain) -> None:
         np.testing.assert_array_equal(found[at], picture(ground, np.full((2, 2, 3), color, np.uint8))[at])
     np.testing.assert_array_equal(found[37, 15], bare[37, 15])
     assert bare[37, 45, 0] > found[37, 45, 0] > 0
+    few = picture(ground, orograph.Layer(values, colormap={5: "red"}))
+    for at in ((12, 15), (37, 15), (37, 45)):  # below, above and between: no class, no colour
+        np.testing.assert_array_equal(few[at], bare[at])
     for wrong in ({}, {1.5: "red"}, {1: "no colour"}, {"a": "red"}, {0: "red", 10**6: "blue"}):
         with pytest.raises(UsageError, match=r"[Cc]lass"):
             orograph.Layer(values, colormap=wrong)

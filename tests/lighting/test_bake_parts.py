@@ -248,7 +248,7 @@ def test_a_finish_that_was_killed_at_its_very_end(target, whole, monkeypatch):
 
     bake(target, NAMES, OPTIONS, part=(1, 1))
     with monkeypatch.context() as patch:
-        patch.setattr(bake_parts, "clear", lambda folder: 1 / 0)
+        patch.setattr(bake_parts, "discard", lambda storage: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             bake(target, NAMES, OPTIONS, finish=True)
     assert (target / PARTIAL).exists()
@@ -280,7 +280,7 @@ def test_parts_are_said_as_of_builds(target):
     assert not (target / "layers").exists()
 
 
-def test_parts_bake_into_folders():
+def test_parts_bake_into_folders_and_buckets():
     url = made("memory://parts/area.oro")
-    with pytest.raises(UsageError, match=r"folders.*`workers`"):
+    with pytest.raises(UsageError, match=r"folders or buckets.*one process"):
         bake(url, NAMES, OPTIONS, part=(1, 2))

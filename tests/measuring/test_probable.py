@@ -16,10 +16,10 @@ from scipy import stats
 from orograph.errors import ReadError, UsageError
 from orograph.measuring import (
     HeightError,
+    contours,
     flood,
-    probable_contours,
-    probable_slope,
     probable_viewshed,
+    slope,
     viewshed,
 )
 from orograph.measuring.flood_kernels import REACHED, WET, fill
@@ -135,7 +135,7 @@ def test_slopes_of_a_plane_have_rices_distribution(reach):
     """Central differences over 2 d have the variance σ² (1 − ρ(2d)) / (2 d²) each, so tan slope is Rice distributed."""
     rise, d, sigma, limit, draws = 0.3, 30.0, 3.0, 18.0, 400
     terrain = of_function((43, 40), lambda x, y: rise * (x - 500_000))
-    found = probable_slope(terrain, HeightError(sigma, reach), [limit], draws=draws, seed=5).values()
+    found = slope(terrain, HeightError(sigma, reach), [limit], draws=draws, seed=5).values()
     rho = math.exp(-3 * (2 * d / reach) ** 2) if reach else 0.0
     tau = sigma * math.sqrt((1 - rho) / (2 * d * d))
     law = stats.rice(rise / tau, scale=tau)
@@ -159,7 +159,7 @@ def test_slopes_of_a_plane_have_rices_distribution(reach):
 def test_contours_of_level_ground():
     """With independent errors a cell is passed unless all four corners are on one side."""
     sigma, level, draws = 2.0, 101.0, 600
-    found = probable_contours(level_ground((40, 50)), HeightError(sigma), [level], draws=draws).values()
+    found = contours(level_ground((40, 50)), HeightError(sigma), [level], draws=draws).values()
     assert found.shape == (1, 39, 49)
     below = stats.norm.cdf((level - 100) / sigma)
     expected = 1 - below**4 - (1 - below) ** 4
@@ -169,7 +169,7 @@ def test_contours_of_level_ground():
 def test_contours_without_error_are_where_they_are():
     h = rough((30, 31), 4, True)
     terrain = terrain_of(h)
-    one = probable_contours(terrain, HeightError(0.0), interval=50.0, draws=1)
+    one = contours(terrain, HeightError(0.0), interval=50.0, draws=1)
     corners = np.stack([h[:-1, :-1], h[:-1, 1:], h[1:, :-1], h[1:, 1:]])
     low, high = corners.min(0), corners.max(0)
     crossed = np.zeros(low.shape, bool)
@@ -177,7 +177,7 @@ def test_contours_without_error_are_where_they_are():
         crossed |= (low <= line) & (line < high)
     expected = np.where(np.isnan(low), np.nan, crossed)
     np.testing.assert_array_equal(one.values()[0], expected)
-    listed = probable_contours(terrain, HeightError(0.0), np.arange(0, 1000, 50.0).tolist(), draws=1)
+    listed = contours(terrain, HeightError(0.0), np.arange(0, 1000, 50.0).tolist(), draws=1)
     np.testing.assert_array_equal(listed.values()[0], expected)
     assert one.grid.xy(0, 0) == pytest.approx(terrain.grid.xy(0.5, 0.5))
 
@@ -290,7 +290,7 @@ def test_a_wall_hides_with_the_probability_of_its_height():
     h[:, 10] = 398.0
     terrain = terrain_of(h)
     draws, sigma = 600, 4.0
-    found = probable_viewshed(terrain, terrain.grid.xy(0, 1), HeightError(sigma), 600.0, draws=draws, curvature=False,
+    found = probable_viewshed(terrain, terrain.grid.xy(0, 1), HeightError(sigma), 600.0, draws=draws, flat=True,
                               refraction=0.0).values()[0]  # fmt: skip
     # Errors of eye e0, wall e1, target e2: 298 + e1 < (600 + e0 + e2) / 2, if no other ground stands in the way.
     expected = stats.norm.cdf(2.0 / (sigma * math.sqrt(1.5)))
@@ -314,8 +314,8 @@ def test_threads_memory_and_stores_change_nothing(tmp_path, reach):
     error = HeightError(5.0, reach, horizontal=3.0)
     point = terrain.grid.xy(260, 140)
     measures = [
-        lambda t, **how: probable_slope(t, error, [10], draws=3, **how),
-        lambda t, **how: probable_contours(t, error, interval=20.0, draws=3, **how),
+        lambda t, **how: slope(t, error, [10], draws=3, **how),
+        lambda t, **how: contours(t, error, interval=20.0, draws=3, **how),
         lambda t, **how: flood(t, 520.0, [point], error, draws=3, **how),
         lambda t, **how: probable_viewshed(t, point, error, draws=3, radius=2000.0, **how),
     ]
@@ -328,7 +328,7 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
     import orograph
 
     terrain = terrain_of(rough((40, 50), 1, True), SQUARE, "EPSG:32611")
-    found = probable_slope(terrain, HeightError(2.0, 60.0), [10, 20], draws=4, seed=9)
+    found = slope(terrain, HeightError(2.0, 60.0), [10, 20], draws=4, seed=9)
     told = found.save(tmp_path / "slope.tif")
     with rasterio.open(tmp_path / "slope.tif") as file:
         np.testing.assert_array_equal(file.read(), found.values())
@@ -349,15 +349,15 @@ def test_a_file_and_data_say_what_they_are(tmp_path):
     [
         (lambda t: HeightError(-1.0), "standard deviation"),
         (lambda t: HeightError(1.0, math.nan), "range of errors"),
-        (lambda t: probable_slope(t, HeightError(1.0), draws=1), "from 2 to 65,535, not 1"),
-        (lambda t: probable_slope(t, HeightError(1.0), [95.0]), "0 to 90"),
-        (lambda t: probable_contours(t, HeightError(1.0)), "give one of the two"),
-        (lambda t: probable_contours(t, HeightError(1.0), interval=0.0), "above 0"),
+        (lambda t: slope(t, HeightError(1.0), draws=1), "from 2 to 65,535, not 1"),
+        (lambda t: slope(t, HeightError(1.0), [95.0]), "0 to 90"),
+        (lambda t: contours(t, HeightError(1.0)), "give one of the two"),
+        (lambda t: contours(t, HeightError(1.0), interval=0.0), "above 0"),
         (lambda t: flood(t, math.inf), "water level"),
         (lambda t: flood(t, 1.0, [t.grid.xy(13, 13)]), "in a hole"),
         (lambda t: flood(t, 1.0, [(0.0, 0.0)]), "south"),
         (lambda t: ErrorField(t, HeightError(1.0), -1), "seed"),
-        (lambda t: probable_slope(t, 3.0), "must be a HeightError"),
+        (lambda t: slope(t, 3.0), "must be a HeightError"),
     ],
 )
 def test_what_is_wrong_is_said(call, says):
@@ -376,10 +376,10 @@ def test_sheared_cells_need_independent_errors():
 
 def test_one_row():
     terrain = terrain_of(np.linspace(0, 90, 40)[None])
-    found = probable_slope(terrain, HeightError(1.0, 50.0), [3.0], draws=8).values()
+    found = slope(terrain, HeightError(1.0, 50.0), [3.0], draws=8).values()
     assert found.shape == (3, 1, 40) and np.isfinite(found).all()
     np.testing.assert_array_equal(flood(terrain, 45.0).values()[0, 0], np.linspace(0, 90, 40) < 45)
     with pytest.raises(UsageError, match="no surface to measure"):
         flood(terrain, 45.0, [terrain.grid.xy(0, 0)])
     with pytest.raises(UsageError, match="one row"):
-        probable_contours(terrain, HeightError(1.0), interval=10.0)
+        contours(terrain, HeightError(1.0), interval=10.0)

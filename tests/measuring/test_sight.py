@@ -41,7 +41,7 @@ def test_the_sea_s_horizon(eye, refraction):
 
 
 def test_over_the_plane_without_curvature_everything_is_seen():
-    assert line_of_sight(SEA, at(0), at(90_000), 1e-3, curvature=False).visible
+    assert line_of_sight(SEA, at(0), at(90_000), 1e-3, flat=True).visible
     lowest = line_of_sight(SEA, at(0), at(90_000), 2.0, 2.0)
     # The line sags below the sea's bulge, deepest in the middle: s²/8R' less the eyes' 2 m.
     assert lowest.tightest.clearance == pytest.approx(2 - 90_000**2 * 0.87 / 8 / R, rel=1e-4)
@@ -53,7 +53,7 @@ def test_a_wall():
     h[:, 20] = 40.0
     terrain = terrain_of(h)  # 30 m
     a, b = terrain.grid.xy(0.0, 4.0), terrain.grid.xy(50.0, 4.0)
-    found = line_of_sight(terrain, a, b, 10.0, 0.0, curvature=False)
+    found = line_of_sight(terrain, a, b, 10.0, 0.0, flat=True)
     assert not found.visible
     assert found.needed == pytest.approx(10 + (40 - 10) / (20 * 30) * 50 * 30)
     # The line falls 10 m in 1500 m and meets the wall's slope, 40 m in 30 m, where both are as high.
@@ -63,8 +63,8 @@ def test_a_wall():
     assert found.obstruction.clearance == pytest.approx(0, abs=1e-9)
     assert (found.obstruction.easting, found.obstruction.northing) == pytest.approx((500_015 + s, 3_999_985 - 120))
     assert found.tightest.distance == pytest.approx(600) and found.tightest.clearance == pytest.approx(-34)
-    assert line_of_sight(terrain, a, b, 10.0, found.needed + 1e-3, curvature=False).visible
-    assert not line_of_sight(terrain, a, b, 10.0, found.needed - 1e-2, curvature=False).visible
+    assert line_of_sight(terrain, a, b, 10.0, found.needed + 1e-3, flat=True).visible
+    assert not line_of_sight(terrain, a, b, 10.0, found.needed - 1e-2, flat=True).visible
 
 
 @pytest.mark.parametrize("transform", [SQUARE, RECTANGULAR, ROTATED])
@@ -135,11 +135,11 @@ def test_holes_hide_nothing_and_are_told():
     h[:, 20] = 40.0
     h[:, 19:22] = np.nan
     terrain = terrain_of(h)
-    found = line_of_sight(terrain, terrain.grid.xy(0.0, 4.0), terrain.grid.xy(50.0, 4.0), 2.0, curvature=False)
+    found = line_of_sight(terrain, terrain.grid.xy(0.0, 4.0), terrain.grid.xy(50.0, 4.0), 2.0, flat=True)
     assert found.visible and found.profile.missing == pytest.approx(4 * 30)
 
 
-@pytest.mark.parametrize("what", [{"eye_height": -1.0}, {"target_height": math.nan}, {"refraction": 1.0}])
+@pytest.mark.parametrize("what", [{"eye": -1.0}, {"target": math.nan}, {"refraction": 1.0}])
 def test_nonsense_is_refused(what):
     with pytest.raises(UsageError):
         line_of_sight(SEA, at(0), at(1000), **what)

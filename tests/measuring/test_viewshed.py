@@ -31,7 +31,7 @@ def test_every_sample_by_brute_force(transform, curvature):
     ox, oy = 17.3, 21.8
     point = terrain.grid.xy(ox, oy)
     eye, target = 12.0, 3.0
-    values = viewshed(terrain, point, eye, target, curvature=curvature, refraction=0.0).values()
+    values = viewshed(terrain, point, eye, target, flat=not curvature, refraction=0.0).values()
     bend = 1 / R if curvature else 0.0
     t = np.linspace(0, 1, 1501)
     start = float(brute._height(h, np.array(ox), np.array(oy))) + eye
@@ -78,11 +78,11 @@ def test_behind_a_wall_the_ground_is_hidden_up_to_where_the_line_over_its_top_co
     h = np.zeros((21, 300), np.float32)
     h[:, 40] = 6.0
     terrain = terrain_of(h)
-    values = viewshed(terrain, terrain.grid.xy(0.0, 10.0), 10.0, curvature=False).values()
+    values = viewshed(terrain, terrain.grid.xy(0.0, 10.0), 10.0, flat=True).values()
     # Over the wall's top, 4 m down in 40 samples, the line reaches the ground after 100.
     row = values[10]
     assert (row[:41] == 1).all() and (row[41:100] == 0).all() and (row[100:] == 1).all()
-    needed = viewshed(terrain, terrain.grid.xy(0.0, 10.0), 10.0, curvature=False, heights=True).values()[10]
+    needed = viewshed(terrain, terrain.grid.xy(0.0, 10.0), 10.0, flat=True, heights=True).values()[10]
     c = np.arange(300)
     expected = np.where((c > 40) & (c < 100), 10 - c / 10.0, 0.0)
     np.testing.assert_allclose(needed, expected, atol=1e-3)
@@ -93,12 +93,12 @@ def test_behind_a_wall_the_ground_is_hidden_up_to_where_the_line_over_its_top_co
 def test_a_cone_from_its_top_and_from_its_foot():
     slope, top = 0.5, 1000.0
     terrain = of_function((81, 81), lambda x, y: top - slope * np.hypot(x - 501_215, y - 3_998_785))
-    from_top = viewshed(terrain, (501_215, 3_998_785), 2.0, curvature=False).values()
+    from_top = viewshed(terrain, (501_215, 3_998_785), 2.0, flat=True).values()
     assert (from_top == 1).all()
     # From the foot, 900 m from the axis and e above the ground, the seen side lies before the line of contact of the
     # tangent planes: ground at azimuth φ from the eye's is seen where d cos φ > d − e/slope, the others are behind it.
     d, eye = 900.0, 20.0
-    values = viewshed(terrain, (501_215 - d, 3_998_785), eye, curvature=False).values()
+    values = viewshed(terrain, (501_215 - d, 3_998_785), eye, flat=True).values()
     x, y = terrain.grid.xy(*np.meshgrid(np.arange(81), np.arange(81)))
     u, v = x - 501_215, y - 3_998_785
     cosine = -u / np.maximum(np.hypot(u, v), 1e-9)
@@ -119,7 +119,7 @@ def test_at_sea_a_disc_is_seen(target):
     horizon = math.sqrt(2 * R / 0.87 * eye) + math.sqrt(2 * R / 0.87 * target)
     values = shed.values()
     assert (values[distance < horizon - 150] == 1).all() and (values[distance > horizon + 150] == 0).all()
-    flat = viewshed(terrain, (15_050, -15_050), eye, target, curvature=False).values()
+    flat = viewshed(terrain, (15_050, -15_050), eye, target, flat=True).values()
     assert (flat == 1).all()
 
 
@@ -130,7 +130,7 @@ def test_on_a_ball_with_true_curvature_it_is_the_horizon_too():
         (161, 161), lambda x, y: np.sqrt(radius**2 - (x - 501_200) ** 2 - (y - 3_998_800) ** 2) - radius,
         Affine(15, 0, 499_992.5, 0, -15, 4_000_007.5),
     )  # fmt: skip
-    values = viewshed(terrain, (501_200, 3_998_800), eye, curvature=False).values()
+    values = viewshed(terrain, (501_200, 3_998_800), eye, flat=True).values()
     y, x = np.mgrid[:161, :161]
     distance = 15 * np.hypot(x - 80, y - 80)
     contact = radius * math.sin(math.acos(radius / (radius + eye)))
@@ -237,10 +237,10 @@ def test_nonsense_is_refused():
     for point, options, says in (
         (terrain.grid.xy(6.5, 6.5), {}, "in a hole"),
         ((0, 0), {}, "of ground, whose surface"),
-        (at, {"eye_height": -1.0}, "eye's height"),
+        (at, {"eye": -1.0}, "eye's height"),
         (at, {"radius": 0.0}, "radius"),
         (at, {"refraction": 2.0}, "refraction"),
-        (at, {"heights": True, "target_height": 1.0}, "no meaning"),
+        (at, {"heights": True, "target": 1.0}, "no meaning"),
         ([at, at], {}, "one point"),
     ):
         with pytest.raises(UsageError, match=says):

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import orograph
 from orograph.geovis.keys import Legend, Scale
 from orograph.rendering.furniture import furnish as furniture
 from orograph.rendering.furniture import lettering
@@ -134,7 +135,7 @@ def test_numbers() -> None:
     assert ticks(-85, 4404, 7) == [0, 1000, 2000, 3000, 4000]
     assert ticks(5, 5, 4) == [5] and ticks(math.nan, 5, 4) == []
     assert [number(v, [0.5, 1.0]) for v in (0.5, 1.0, -0.0)] == ["0.5", "1.0", "0"]
-    assert number(12500, [10000, 12500]) == "12 500" and number(-400, [-400, -200]) == "-400"
+    assert number(12500, [10000, 12500]) == "12 500" and number(-400, [-400, -200]) == "−400"
     assert bar_length(7400) == (5000, 5, "5 km") and bar_length(999)[2] == "500 m" and bar_length(0.3)[2] == "20 cm"
 
 
@@ -232,4 +233,24 @@ def test_grid_north_is_named() -> None:
 def test_a_short_scale_has_two_values(low, high):
     values = ticks(low, high, 2)
     assert len(values) == 2 and low - 1e-9 <= values[0] < values[1] <= high + 1e-9
-    assert [float(number(v, values)) for v in values] == pytest.approx(values, abs=1e-9)
+    assert [float(number(v, values).replace("−", "-")) for v in values] == pytest.approx(values, abs=1e-9)
+
+
+def test_a_long_legend_keeps_its_classes() -> None:
+    few, many = (
+        Legend(LEGEND.scales, (("land cover", None), *((str(k), (9 * k, 80, 90)) for k in range(n)))) for n in (3, 60)
+    )
+    for legend, shown in ((few, 3), (many, 0)):
+        layout = furniture.lay_out((1000, 700), legend=legend)
+        words = [text[2] for piece, _ in layout.placed for text in piece.texts]
+        assert "land cover" in words and all(str(k) in words for k in range(shown))
+    assert any(word.startswith("and ") and word.endswith(" more") for word in words)
+
+
+def test_a_plan_stands_beside_a_legend_with_a_long_title() -> None:
+    x = np.linspace(0, 1, 60)
+    ground = orograph.terrain(np.zeros((60, 60), np.float32), spacing=10.0, progress=False)
+    data = orograph.Dataset(np.add.outer(x, x), name="potential temperature in kelvin")
+    views = [orograph.render(ground, "plan", size=(420, 400), data=one, furniture=True, samples=1).view
+             for one in (data, data.but(name="T"))]  # fmt: skip
+    assert views[0].pixel_metres > 1.03 * views[1].pixel_metres

@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
 from scenes import hills, holes, read, terrain
 
 from orograph.errors import OutputError, UsageError
 from orograph.lighting.sun import Sun
 from orograph.rendering import large
+from orograph.rendering.assembly import Assembly
 from orograph.rendering.cpu.draw import draw
+from orograph.rendering.furniture import furnish
 from orograph.rendering.large import bands, draw_large
 from orograph.scene import camera
 from orograph.scene.scene import Scene
@@ -54,6 +58,31 @@ def test_no_seam(tmp_path, ending, pixels, options):
     assert sorted(f.name for f in tmp_path.iterdir()) == sorted([out.name, "depth.tif"])
 
 
+@pytest.mark.parametrize("step", [2, 4, 8])
+def test_of_large_pictures_furniture_spares_what_some_pixels_show(tmp_path, monkeypatch, step):
+    """Drawn at once, by bands and by tiles the furniture stands in the same places."""
+    monkeypatch.setattr(furnish, "COVERED", -(-SIZE[0] * SIZE[1] // step**2))
+    assert furnish.cover_step(SIZE) == step
+    land = ground()
+    scene = Scene.of(land, camera.around(land, SIZE, azimuth=215, pitch=22, distance=3500), furniture=True)
+    draw_large(scene, tmp_path / "tiles.png", pixels=64 * 32)
+    np.testing.assert_array_equal(read(tmp_path / "tiles.png"), draw(scene).pixels)
+
+
+@given(st.integers(1, 90), st.integers(1, 90), st.integers(0, 2**32 - 1), st.data())
+def test_ground_under_a_box(width, height, seed, data):
+    mask = np.random.default_rng(seed).random((height, width)) < 0.5
+    cover = furnish.Cover.of(mask)
+    x0, y0 = data.draw(st.integers(0, width - 1)), data.draw(st.integers(0, height - 1))
+    x1, y1 = data.draw(st.integers(x0, width)), data.draw(st.integers(y0, height))
+    assert cover.size == mask.size and cover.under((x0, y0, x1, y1)) == mask[y0:y1, x0:x1].sum()
+    for step in (2, 4, 8):
+        some = mask[::step, ::step]
+        coarse = furnish.Cover(np.packbits(some, axis=1), some.shape[1], step)
+        own = [(y, x) for y in range(y0, y1) for x in range(x0, x1) if y % step == 0 == x % step and mask[y, x]]
+        assert coarse.under((x0, y0, x1, y1)) == len(own) * step**2
+
+
 def test_a_plan_is_a_geotiff_in_its_place(tmp_path):
     land = ground()
     scene = Scene.of(land, camera.plan(land, SIZE, azimuth=150), furniture=True)
@@ -65,19 +94,55 @@ def test_a_plan_is_a_geotiff_in_its_place(tmp_path):
         assert a.transform.almost_equals(b.transform, 1e-9) and a.crs == b.crs
 
 
+def test_tiffs_are_cloud_optimised(tmp_path):
+    """Tiles, overviews that average the picture, and the layout that GDAL's driver promises; also of depths."""
+    land = ground()
+    scene = Scene.of(land, camera.plan(land, (1310, 1130)))
+    draw_large(scene, tmp_path / "a.tif", depth=tmp_path / "depth.tif", pixels=1310 * 64)
+    for name, bands_ in (("a.tif", 3), ("depth.tif", 1)):
+        with rasterio.open(tmp_path / name) as file:
+            assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and file.count == bands_
+            assert file.block_shapes[0] == (512, 512) and file.overviews(1) == [2, 4]
+            whole = file.read().astype(float)
+        with rasterio.open(tmp_path / name, overview_level=0) as file:
+            half = file.read().astype(float)
+        assert half.shape[1:] == (565, 655)
+        four = np.stack([whole[:, i::2, j::2] for i in (0, 1) for j in (0, 1)])
+        if bands_ == 3:
+            assert np.abs(half - four.mean(axis=0)).max() <= 0.5
+        else:  # nearest: a depth that is there
+            there = np.isfinite(half)
+            assert (half == four).any(axis=0)[there].all()
+
+
+def test_pieces_in_any_order_and_over_each_other(tmp_path):
+    rng = np.random.default_rng(5)
+    wanted = rng.integers(0, 256, (90, 1100, 3), dtype=np.uint8)
+    with Assembly(tmp_path / "a.tif", 1100, 90) as assembly:
+        assembly.write(640, 48, wanted[48:, 640:])
+        assembly.write(0, 0, wanted[:48] // 2)
+        assembly.write(0, 48, wanted[48:, :640])
+        assembly.write(0, 0, wanted[:48])
+        np.testing.assert_array_equal(assembly.read(600, 30, 700, 80), wanted[30:80, 600:700])
+        assembly.encode("TIFF")
+    with rasterio.open(tmp_path / "a.tif") as file:
+        np.testing.assert_array_equal(file.read().transpose(1, 2, 0), wanted)
+    assert [f.name for f in tmp_path.iterdir()] == ["a.tif"]
+
+
 @pytest.mark.parametrize(("size", "pixels"), [((417, 250), 1000), ((16384, 16384), 1 << 22), ((16384, 300), 100_000)])
 def test_bands_cover_a_picture_once(size, pixels):
-    rows = 0
-    for band in bands(*size, pixels):
-        assert {(t, h) for _, t, _, h in band} == {(rows, band[0][3])} and rows % large.ROWS == 0
-        columns = 0
-        for left, _, wide, tall in band:
-            assert left == columns and left % large.COLUMNS == 0
-            assert wide * tall <= max(pixels, large.ROWS * large.COLUMNS)
-            columns += wide
-        assert columns == size[0]
-        rows += band[0][3]
-    assert rows == size[1]
+    covered = np.zeros((-(-size[1] // large.ROWS), -(-size[0] // large.COLUMNS)), int)
+    for left, top, wide, tall in bands(*size, pixels):
+        assert left % large.COLUMNS == 0 and top % large.ROWS == 0
+        assert left + wide <= size[0] and top + tall <= size[1]
+        assert wide * tall <= max(pixels, large.ROWS * large.COLUMNS)
+        rows, cols = (
+            slice(top // large.ROWS, -(-(top + tall) // large.ROWS)),
+            slice(left // 64, -(-(left + wide) // 64)),
+        )
+        covered[rows, cols] += 1
+    assert (covered == 1).all()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="peak memory is asked of POSIX")

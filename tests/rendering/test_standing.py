@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -243,6 +244,18 @@ def test_a_plan_shows_feet_as_they_are():
     stood = stand(thing(Kind.BAR, 500_400, 5_599_700), bare.pixels, bare.depth, scene)
     area = (stood.which >= 0).sum() * view.pixel_metres**2
     assert area == pytest.approx(40 * 40, rel=0.1)
+
+
+def test_slopes_do_not_cut_discs_in_a_plan():
+    rows = np.arange(40.0)[:, None]
+    terrain = orograph.terrain(
+        np.broadcast_to(100 * rows, (40, 50)).astype(np.float32), transform=ground().grid.transform, crs=UTM
+    )
+    bare = orograph.render(terrain, "plan", size=(400, 300))
+    disc = thing(Kind.CYLINDER, *(float(v) for v in terrain.grid.xy(25, 20)))
+    stood = stand(disc, bare.pixels, bare.depth, Scene.of(terrain, bare.view))
+    area = (stood.which >= 0).sum() * bare.view.pixel_metres**2
+    assert area == pytest.approx(math.pi * float(disc.radius[0]) ** 2, rel=0.1)
 
 
 def test_tiles_show_what_the_whole_shows():

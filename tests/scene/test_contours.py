@@ -10,14 +10,17 @@ import pytest
 from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
+from orograph.geovis.tables import Table
 from orograph.memo import Memo
 from orograph.rendering.cpu.draw import draw
 from orograph.scene.contours import Contours, steepness, suitable
 from orograph.scene.scene import Scene
+from orograph.scene.theming import CASED, INK
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -135,6 +138,39 @@ def test_the_interval_suits_relief_and_scale() -> None:
     for steep in np.geomspace(0.01, 2, 40):
         assert 2.5 < suitable(steep, far) / steep / far.pixel_metres < 10
     assert steepness(make(np.zeros((40, 40)))) > 0
+
+
+def test_low_relief_has_some_lines_at_any_scale() -> None:
+    terrain, (x, y) = cone()
+    low, high = terrain.height_range
+    for fov in (0.4, 4.0, 40.0, 120.0):
+        view = View((x, y, 90_000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=fov, width=300, height=220)
+        interval = Contours().fitted(terrain, view, Memo()).interval
+        assert interval is not None and math.floor(high / interval) - math.floor(low / interval) >= 3
+    assert suitable(0.5, view, 1.0) == pytest.approx(0.2) and suitable(0.5, view, 0.9) == pytest.approx(0.2)
+    assert suitable(0.5, view, 0.0) == suitable(0.5, view)
+
+
+@pytest.mark.parametrize("ground", ["#0a0614", "#21918c", "#fde725"])
+def test_lines_with_a_casing_are_legible_over_any_color(ground: str) -> None:
+    """Along them luminances of neighbouring pixels differ by a factor of 1.7 (as WCAG measures contrast)."""
+    terrain, (x, y) = cone()
+    rgb = bytes(int(ground[i : i + 2], 16) for i in (1, 3, 5))
+    view = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=40, width=300, height=220)
+    scene = Scene.of(terrain, view, light="none", water=None, colormap=Table("one", (rgb + b"\xff") * 2), tolerance=0.0)
+
+    def contrast(casing: float | None) -> float:
+        lines = Contours(200.0, index=0, labels=False, opacity=0.85, color=INK, casing=casing)
+        srgb = draw(scene.but(contours=lines)).pixels / 255
+        linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+        light = linear @ [0.2126, 0.7152, 0.0722] + 0.05
+        plain = np.abs(draw(scene).pixels.astype(int) - draw(scene.but(contours=lines)).pixels).max(-1) > 8
+        most = maximum_filter(light, 5) / minimum_filter(light, 5)
+        return float(np.median(most[plain]))
+
+    assert contrast(CASED) > 1.7
+    if ground == "#0a0614":
+        assert contrast(None) < 1.3
 
 
 def test_large_pictures_have_lines_for_print() -> None:

@@ -373,8 +373,8 @@ def test_refusals(area, tmp_path):
         publish(url, f"{url}@1")
     with pytest.raises(UsageError, match="folder or a bucket"):
         build(files, "memory://area.oro", update=True, **SHORT)
-    with pytest.raises(UsageError, match="exclude"):
-        build(files, url, update=True, workers=2, **SHORT)
+    with pytest.raises(UsageError, match=r"`update` and `part` exclude .*`workers`"):
+        build(files, url, update=True, part="1/2", **SHORT)
     with orograph.open(f"{url}@1") as terrain:
         assert terrain.check() == []
 

@@ -259,7 +259,7 @@ def test_readers_are_told_where_no_older_version_is_kept(tmp_path):
 
 def test_ways_that_exclude_an_update(tmp_path):
     files = grid_of_tiles(tmp_path / "tiles", 2)
-    for name, value in (("overwrite", True), ("resume", True), ("workers", 2), ("finish", True), ("part", "1/2")):
+    for name, value in (("overwrite", True), ("resume", True), ("finish", True), ("part", "1/2")):
         with pytest.raises(UsageError, match=f"`update` and `{name}`"):
             build(files, tmp_path / "a.oro", update=True, **{name: value}, progress=False)
     with pytest.raises(UsageError, match="in a folder or a bucket"):

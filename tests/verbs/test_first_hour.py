@@ -134,9 +134,15 @@ def test_a_pattern_names_the_files_that_it_matches(dem, tmp_path):
 
 
 def test_areas_and_pictures_that_are_given_otherwise(dem, tmp_path):
-    for call in (lambda: orograph.fetch(bbox=(7, 45, 8, 46)), orograph.fetch):
-        with pytest.raises(UsageError, match=r"The area comes first: fetch\(\(west, south, east, north\)\)"):
-            call()
+    for given, wrong in (
+        ({}, "An area is needed: `bbox`, `at` .with `radius`. or `geojson`"),
+        ({"bbox": "7,45,8,46", "at": (7, 45)}, "Give one of `bbox`"),
+        ({"bbox": "7,45,8,46", "radius": 5}, "`radius` needs `at`"),
+        ({"at": (7, 45)}, "radius of more than 0"),
+        ({"box": (7, 45, 8, 46)}, r"fetch has no option 'box'. Did you mean bbox\?"),
+    ):
+        with pytest.raises(UsageError, match=wrong):
+            orograph.fetch(**given)
     with pytest.raises(UsageError, match=r"picture\.save\('relief\.png'\)"):
         orograph.render(dem, "relief.png")
     assert len(orograph.contours(dem, "20", simplify="0")) == len(orograph.contours(dem, 20))

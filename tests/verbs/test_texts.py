@@ -69,7 +69,7 @@ def called(function: Any, given: dict[str, Any], **options: Any) -> Any:
 @pytest.mark.parametrize(("name", "option"), having(AMOUNTS + SIZES))
 def test_texts_are_read_and_wrong_ones_refused_by_the_options_name(given, name, option):
     one = functions()[name]
-    wrong = dict.fromkeys(["interval"], 10.0) if name == "measure.probable_contours" else {}
+    wrong = dict.fromkeys(["interval"], 10.0) if name == "measure.contours" else {}
     with pytest.raises(UsageError) as error:
         called(one, given, **{option: "some"}, **wrong)
     assert "'some'" in error.value.what and (option in error.value.what or "1280x720" in error.value.what)

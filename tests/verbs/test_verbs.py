@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import logging
 import subprocess
 import sys
 import warnings
@@ -67,7 +68,7 @@ NOT_HERE = {
     "light": {"products", "byte", "resume"},
     "bake": {"products"},
     "best_view": {"tour_path", "seconds"},
-    "fetch": {"bbox", "at", "geojson", "list_products", "try_products", "yes"},
+    "fetch": {"list_products", "try_products", "yes"},
     "view": {"adapter", "screenshot", "frames"},
 }
 """Options of the command line that are said otherwise in Python, by verb."""
@@ -276,6 +277,27 @@ def test_long_tasks_have_bars_where_somebody_looks(monkeypatch: pytest.MonkeyPat
     assert seen == ["start", "long", "stop"]
     silent = Progress()
     assert reporting.reporting(silent) is silent
+
+
+@pytest.mark.parametrize(("watched", "handler"), [(True, False), (False, False), (True, True)])
+def test_notes_are_told_where_a_person_watches_and_to_loggers(monkeypatch, capsys, watched, handler):
+    from orograph import reporting
+
+    told = []
+
+    class Told(logging.Handler):
+        def emit(self, record):
+            told.append(record.getMessage())
+
+    log = logging.Logger("orograph", logging.INFO)
+    if handler:
+        log.addHandler(Told())
+    monkeypatch.setattr(reporting, "LOG", log)
+    monkeypatch.setattr(reporting, "_watched", lambda: watched)
+    reporting.reporting(None).note("3 rasters taken")
+    reporting.reporting(False).note("nothing")
+    assert capsys.readouterr().err == "3 rasters taken\n" * (watched and not handler)
+    assert told == ["3 rasters taken"] * handler
 
 
 def test_methods_are_a_table_in_notebooks() -> None:

@@ -62,7 +62,8 @@ class Hand:
         self.until(lambda: not self.window.session.moving)
 
     def rest(self) -> None:
-        """Until the camera stands and the picture is as good as it gets."""
+        """Until the camera stands and the picture is as good as it gets; what was changed is drawn once, at least."""
+        self.frames(1)
         self.until(lambda: not self.window.session.moving and self.window.drawing.renderer.resting)
 
 

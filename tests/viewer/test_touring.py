@@ -258,7 +258,7 @@ def test_movie_films_the_cameras_that_the_window_shows(session, touring, dem, tm
         return real(self, number)
 
     monkeypatch.setattr(Film, "picture", picture)
-    monkeypatch.setattr("orograph.cli._spare_imports", lambda args: None)
+    monkeypatch.setattr("orograph.cli.spare_imports", lambda s3: None)
     done = CliRunner().invoke(
         cli,
         ["-q", "movie", str(dem), "--tour", str(path), "-o", str(tmp_path / "f%03d.png"), "--size", "32x18", "--fps=1"],

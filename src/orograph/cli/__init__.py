@@ -10,15 +10,15 @@ stopping.guard_imports()  # before anything else is loaded
 import difflib
 import errno
 import importlib
-import importlib.abc
 import os
 import sys
 import traceback
-from pathlib import Path
 from typing import Any, NoReturn
 
 import click
 
+from orograph._spared import spare_imports
+from orograph.compiling import compile_rest, expect
 from orograph.errors import OrographError
 
 VERBS = {
@@ -124,10 +124,11 @@ def main(argv: list[str] | None = None) -> None:
     debug = "--debug" in args or bool(os.environ.get("OROGRAPH_DEBUG"))
     general = [a for a in args if a in ("--debug", "--quiet", "-q")]  # allowed anywhere on the line
     args = [*general, *(a for a in args if a not in general)]
-    _spare_imports(args)
+    spare_imports(s3=any(a.startswith(("s3:", "/vsis3")) for a in args))
     try:
         if argv is None:
             stopping.guard(cleaning="view" not in args)
+        _expect(args)
         code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
         code = code if isinstance(code, int) else 0
         if argv is None:
@@ -143,6 +144,10 @@ def main(argv: list[str] | None = None) -> None:
         if stopping.asked():  # which a library turned into an error of its own
             stopping.end(stopping.asked())
         _fail(error, debug)
+
+
+_ELSE = {"-h", "--help", "gpu", "--backend=gpu", "--method", "--methods"}
+"""Words of a command that needs other kernels than its verb usually does."""
 
 
 def _wording() -> Any:
@@ -199,43 +204,16 @@ def _shortened(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} […] {text[-_LONGEST // 2 :]}"
 
 
-def _spare_imports(args: list[str]) -> None:
-    """Keep two libraries from loading what this process does not use, which costs half a second of a two-second
-    command.
-
-    Numba loads SciPy's linear algebra with its first kernel, for matrix products that no kernel here has, and YAML for
-    a settings file; rasterio loads boto3, if it is installed, to sign requests to S3. They cope with its absence. Only
-    the command line does this, never the library: the process is ours alone.
-    """
-    hidden = ["scipy"]
-    if not Path(".numba_config.yaml").exists():
-        hidden.append("yaml")
-    if not any(a.startswith(("s3:", "/vsis3")) for a in args):
-        hidden.append("boto3")
-    absent = [name for name in hidden if name not in sys.modules]
-
-    class Spared(importlib.abc.MetaPathFinder):
-        def find_spec(self, fullname: str, path: object, target: object = None) -> None:
-            if fullname in absent and _asked_by("numba", "rasterio"):
-                raise ImportError(f"{fullname} is not needed here")
-
-    sys.meta_path.insert(0, Spared())
-
-
-def _asked_by(*packages: str) -> bool:
-    """Whether the current import statement is in one of ``packages``."""
-    frame = sys._getframe(2)
-    while frame is not None and frame.f_globals.get("__name__", "").startswith(("importlib", "_frozen_importlib")):
-        frame = frame.f_back  # type: ignore[assignment]
-    return frame is not None and frame.f_globals.get("__name__", "").split(".")[0] in packages
+def _expect(args: list[str]) -> None:
+    """Have the kernels compiled that a verb surely needs, while it reads its options and its modules are loaded."""
+    verb = next((a for a in args if not a.startswith("-")), "")
+    if verb in ("demo", "render", "build", "tessellate", "tin", "compare") and not _ELSE & set(args):
+        expect("render" if verb == "demo" else verb)
 
 
 def _compile_rest(quiet: bool) -> None:
     """After a machine's first run at a terminal, compile the other verbs' kernels in the background."""
-    compiling = sys.modules.get("orograph.compiling")
-    if compiling is None or not sys.stderr.isatty():
-        return
-    if compiling.compile_rest("orograph.verbs.ahead") and not quiet:
+    if sys.stderr.isatty() and compile_rest() and not quiet:
         click.echo("The other verbs' kernels are being compiled in the background, once for this machine.", err=True)
 
 

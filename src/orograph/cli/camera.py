@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,6 +17,10 @@ from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, ParamType,
 from orograph.scene.sizes import read_size
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from orograph.geovis.keys import Legend
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
@@ -136,8 +140,19 @@ def check_camera(options: Mapping[str, Any]) -> None:
             View.from_dict({**values, "crs": None})  # (its CRS is checked once the terrain's is known)
 
 
-def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
-    """The camera that the options describe (see ``check_camera``)."""
+def is_fitted(options: Mapping[str, Any]) -> bool:
+    """Whether the camera that the options describe is as near as shows everything."""
+    return all(options[name] is None for name in ("view_path", "lonlat", "distance"))
+
+
+def camera_view(
+    terrain: Terrain, options: Mapping[str, Any], also: NDArray[np.float64] | None = None, keys: Sequence[Legend] = ()
+) -> View:
+    """The camera that the options describe (see ``check_camera``).
+
+    Args:
+        also: further positions to show, as for ``camera.whole``. keys: legend entries that are known already.
+    """
     from dataclasses import replace
 
     from orograph.scene import camera
@@ -159,12 +174,12 @@ def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
     if options.get("furniture"):
         from orograph.rendering.furniture import furnish as furniture
 
-        insets = furniture.insets(size, terrain.attribution, options.get("layers") or ())
+        insets = furniture.insets(size, terrain.attribution, options.get("layers") or (), keys)
     if options["projection"] == "plan":
-        return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
+        return camera.plan(terrain, size, azimuth=azimuth, insets=insets, also=also)
     if options["lonlat"] is not None:
         return camera.standing(terrain, size, options["lonlat"], options["look_at"], fov_y=given("fov", 45.0))
     return camera.around(
         terrain, size, azimuth=azimuth, pitch=given("pitch", 42.0), distance=options["distance"],
-        fov_y=given("fov", 30.0), exaggeration=options["exaggeration"], insets=insets,
+        fov_y=given("fov", 30.0), exaggeration=options["exaggeration"], insets=insets, also=also,
     )  # fmt: skip

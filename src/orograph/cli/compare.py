@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 )
 @refining.method_option("Which method to compare; may be repeated.", multiple=True)
 @click.option(
-    "--methods", "every", type=click.Choice(["all"]), help="All methods, in addition to those of --method.  [default]"
+    "--methods",
+    "every",
+    metavar="all|NAME,NAME…",
+    help="All methods, or these, besides those of --method.  [default: all, without --method]",
 )
 @refining.goal_options
 @click.option("--size", type=Size(), help=f"The views' size{SIZES}.  [default: 1280x720, or the files']")
@@ -89,7 +92,7 @@ def command(
         check_folder(Path(json_file))
     refine = {name: options[name] for name in refining.REFINE}
     found = compare(
-        list(paths), views, flight=flight, judged=judged, methods=(*(["all"] * bool(every)), *method),
+        list(paths), views, flight=flight, judged=judged, methods=(*([every] if every else []), *method),
         size=size, picture=picture, dpi=dpi_of(size), max_memory=max_memory, jobs=jobs, progress=progress,
         **refine, **source_of(options, set(refining.REFINE)),
     )  # fmt: skip
@@ -106,7 +109,7 @@ def command(
     if found.broken:
         raise OrographError(
             f"{' and '.join(found.broken)} broke the promised tolerance.",
-            remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
+            remedy="This is a fault of the method: please report it, with the terrain and the views.",
         )
 
 
@@ -117,7 +120,7 @@ def _told(found: Comparison) -> dict[str, Any]:
         "terrain": terrain.name, "shape": list(terrain.grid.shape), goal.name: getattr(goal, goal.name),
         "exaggeration": found.exaggeration, "flight": None, "frames": len(found.views),
         "views": {} if found.flight else {k: v.to_dict() for k, v in found.views.items()},
-        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()},
+        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()}, "left_out": found.left_out,
     }  # fmt: skip
 
 

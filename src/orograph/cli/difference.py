@@ -21,7 +21,7 @@ from orograph.cli.options import (
     vertical_options,
 )  # fmt: skip
 
-OWN = ("onto", "resampling", "quantiles", "limit", "any_vertical")
+OWN = ("onto", "resampling", "quantiles", "limit", "sigma", "range", "confidence", "any_vertical")
 
 
 @click.command("difference")
@@ -48,6 +48,19 @@ OWN = ("onto", "resampling", "quantiles", "limit", "any_vertical")
     help="For a picture: the difference at both ends of the colours.  [default: a round number that covers 98 %]",
 )  # fmt: skip
 @click.option(
+    "--sigma", multiple=True, metavar="METRES|FILE",
+    help="Standard deviation of heights, metres, or a raster of them; twice: of A and of B. Volumes and pictures "
+    "are then of significant differences only.",
+)  # fmt: skip
+@click.option(
+    "--range", type=FloatRange(min=0), default=0.0, metavar="METRES",
+    help="Distance at which the errors' correlation has dropped to 5 %.  [default: 0, independent]",
+)  # fmt: skip
+@click.option(
+    "--confidence", type=FloatRange(min=0, max=1, min_open=True, max_open=True), default=0.95, show_default=True,
+    help="Of what counts as significant.",
+)  # fmt: skip
+@click.option(
     "--any-vertical",
     is_flag=True,
     help="Accept heights above two vertical datums as they are, instead of refusing them.",
@@ -68,13 +81,14 @@ def command(
 
     A and B are files, stores, manifests or quoted patterns ("tiles/*.tif"). Where A is higher there is a gain (blue),
     where it is lower a loss (red). It prints mean, median, rms, NMAD (robust standard deviation), quantiles, and the
-    volumes of gain and loss by the true area of each cell.
+    volumes of gain and loss by the true area of each cell; with --sigma, of differences beyond the uncertainty.
 
     \b
     Examples:
       orograph difference after.tif before.tif -o change.tif -o change.png
       orograph difference surface.tif ground.tif --onto finer -o heights.tif
       orograph difference copernicus.tif srtm.tif --to-vertical ellipsoidal --geoid egm96_15.gtx
+      orograph difference 2016.tif 2012.tif --sigma 0.1 --sigma 0.15 --range 20 -o change.tif -o change.png
       orograph difference a.tif b.tif --json
     """
     began = time.perf_counter()
@@ -85,6 +99,7 @@ def command(
         from orograph.verbs.difference import difference
 
     own = {name: options[name] for name in OWN}
+    own["sigma"] = own["sigma"] or None
     found = difference(
         a, b, output, max_memory=max_memory, jobs=jobs, progress=progress, **own, **source_of(options, OWN)
     )

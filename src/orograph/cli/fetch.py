@@ -123,8 +123,8 @@ def command(
         _list(options["table"], as_json)
         return
     if try_products:
-        asked = ctx.get_parameter_source("product") is not click.core.ParameterSource.DEFAULT
-        if not _try(options["table"], options["product"] if asked else None, as_json):
+        chosen = ctx.get_parameter_source("product") is not click.core.ParameterSource.DEFAULT
+        if not _try(options["table"], options["product"] if chosen else None, as_json):
             ctx.exit(ReadError.exit_code)
         return
     if output is None:
@@ -141,11 +141,12 @@ def command(
     check_folder(Path(output))
     began = time.perf_counter()
     progress = progress_of(ctx)
-    area, radius = _area(ctx, options)
     with progress.task("Loading Orograph"):
+        from orograph.fetching.areas import asked
         from orograph.fetching.request import Request
+    area = asked(None, *(options[name] for name in ("bbox", "at", "radius", "geojson")))
     request = Request(
-        area, options["product"], radius=radius, table=options["table"], zoom=options["zoom"],
+        area, options["product"], radius=options["radius"], table=options["table"], zoom=options["zoom"],
         absent=options["absent"], to_vertical=options["to_vertical"], geoid=options["geoid"],
         most=None if options["yes"] else options["most"], connections=options["connections"], progress=progress,
     )  # fmt: skip
@@ -159,20 +160,6 @@ def command(
         click.echo("\nWhat was read is kept: run the same command to go on from there.", err=True)
         raise
     _tell(request, output, time.perf_counter() - began, as_json)
-
-
-def _area(ctx: click.Context, options: dict[str, Any]) -> tuple[Any, float | None]:
-    """The requested area, and the radius around it."""
-    given = [name for name in ("bbox", "at", "geojson") if options[name] is not None]
-    if len(given) != 1:
-        raise click.UsageError("Give one of --bbox, --at (with --radius) and --geojson.", ctx)
-    if options["at"] is None and options["radius"] is not None:
-        raise click.UsageError("--radius needs --at.", ctx)
-    if given == ["geojson"]:
-        from orograph.documents import load_object
-
-        return load_object(options["geojson"], "GeoJSON file", "a type, and coordinates"), None
-    return options[given[0]], options["radius"]
 
 
 def _tell(request: Request, output: str, seconds: float, as_json: bool) -> None:

@@ -25,7 +25,7 @@ from orograph.cli.measuring import (
     tell,
     without,
 )
-from orograph.cli.options import FILE, Float, progress_of
+from orograph.cli.options import FILE, Float, FloatRange, progress_of
 from orograph.cli.scenes import scene_option
 from orograph.errors import UsageError
 
@@ -162,33 +162,45 @@ def profile(
 @command.command("area", context_settings=POINTS)
 @of_terrain
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT POINT...")
-@click.option("--geojson", type=FILE, metavar="FILE", help="The polygon in a GeoJSON file; it may have holes.")
+@click.option("--geojson", type=FILE, metavar="FILE",
+              help="Polygons in a GeoJSON file, each of which is measured; they may have holes.")  # fmt: skip
 @click.option(
     "--level", type=Float(), metavar="M", help="Also measure the volumes of ground above and space below this height."
 )
+@click.option("--steeper-than", type=FloatRange(min=0, max=90, max_open=True), default=30.0, show_default=True,
+              metavar="DEG", help="Slope above which the share of samples is found.")  # fmt: skip
+@output_option("A table with a row for each polygon (.csv, .json), or these polygons (.geojson); may be repeated.")
 @points_option
 @click.pass_context
 def area(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], geojson: str | None, level: float | None,
-    degrees: bool, as_json: bool,
+    steeper_than: float, outputs: tuple[str, ...], degrees: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Area of a polygon in plan and of the surface in it."""
+    """Areas of polygons in plan and of the surface in them, and the heights and slopes of the samples in them.
+
+    Slopes are those between samples, in true metres, as in orograph measure pick.
+    """
     if geojson is None:
         check_points(points, 3, "A polygon")
     elif points:
         raise UsageError("Give the polygon as points or with --geojson, not both.")
-    terrain = opened(ctx)
+    terrain = opened(ctx, outputs)
     from orograph import measuring
+    from orograph.measuring.told import zone_rows
+    from orograph.measuring.zones import check_zones_file
 
-    places = measuring.Places(terrain)
-    rings = [on_terrain(places, points, degrees)] if geojson is None else None
-    if geojson is not None:
-        from orograph.measuring.geojson import read_geojson
-
-        rings = read_geojson(geojson, "Polygon", places)
-    assert rings is not None
-    found = measuring.area(terrain, rings, level=level, jobs=ctx.obj["jobs"], progress=progress_of(ctx))
-    tell(ctx, terrain, found.to_dict(), [found], as_json)
+    for path in outputs:
+        check_zones_file(path)
+    zones: Any = geojson or on_terrain(measuring.Places(terrain), points, degrees)
+    found = measuring.areas(
+        terrain, zones, level=level, steeper_than=steeper_than, jobs=ctx.obj["jobs"], progress=progress_of(ctx)
+    )
+    for path in outputs:
+        found.save(path)
+    one = len(found) == 1
+    told = found[0].to_dict() if one else {"areas": found.rows()}
+    rows = [row for zone in found for row in ([] if one else [("", "", ""), (zone.name, "", "")]) + zone_rows(zone)]
+    tell(ctx, terrain, told, rows, as_json, outputs)
 
 
 @command.command("los", context_settings=POINTS)
@@ -210,9 +222,7 @@ def los(
 
     ends = on_terrain(measuring.Places(terrain), points, degrees)
     with progress_of(ctx).task("Looking"):
-        found = measuring.line_of_sight(
-            terrain, ends[0], ends[1], eye, target, curvature=not flat, refraction=refraction
-        )
+        found = measuring.line_of_sight(terrain, ends[0], ends[1], eye, target, flat=flat, refraction=refraction)
         for path in outputs:
             if Path(path).suffix.lower() == ".csv":
                 found.profile.save_csv(path)
@@ -267,12 +277,12 @@ def viewshed(
     place = on_terrain(measuring.Places(terrain), points, degrees)[0]
     if uncertain:
         probable_viewshed(
-            ctx, terrain, place, error, draws, seed, output, picture, camera, as_json, eye_height=eye,
-            target_height=target, radius=radius, curvature=not flat, refraction=refraction,
+            ctx, terrain, place, error, draws, seed, output, picture, camera, as_json, eye=eye,
+            target=target, radius=radius, flat=flat, refraction=refraction,
         )  # fmt: skip
         return
     shed = measuring.viewshed(
-        terrain, place, eye, target, radius=radius, curvature=not flat, refraction=refraction, heights=heights,
+        terrain, place, eye, target, radius=radius, flat=flat, refraction=refraction, heights=heights,
         max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
     )  # fmt: skip
     told: dict[str, Any] = {"point": list(shed.point), "ground_m": shed.ground, "eye_m": eye, "target_m": target,

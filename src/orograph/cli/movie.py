@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from functools import partial
 from typing import Any
 
 import click
@@ -126,19 +127,21 @@ def command(
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     said = {name for name in options if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
     sun = given.sun(options["sun"], terrain)
+    again = None
     if tour_path is not None:
         tour = without(Tour.load(tour_path, crs=terrain.grid.crs), said)
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
     else:
         size = options["size"] or (1280, 720)
         way = (sun.azimuth, sun.altitude), options["exaggeration"], options["furniture"]
-        tour = tour_of(terrain, size, options, *way)
+        again = partial(tour_of, terrain, size, options, *way)
+        tour = again()
     check_movie(output, size, crf)
     check_memory(size, max_memory if "max_memory" in said else None)
     looks = {**given_of(options), "max_memory": max_memory, "jobs": jobs}
     film = Film.of(
         tour, terrain, size, looks, draw=session(progress, backend=options["backend"]), fps=options["fps"],
-        first=options["begin"], last=options["end"], progress=progress,
+        first=options["begin"], last=options["end"], progress=progress, again=again,
     )  # fmt: skip
     how: dict[str, Any] = {"crf": crf, "overwrite": overwrite, "jobs": jobs, "progress": progress}
     how["dpi"] = dpi_of(options["size"])

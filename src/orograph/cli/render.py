@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 from click.core import ParameterSource
 
-from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera
+from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera, is_fitted
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
@@ -104,6 +105,7 @@ def command(
         from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
         from orograph.rendering.sort_last import draw_by_parts
+        from orograph.rendering.standing import with_room
         from orograph.rendering.tiles import draw_by_workers
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
@@ -136,6 +138,9 @@ def command(
     view = camera_view(terrain, options if each is None else {**options, "furniture": False})
     large = by_bands((view.width, view.height)) and each is None
     scene = scene_of(terrain, view, options, max_memory, jobs)
+    if each is None and is_fitted(options):
+        scene = with_room(scene, partial(camera_view, terrain, options, keys=scene.keys))
+        view = scene.view
     try:
         if sort_last:
             facts = draw_by_parts(

@@ -101,5 +101,5 @@ def command(
         )
         if "model" in stats:
             x, y, z = stats["model"]["size_mm"]
-            click.echo(f"{x:.4g} × {y:.4g} × {z:.4g} mm, 1:{stats['model']['scale']:,.0f}, "
-                       f"{stats['model']['volume_cm3']:.4g} cm³")  # fmt: skip
+            click.echo(f"{x:,.1f} × {y:,.1f} × {z:,.1f} mm, 1:{stats['model']['scale']:,.0f}, "
+                       f"{stats['model']['volume_cm3']:,.1f} cm³")  # fmt: skip

@@ -42,7 +42,7 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
     found, counts = np.unique(values, return_counts=True)
     if found.size < 2:
         return []
-    if _codes(found, parts):
+    if are_codes(found, parts):
         shown = ", ".join(f"{v:g}" for v in found[:6]) + ("…" if found.size > 6 else "")
         return [
             f"Its values are a few whole numbers in patches ({shown}): codes of classes (land cover?), not heights."
@@ -108,8 +108,12 @@ def _steps(parts: list[Heights], value: float) -> tuple[Heights, Heights, float]
     return np.concatenate(plain), np.concatenate(border), alike / all_pairs if all_pairs else 0.0
 
 
-def _codes(found: Heights, parts: list[Heights]) -> bool:
-    """Whether values are few small integers in patches whose neighbours are unlike neighbouring heights."""
+def are_codes(found: Heights, parts: list[Heights]) -> bool:
+    """Whether values are few small integers in patches whose neighbours are unlike those of measured values.
+
+    Args:
+        found: the different ones, in order. parts: 2-D arrays of them; NaN: none.
+    """
     if found.size > _CODES or found.size < 3 or found[0] < -1 or found[-1] > 255 or np.any(found != np.round(found)):
         return False
     steps = np.concatenate([np.abs(np.diff(p, axis=axis)).ravel() for p in parts for axis in (0, 1)])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import named
 from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line, relief
 from orograph.geo.grid import Grid
 
@@ -18,6 +19,7 @@ MAX_READ_BYTES = 2 << 30
 """Default maximum bytes of heights (float32): 536 million heights, e.g. 23170²."""
 
 
+@named("A Dem")
 @dataclass(frozen=True, slots=True, repr=False)
 class Dem:
     """An elevation raster.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import glob
 import os
 import warnings
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from typing import Any
 
 from orograph.dem.handles import bounded_cache, cause_of
 from orograph.errors import OutputError
-from orograph.output import Beside
+from orograph.output import Beside, remove
 
 _ROOM = "Check that the disk has space and that you may write to the folder."
 _ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
@@ -57,6 +58,31 @@ def gdal_writes(out: Path, cache: int | None = None) -> Iterator[None]:
             yield
     except (RasterioError, CPLE_BaseError) as error:
         raise OutputError(f"The file cannot be written: {cause_of(error)}", path=out, remedy=_ROOM) from error
+    except SystemError as error:  # rasterio's, where GDAL fails and does not say why
+        raise OutputError("The file cannot be written.", path=out, remedy=_ROOM) from error
+
+
+def write_cog(
+    source: Path, part: Path, *, floats: bool, overviews: str = "AVERAGE", threads: int = 1, level: int = 6
+) -> None:
+    """Copy a raster that GDAL reads into a cloud-optimised GeoTIFF (GDAL's driver COG), within ``raster_file``.
+
+    The driver makes the overviews first, in files beside ``part``; the source is only read.
+
+    Args:
+        floats: whether samples are floating-point. overviews: how overviews are made. level: of compression.
+    """
+    import rasterio.shutil
+
+    try:
+        rasterio.shutil.copy(
+            source, part, driver="COG", COMPRESS="DEFLATE", LEVEL=level, BLOCKSIZE=512,
+            PREDICTOR="FLOATING_POINT" if floats else "STANDARD", BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING=overviews,
+            NUM_THREADS=threads,
+        )  # fmt: skip
+    finally:
+        for left in part.parent.glob(f"{glob.escape(part.name)}*.tmp"):  # of a copy that was interrupted
+            remove(left)
 
 
 def check_written(part: Path, out: Path) -> None:

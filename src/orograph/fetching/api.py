@@ -6,7 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph._named import answering
 from orograph.errors import UsageError
+from orograph.fetching.areas import asked
 from orograph.fetching.reading import CONNECTIONS
 from orograph.fetching.request import MOST, Request
 from orograph.folders import Amount, bytes_of
@@ -19,11 +21,15 @@ if TYPE_CHECKING:
     from orograph.store.stored import StoredTerrain
 
 
+@answering
 def fetch(
     area: Any = None,
     product: str = "copernicus-30",
     *,
+    bbox: Any = None,
+    at: Any = None,
     radius: float | None = None,
+    geojson: Any = None,
     output: str | os.PathLike[str] | None = None,
     zoom: int | None = None,
     absent: str | None = None,
@@ -37,7 +43,6 @@ def fetch(
     max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
-    **other: Any,
 ) -> Dem | StoredTerrain:
     """Heights of an area from an open elevation product; what was read is cached, and not read again.
 
@@ -45,7 +50,8 @@ def fetch(
         area: (west, south, east, north) in degrees, east < west across the 180th meridian; (longitude, latitude) with
             ``radius``; a GeoJSON object, or one with ``__geo_interface__``: the box around it.
         product: its name (``orograph.fetching.products``).
-        radius: metres around a place.
+        bbox, at, geojson: the area by what it is: the four numbers; the place, with ``radius``; the geometry, or a
+            GeoJSON file. radius: metres around a place.
         output: a GeoTIFF (.tif) or a store (.oro) to write; None: only the Dem.
         zoom: of web-mercator tiles; None: the product's. absent: "sea" or "missing", overriding what the product says
             an absent tile is. table: a file of more products.
@@ -64,12 +70,7 @@ def fetch(
         OutputError, StoreError: a result cannot be written.
     """
     max_memory, most = bytes_of(max_memory), bytes_of(most, "most")
-    if area is None or other:
-        wrong = f"fetch has no option {next(iter(other))!r}." if other else "fetch needs an area."
-        raise UsageError(
-            wrong, remedy="The area comes first: fetch((west, south, east, north)), fetch((lon, lat), radius=metres), "
-            "fetch(polygons).",
-        )  # fmt: skip
+    area = asked(area, bbox, at, radius, geojson)
     out = None if output is None else Path(os.fspath(output))
     if out is not None and out.suffix.lower() not in (".tif", ".tiff", ".oro"):
         raise UsageError(

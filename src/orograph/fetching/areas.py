@@ -7,13 +7,16 @@ smallest arc of longitudes that contains them, whichever way around the globe. U
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pyproj import Geod
 
+from orograph.documents import load_object
 from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 
@@ -37,6 +40,26 @@ class Box:
     def __str__(self) -> str:
         return f"{_degrees(self.west, 'EW')} to {_degrees(_turned(self.east), 'EW')}, " \
                f"{_degrees(self.south, 'NS')} to {_degrees(self.north, 'NS')}"  # fmt: skip
+
+
+def asked(area: Any, bbox: Any, at: Any, radius: float | None, geojson: Any) -> Any:
+    """The one area of those that ``fetch`` may be given.
+
+    Raises:
+        UsageError: there is none or more than one, or a radius around something else. ReadError: the file is no
+            GeoJSON.
+    """
+    given = [one for one in (area, bbox, at, geojson) if one is not None]
+    if len(given) != 1:
+        raise UsageError(
+            "Give one of `bbox`, `at` (with `radius`) and `geojson`."
+            if given else "An area is needed: `bbox`, `at` (with `radius`) or `geojson`."
+        )  # fmt: skip
+    if radius is not None and (bbox is not None or geojson is not None):
+        raise UsageError("`radius` needs `at`.")
+    if isinstance(geojson, str | os.PathLike):
+        return load_object(Path(geojson), "GeoJSON file", "a type, and coordinates")
+    return given[0]
 
 
 def area_of(area: Any, radius: float | None, body: Ellipsoid) -> Box:

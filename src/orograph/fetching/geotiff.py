@@ -17,7 +17,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from orograph.dem.header import copyright_tags
-from orograph.dem.writing import check_written, raster_file
+from orograph.dem.writing import check_written, raster_file, write_cog
 from orograph.fetching.asking import public
 from orograph.fetching.raster import Fetched
 from orograph.geo.vertical import ELLIPSOIDAL, known_datum
@@ -49,7 +49,6 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
         OutputError: the file cannot be written.
     """
     import rasterio
-    import rasterio.shutil
     from rasterio.windows import Window
 
     dtype, nodata = rows.code
@@ -59,7 +58,6 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
         "crs": full_crs(raster, vertical).to_wkt(), "transform": raster.grid.transform, "BIGTIFF": "IF_SAFER",
         "tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "zstd", "zstd_level": 1,
     }  # fmt: skip
-    predictor = 3 if dtype == "float32" else 2
     check_folder(out)
     scratch = beside(out, "raw")
     strips = range(0, height, BLOCK)
@@ -80,12 +78,7 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
                 file.set_band_description(1, "height")
                 file.units = ("m",)
             check_written(scratch, out)
-            aside(
-                lambda: rasterio.shutil.copy(
-                    scratch, part, driver="COG", COMPRESS="DEFLATE", PREDICTOR=str(predictor), BLOCKSIZE=str(BLOCK),
-                    BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="2",
-                )
-            )  # fmt: skip
+            aside(lambda: write_cog(scratch, part, floats=dtype == "float32", threads=2))
     finally:
         remove(scratch)
 

@@ -17,6 +17,8 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
+from orograph._named import named
+
 
 def wkt_of(crs: CRS | None) -> str | None:
     """A CRS as WKT 2, the very text where it was made of one, so that what is written says what was read; None of none.
@@ -26,6 +28,20 @@ def wkt_of(crs: CRS | None) -> str | None:
     if crs is None:
         return None
     return str(crs.srs) if re.match(r"[A-Z]+CRS\[", crs.srs) else str(crs.to_wkt())
+
+
+NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
+"""How names of CRSs begin that files give for want of one."""
+
+
+def name_of(crs: CRS) -> str | None:
+    """What a CRS is called; one without a name (in USGS DEMs: NAD27 / UTM zone 10N) as the registered CRS that it
+    equals; None: it equals none."""
+    name = str(crs.name or "").strip()
+    if name and not name.lower().startswith(NAMELESS):
+        return name
+    code = crs.to_authority()
+    return None if code is None else str(CRS.from_authority(*code).name)
 
 
 def compose(*maps: Affine) -> Affine:
@@ -54,6 +70,7 @@ def apply(transform: Affine, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.flo
     return a * x + b * y + c, d * x + e * y + f
 
 
+@named("A grid")
 @dataclass(frozen=True, slots=True)
 class Grid:
     """The placement of a raster of samples.
@@ -84,6 +101,11 @@ class Grid:
         # Kept, as cameras ask for them in every frame and affine takes its time.
         object.__setattr__(self, "samples", compose(self.transform, Affine.translation(0.5, 0.5)))
         object.__setattr__(self, "inverse", ~self.samples)
+
+    @property
+    def crs_name(self) -> str:
+        """What its CRS is called, for people."""
+        return "no CRS" if self.crs is None else name_of(self.crs) or str(self.crs.name)
 
     @property
     def rows(self) -> int:

@@ -58,7 +58,7 @@ class Legend:
         swatches: (words, colour) of signs, of water and of ground without data: sRGB (uint8 or float); a tile
             (rows, cols, 3) is a pattern, repeated pixel by pixel.
         classes: the same of classes of data. squares: of two things in one colour.
-        note: what else a reader must know.
+        note: what else a reader must know. title: what the classes are.
     """
 
     scales: tuple[Scale, ...] = ()
@@ -66,13 +66,25 @@ class Legend:
     classes: tuple[tuple[str, Any], ...] = ()
     note: str = ""
     squares: tuple[Square, ...] = ()
+    title: str = ""
+
+    @property
+    def entries(self) -> tuple[tuple[str, Any], ...]:
+        """Classes below their title, which has no colour (None), and swatches."""
+        heading = ((self.title, None),) if self.title and self.classes else ()
+        return (*heading, *self.classes, *self.swatches)
 
     @property
     def words(self) -> str:
         """All text in it, except numbers."""
-        named = [words for words, _ in (*self.classes, *self.swatches)]
+        named = [words for words, _ in self.entries]
         both = [words for one in self.squares for words in (one.across, one.up)]
         return " ".join([*(scale.words for scale in self.scales), *both, *named])
+
+
+def minus(number: str) -> str:
+    """A number's text with a true minus sign."""
+    return number.replace("-", "−")
 
 
 UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",

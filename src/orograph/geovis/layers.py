@@ -21,6 +21,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import named, remedy
 from orograph._numba import kernel
 from orograph.dem.handles import locate
 from orograph.documents import number
@@ -28,7 +29,6 @@ from orograph.errors import UsageError
 from orograph.geovis.basemaps import PREFIX, Basemap, location_of
 from orograph.geovis.held import Held, held
 from orograph.geovis.keys import Legend
-from orograph.geovis.named import named, remedy
 from orograph.geovis.tables import Table
 
 Colors = NDArray[np.float32]

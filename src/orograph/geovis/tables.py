@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 
+DISTINCT = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#555555", "#7f3c8d",
+            "#a5aa99", "#80ba5a", "#8c510a")  # fmt: skip
+"""Colours of classes without an order, at most twelve: Okabe & Ito's (2008), which colour-blind readers tell apart,
+then others."""
+
 ENTRIES, FINE = 1024, 65536
 """Of a table: of a map alone, and of one into which a norm is folded, whose steps may lie anywhere."""
 
@@ -77,6 +82,18 @@ class Table:
         return cls(name, _bytes(found), (float(low), float(high)))
 
 
+def by_class(text: str) -> dict[str, str]:
+    """What the command line gives for classes: ``11:Open water;21:Town``.
+
+    Raises:
+        UsageError: a part has no colon.
+    """
+    pairs = [part.strip().partition(":") for part in text.split(";") if part.strip()]
+    if not pairs or any(not colon or not value.strip() for _, colon, value in pairs):
+        raise UsageError(f"{text!r} is not a list of classes.", remedy="Write CLASS:VALUE;CLASS:VALUE….")
+    return {key.strip(): value.strip() for key, _, value in pairs}
+
+
 def quiet_colormap(given: Any) -> Any:
     """``cmap.Colormap``, silent where it takes the first of several maps of one name."""
     import cmap
@@ -112,14 +129,15 @@ def _classes(given: Mapping[Any, Any]) -> Table:
     low, high = int(min(given)), int(max(given))
     if high - low >= FINE:
         raise UsageError(f"Classes must lie within {FINE} of each other, not from {low} to {high}.")
-    colors = np.zeros((max(2, high - low + 1), 4), np.uint8)
+    low, high = low - 1, high + 1  # transparent, as are all values beyond, which take the colours of the ends
+    colors = np.zeros((high - low + 1, 4), np.uint8)
     for value, color in given.items():
         try:
             red, green, blue, opacity = _color(color).rgba
         except (ValueError, TypeError) as error:
             raise UsageError(f"{color!r}, of class {value}, is not a colour.") from error
         colors[int(value) - low] = np.round(np.array([red, green, blue, opacity]) * 255)
-    return Table("classes", colors.tobytes(), (float(low), float(low + len(colors) - 1)), True)
+    return Table("classes", colors.tobytes(), (float(low), float(high)), True)
 
 
 def _bytes(colors: Any) -> bytes:

@@ -202,6 +202,8 @@ def bake(
             for layer in there:
                 progress.note(f"{layer.name} is already in {storage.url}, made with the same options.")
             made = [layer for layer in made if layer not in there]
+        if folder is None:
+            bake_parts.check_none(storage, overwrite)
         if folder is not None and share is None:
             bake_parts.finish(folder, before, made, progress)
         elif made and folder is not None and share is not None:

@@ -1,7 +1,8 @@
 """Where a bake is made, what it is made of, and how its layers take their places in the store.
 
 The folder ``layers/.partial`` holds a plan (the layers, and in how many parts they are made, if in parts) and whatever
-has been done. The plan is the first thing there and the last to go, so what lies beside it belongs to it.
+has been done. The plan is the first thing there and the last to go, so what lies beside it belongs to it. Only parts
+have it in a bucket; what they sweep lies on their own machines.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwr
         raise another(storage, there, "begin anew with `overwrite=True`") from error
 
 
-def another(storage: FolderStorage, there: bytes, anew: str) -> StoreError:
+def another(storage: Storage, there: bytes, anew: str) -> StoreError:
     """What says that another bake was begun.
 
     Args:
@@ -79,7 +80,7 @@ def group(storage: FolderStorage) -> None:
         raise StoreError(f"Nothing can be written there: {error.strerror}.", path=storage.url) from error
 
 
-def finished(storage: FolderStorage, record: Record) -> bool:
+def finished(storage: Storage, record: Record) -> bool:
     """Whether all that was begun is in the store: a bake was cut off just before its very end."""
     try:
         plan: dict[str, Any] = json.loads(storage.get(KEY) or b"")["layers"]
@@ -114,9 +115,30 @@ def publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set
         tidy(storage)
 
 
-def scratch(storage: Storage) -> FolderStorage:
-    """Where layers of a store in a bucket are made, the same for each bake of it on this machine."""
-    name = hashlib.blake2b(storage.url.encode(), digest_size=10).hexdigest()
+def partial_of(storage: FolderStorage | BucketStorage) -> FolderStorage | BucketStorage:
+    """Where parts make layers."""
+    if isinstance(storage, FolderStorage):
+        return FolderStorage(storage.path / PARTIAL, many=True)
+    found = storage.below(f"{storage.prefix}/{PARTIAL}".strip("/"), f"{storage.url}/{PARTIAL}")
+    found.scope, found.elsewhere = "", {}  # the store's own are of its updates
+    return found
+
+
+def discard(storage: FolderStorage | BucketStorage) -> None:
+    """Remove what was made of a bake, if anything was; nobody else may be at work there."""
+    if isinstance(storage, FolderStorage):
+        clear(storage.path / PARTIAL)
+    elif storage.exists(KEY):
+        made = partial_of(storage)
+        assert isinstance(made, BucketStorage)
+        made.remove_all([name for name in made.listed() if name != PLAN])
+        storage.remove(KEY)
+
+
+def scratch(storage: Storage, *more: bytes) -> FolderStorage:
+    """Where what belongs to a bake into a bucket lies on this machine: the same for each of them, or of each of those
+    that ``more`` tells apart."""
+    name = hashlib.blake2b(b"\0".join([storage.url.encode(), *more]), digest_size=10).hexdigest()
     folder = FolderStorage(cache_folder() / "bakes" / name)
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
@@ -125,14 +147,24 @@ def scratch(storage: Storage) -> FolderStorage:
     return folder
 
 
-def send(made: FolderStorage, storage: Storage, record: Record, digests: Digests, progress: Progress) -> None:
-    """Put the shards of the record's layers into a bucket, whose own record does not name them yet."""
+def send(
+    made: FolderStorage | BucketStorage, storage: Storage, record: Record, digests: Digests, progress: Progress
+) -> None:  # fmt: skip
+    """Put the shards of the record's layers into a bucket, whose own record does not name them yet; those that are in
+    the bucket already are copied there by the server."""
     at, keyed = At(record.grid, record.shard, record.chunk), record.digests.joined(digests)
     shards = [
         (spec.key((i, j)), spec.place((i, j), keyed))
         for spec, _ in LAYERS.arrays(LAYERS.of(record), at)
         for i in range(spec.shards[0]) for j in range(spec.shards[1])
     ]  # fmt: skip
+
+    def put(each: tuple[str, str]) -> None:
+        if isinstance(made, BucketStorage) and isinstance(storage, BucketStorage):
+            storage.copy(made, *each)
+        else:
+            storage.put(each[1], [made.get(each[0]) or b""])
+
     with progress.task("Sending layers", total=len(shards)) as task:
-        for _ in map_ordered(lambda each: storage.put(each[1], [made.get(each[0]) or b""]), shards, AT_ONCE):
+        for _ in map_ordered(put, shards, AT_ONCE):
             task.advance()

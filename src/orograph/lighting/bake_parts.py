@@ -5,7 +5,9 @@ Part I of N makes its share of the shards of level 0, of all layers, and keeps w
 walks, and horizons within a radius. Those without one are swept across the whole terrain, row of shards by row, so no
 part could do its own without waiting for others.
 
-What is swept of a shard is kept until its layers are made: a part that was killed goes on there.
+What is swept of a shard is kept until its layers are made: a part that was killed goes on there. Of a store in a bucket
+sweeps lie in the cache folder of the machine, shards and what coarser levels need in the bucket, where ``finish`` has
+them copied to their places.
 """
 
 from __future__ import annotations
@@ -13,36 +15,52 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from orograph.errors import StoreError, UsageError
-from orograph.lighting.bake_folder import KEY, another, finished, group, plan_of, publish
+from orograph.lighting.bake_folder import (
+    KEY,
+    another,
+    discard,
+    finished,
+    group,
+    partial_of,
+    plan_of,
+    publish,
+    removed,
+    scratch,
+    send,
+)
 from orograph.lighting.bake_layers import layer_stages
 from orograph.lighting.bake_state import SweepStage, recipe_of
 from orograph.lighting.context import BASE, Context, Options
 from orograph.lighting.gather import Sweep
 from orograph.lighting.occlusion import ELSEWHERE
 from orograph.lighting.products import Product
-from orograph.lighting.raster_resume import clear, text_of
+from orograph.lighting.raster_resume import PLAN, text_of
 from orograph.progress import Progress
+from orograph.store.bucket import BucketStorage
 from orograph.store.digests import Spot
 from orograph.store.in_parts import Part, count_of, gather, share
-from orograph.store.layers import PARTIAL, LayerRecord
+from orograph.store.layers import LAYERS, PARTIAL, LayerRecord
 from orograph.store.layout import Record
 from orograph.store.shards import go_through
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.terrain import Terrain
+from orograph.store.worker_state import guarded
 from orograph.store.writer import ShardWriter
 
+Place = FolderStorage | BucketStorage
 
-def check(storage: Storage, terrain: Terrain, products: Sequence[Product], options: Options) -> FolderStorage:
-    """Where parts of a bake are made.
+
+def check(storage: Storage, terrain: Terrain, products: Sequence[Product], options: Options) -> Place:
+    """The store, if parts can bake these products into it.
 
     Raises:
-        UsageError: it cannot be made in parts.
+        UsageError: they cannot.
     """
-    if not isinstance(storage, FolderStorage):
+    if not isinstance(storage, Place):
         raise UsageError(
-            "Parts bake into stores in folders, where what they leave for one another lies beside the layers.",
-            remedy="Use `workers`, or bake a copy in a folder and publish that.",
-        )
+            "Parts bake into stores in folders or buckets, where what they leave for one another lies beside the "
+            "layers.", remedy="Use one process, or bake a copy in a folder and publish that.",
+        )  # fmt: skip
     elsewhere = options.more.get("method") in ELSEWHERE  # which is refused as for workers (``recipe_of``)
     unlimited = [
         each.name for each in products
@@ -57,7 +75,7 @@ def check(storage: Storage, terrain: Terrain, products: Sequence[Product], optio
 
 
 def make(
-    storage: FolderStorage, made: list[LayerRecord], options: Options, shard: int, part: Part, jobs: int,
+    storage: Place, made: list[LayerRecord], options: Options, shard: int, part: Part, jobs: int,
     max_memory: int, progress: Progress,
 ) -> None:  # fmt: skip
     """Make a part of layers.
@@ -72,14 +90,14 @@ def make(
     index, count = part
     room = max_memory - BASE
     plan = text_of(plan_of(made, count)).encode()
-    recipe = recipe_of(storage, storage.named(), options, made, plan, shard, BASE + room // jobs)
-    group(storage)
-    there = storage.get(KEY)
-    if there is None:
-        FolderStorage(storage.path, many=True).put(KEY, [plan])
-    elif there != plan:
-        raise another(storage, there, f"remove {storage.path / PARTIAL} to begin anew")
+    # (In a folder of its own: another part on this machine may end first, and clear what it has swept.)
+    here = storage if isinstance(storage, FolderStorage) else scratch(storage, plan, str(index).encode())
+    recipe = recipe_of(here, storage.named(), options, made, plan, shard, BASE + room // jobs)
+    _begin(storage, plan)
+    group(here)
     state = recipe.open()
+    if here is not storage:
+        state.made = guarded(partial_of(storage), PLAN, plan)
     layers = [state.layer(k) for k in range(len(made))]
     sweeps = [SweepStage(state, n) for n in range(len(state.numbers))]
 
@@ -98,9 +116,44 @@ def make(
     with state.terrain:
         threads = max(1, min(jobs, room // recipe.memory))
         go_through(f"Baking part {index} of {count}", share(layers[0].tasks(), part), do, threads, progress)
+    if here is not storage:
+        here.remove()
 
 
-def finish(storage: FolderStorage, before: Record, made: list[LayerRecord], progress: Progress) -> None:
+def check_none(storage: Storage, overwrite: bool) -> None:
+    """Before a bake that is not in parts: in a bucket nothing else tells of one that is (``kept``).
+
+    Args:
+        overwrite: remove what its parts have made.
+
+    Raises:
+        StoreError: one was begun.
+    """
+    if not isinstance(storage, BucketStorage) or (there := storage.get(KEY)) is None:
+        return
+    if not overwrite:
+        raise another(storage, there, "begin anew with `overwrite=True`")
+    discard(storage)
+
+
+def _begin(storage: Place, plan: bytes) -> None:
+    """Put the plan where parts make layers, or see that it is the one that is there."""
+    there = storage.get(KEY)
+    if there is not None and there != plan:
+        raise another(storage, there, _anew(storage))
+    if there is None:
+        if isinstance(storage, FolderStorage):
+            group(storage)
+        partial_of(storage).put(PLAN, [plan])
+
+
+def _anew(storage: Place) -> str:
+    if isinstance(storage, FolderStorage):
+        return f"remove {storage.path / PARTIAL} to begin anew"
+    return "bake in one process with `overwrite=True`, which removes it"
+
+
+def finish(storage: Place, before: Record, made: list[LayerRecord], progress: Progress) -> None:
     """Make what is left of layers whose parts are all there, and let them take their places.
 
     Args:
@@ -111,7 +164,7 @@ def finish(storage: FolderStorage, before: Record, made: list[LayerRecord], prog
     """
     if not made:  # all of it may be in the store, if whoever finished it before was killed at the very end
         if finished(storage, before):
-            clear(storage.path / PARTIAL)
+            discard(storage)
         return
     there = storage.get(KEY)
     if there is None:
@@ -123,10 +176,15 @@ def finish(storage: FolderStorage, before: Record, made: list[LayerRecord], prog
             remedy="Run it again with the same products and options, and without `finish`.",
         )  # fmt: skip
     if there != text_of(plan_of(made, count)).encode():
-        raise another(storage, there, f"remove {storage.path / PARTIAL} to begin anew")
-    partial = FolderStorage(storage.path / PARTIAL, many=True)
+        raise another(storage, there, _anew(storage))
+    partial = partial_of(storage)
     writer = ShardWriter(partial)
     gather(layer_stages(writer, before, made), count, storage.url, progress)
-    partial.sweep()
-    publish(storage, before, made, {layer.name for layer in made}, writer.digests)
-    clear(partial.path)
+    names = {layer.name for layer in made}
+    if isinstance(partial, FolderStorage):
+        partial.sweep()
+    else:
+        before = removed(storage, before, names)
+        send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), writer.digests, progress)
+    publish(storage, before, made, names, writer.digests)
+    discard(storage)

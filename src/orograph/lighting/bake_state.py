@@ -106,12 +106,14 @@ class BakeState:
 
     Attributes:
         groups: the products (their numbers) that share sweeps, with the ways of these.
+        made: where layers are made: beside the sweeps, unless parts make them in a bucket.
     """
 
     def __init__(self, recipe: BakeRecipe) -> None:
         self.recipe = recipe
         folder = Path(recipe.folder) / PARTIAL
         self.storage = guarded(FolderStorage(folder), PLAN, recipe.plan)
+        self.made = self.storage
         url, said = recipe.named
         self.terrain = open_store(url, cache_bytes=CACHE, storage_options=said)
         self.record = self.terrain.record
@@ -155,7 +157,7 @@ class BakeState:
     def layer(self, number: int) -> LayerStage:
         """The stage of a layer."""
         layer = self.recipe.layers[number]
-        writer = ShardWriter(self.storage)
+        writer = ShardWriter(self.made)
 
         def reader(spot: Spot) -> Callable[[Window], Values]:
             window = stage.window(spot)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.writing import check_written, raster_file
+from orograph.dem.writing import check_written, raster_file, write_cog
 from orograph.folders import scratch
 from orograph.geo.grid import Grid
 from orograph.output import check_folder, check_room, remove
@@ -153,7 +153,6 @@ def write(
         OutputError: it cannot be written; a previous file is still there.
     """
     import rasterio
-    from rasterio.shutil import copy
 
     out = Path(path)
     check_folder(out)
@@ -185,13 +184,8 @@ def write(
                         file.write(data, first + k + 1, window=window)
             check_written(plain, out)
             with progress.task("Writing the file"):
-                copy(
-                    plain, part, driver="COG", COMPRESS="DEFLATE", LEVEL=_LEVEL, BLOCKSIZE=512,
-                    PREDICTOR="STANDARD" if byte else "FLOATING_POINT", BIGTIFF="IF_SAFER",
-                    OVERVIEW_RESAMPLING=overviews.upper(), NUM_THREADS=threads_for(jobs),
-                )  # fmt: skip
+                write_cog(
+                    plain, part, floats=not byte, overviews=overviews.upper(), threads=threads_for(jobs), level=_LEVEL
+                )
         finally:
             remove(plain)
-            # Remove what an interrupted copy leaves.
-            for left in out.parent.glob(f"{part.name}*.tmp"):
-                remove(left)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 
@@ -39,6 +40,7 @@ _STEP = 100.0
 """Metres walked on the ellipsoid to see which way an azimuth points on the grid."""
 
 
+@named("A sun")
 @dataclass(frozen=True, slots=True)
 class Sun:
     """A distant disc of light.

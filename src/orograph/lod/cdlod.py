@@ -29,7 +29,7 @@ from orograph.lod.selection import PatchSet, Topology
 from orograph.lod.squares import BlockHeights, Index, Squares
 from orograph.raycast.select import Boxes, distances, in_frustum
 from orograph.store.terrain import Heights
-from orograph.tessellation import Tessellation, turn
+from orograph.tessellation import Tessellation, turn, welded
 from orograph.viewpoint import Camera
 
 START = 2 / 3
@@ -75,7 +75,7 @@ class Cdlod(QuadtreePatches):
 
     info = MethodInfo(
         "cdlod", "instances of one grid, as fine as the distance asks; vertices slide into the next level",
-        "Strugar 2009", "patches", CdlodOptions, lambda options: False,
+        "Strugar 2009", "patches", CdlodOptions, lambda options: False, conforming=False,
     )  # fmt: skip
 
     def __init__(self, *args: Any, **given: Any) -> None:
@@ -160,10 +160,9 @@ class Cdlod(QuadtreePatches):
                 name.append(part)
         nothing = np.zeros((0, len(self.topologies[0].points)))
         row, col, height = (np.concatenate([nothing, *parts]) for parts in (rows, cols, heights))
-        corners = np.stack([col, row, height], -1)[:, self.topologies[0].triangles].reshape(-1, 3, 3)
-        corners = corners[~np.isnan(corners[..., 2]).any(1)]
-        vertices, where = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-        triangles = where.reshape(-1, 3).astype(np.int32)
+        vertices, where = welded(np.stack([col, row, height], -1).reshape(-1, 3))
+        triangles = where.reshape(height.shape)[:, self.topologies[0].triangles].reshape(-1, 3)
+        triangles = triangles[~np.isnan(vertices[:, 2])[triangles].any(1)]
         one, two, three = triangles.T  # (vertical ones stay: they fill the gaps beside a vertex that slides on alone)
         triangles = triangles[(one != two) & (two != three) & (three != one)]
         if turn(self.terrain.grid) < 0:  # rows run southwards: clockwise as drawn is clockwise from above

@@ -25,15 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
+from orograph.lod.budget import Pass, by_tolerance
 from orograph.lod.clipmap_errors import Blocks, LevelErrors
 from orograph.lod.clipmap_holes import Limit, Rims
 from orograph.lod.clipmap_mesh import Ring, blended, triangles
 from orograph.lod.clipmap_toroid import Toroids
 from orograph.lod.clipmap_windows import NO_BLEND, around, as_printed, nested, whole
-from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
-from orograph.lod.right_triangles import Pass, by_tolerance
 from orograph.lod.selection import Blend, ClipRings
 from orograph.lod.squares import BlockHeights
 from orograph.raycast.select import in_frustum
@@ -79,7 +78,7 @@ class Found:
 
     Attributes:
         stack, blends, seen: as of ``ClipRings``. n: samples along a side of windows as printed.
-        triangles: of all rings. within, tolerance: as of a ``right_triangles.Mesh``.
+        triangles: of all rings. within, tolerance: as of ``budget.Coarsened``.
     """
 
     stack: ClipStack
@@ -122,7 +121,6 @@ class Clipmap(Method):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         self.shape = self.terrain.grid.shape
         self.coarsest = max(self.terrain.n - 1, 0)
         self._heights = BlockHeights(self.terrain)

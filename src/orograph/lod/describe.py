@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
+from orograph._named import answering
 from orograph.cards import table
 from orograph.lod.method import MethodInfo
 from orograph.lod.options import described
@@ -42,6 +43,7 @@ class Said(str):
         return table(self.rows) if self.rows else f"<pre>{html.escape(self)}</pre>"
 
 
+@answering
 def methods(name: str | None = None) -> Said:
     """The list of methods, or a method's options with their help and units, as a text.
 
@@ -83,6 +85,7 @@ def about(name: str) -> str:
     info = method_of(name).info
     lines = [
         f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.", _promise(info),
+        *([] if info.conforming else ["Its meshes may have cracks."]),
         "It continues from the previous frame." if info.incremental else "Every frame starts from scratch.",
         f"Possible goals: {', '.join(info.goals)}.",
     ]  # fmt: skip

@@ -18,7 +18,7 @@ from orograph.errors import UsageError
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.store.chunked import Layout
 from orograph.store.terrain import Heights
-from orograph.tessellation import Tessellation
+from orograph.tessellation import Tessellation, welded
 from orograph.viewpoint import Camera
 
 Kind = Literal["triangles", "patches", "batches", "rings", "rays"]
@@ -60,10 +60,15 @@ class TriangleMesh(Selection):
     """A mesh of single triangles.
 
     Attributes:
-        mesh: vertices anywhere, triangles, and the strip where the method makes one.
+        mesh: vertices anywhere, triangles, and the strip where the method makes one. Its own ``stats`` are completed by
+            those of the selection.
     """
 
     mesh: Tessellation
+
+    def __post_init__(self) -> None:
+        for name, value in {"method": self.method, **self.stats}.items():
+            self.mesh.stats.setdefault(name, value)
 
     def tessellation(self) -> Tessellation:
         """The mesh."""
@@ -166,13 +171,8 @@ class TinBatches(Selection):
         bases = np.cumsum([0, *(len(b.vertices) for b in self.batches)])
         faces = [b.triangles + base for b, base in zip(self.batches, bases)]
         triangles = np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32)
-        order = np.lexsort(corners.T)
-        ranked = corners[order]
-        new = np.ones(len(ranked), bool)
-        new[1:] = (ranked[1:] != ranked[:-1]).any(1)
-        where = np.empty(len(ranked), np.int32)
-        where[order] = np.cumsum(new) - 1
-        return Tessellation(ranked[new], where[triangles], stats=dict(self.stats))
+        vertices, where = welded(corners)
+        return Tessellation(vertices, where[triangles], stats=dict(self.stats))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

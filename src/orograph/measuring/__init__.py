@@ -20,10 +20,19 @@ from orograph.measuring.flood import flood
 from orograph.measuring.height_error import HeightError
 from orograph.measuring.pick import Hit, heights, pick, place, slope_aspect
 from orograph.measuring.places import Places
-from orograph.measuring.probable import Probable, probable_contours, probable_slope, probable_viewshed
+from orograph.measuring.probable import Probable, contours, probable_viewshed, slope
 from orograph.measuring.profile import Profile, profile
 from orograph.measuring.sight import Mark, Sight, line_of_sight
+from orograph.measuring.sight import line_of_sight as los
 from orograph.measuring.viewshed import Viewshed, viewshed
+from orograph.measuring.zones import Zone, Zones, areas
+
+ELSEWHERE = {
+    "slope": "probable_slope(terrain, HeightError(sigma=…)), slope_aspect, or orograph.light(terrain, 'slope')",
+    "contours": "probable_contours(terrain, HeightError(sigma=…)), or orograph.contours",
+    **dict.fromkeys(("los", "visibility"), "line_of_sight"),
+}
+"""What the command line calls otherwise (``measure slope``), and here."""
 
 __all__ = [
     "Area",
@@ -35,16 +44,20 @@ __all__ = [
     "Profile",
     "Sight",
     "Viewshed",
+    "Zone",
+    "Zones",
     "area",
+    "areas",
+    "contours",
     "flood",
     "heights",
     "line_of_sight",
+    "los",
     "pick",
     "place",
-    "probable_contours",
-    "probable_slope",
     "probable_viewshed",
     "profile",
+    "slope",
     "slope_aspect",
     "viewshed",
 ]
@@ -53,4 +66,4 @@ __all__ = [
 if not TYPE_CHECKING:  # (type checkers look for names themselves)
 
     def __getattr__(name: str) -> object:
-        raise absent("orograph.measure", name, __all__)
+        raise absent("orograph.measure", name, __all__, ELSEWHERE)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.measuring.geojson import Geometry, is_geometry, read_geojson
 from orograph.measuring.places import Places
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
@@ -73,7 +74,7 @@ class Area:
 @takes_terrain
 def area(
     terrain: Terrain,
-    polygon: ArrayLike | Sequence[ArrayLike],
+    polygon: ArrayLike | Sequence[ArrayLike] | Geometry,
     *,
     level: float | None = None,
     lonlat: bool = False,
@@ -84,19 +85,23 @@ def area(
 
     Args:
         polygon: (n, 2) easting, northing of its corners in either sense, or a sequence of such rings: the first is the
-            border, the others are cut out of it.
+            border, the others are cut out of it; or GeoJSON with one polygon: a file, a mapping, or an object with
+            ``__geo_interface__`` (``areas`` measures several).
         level: also find how much ground lies above this height and how much space below it, metres.
         lonlat: the corners are longitude and latitude, degrees.
         jobs: threads.
 
     Raises:
         UsageError: a corner is not on the terrain, the polygon has no area, or its edges cross each other.
+        ReadError: the GeoJSON cannot be read, or does not hold one polygon.
         DamagedChunkError: a chunk of a store fails its checksum.
     """
     if level is not None and not math.isfinite(level):
         raise UsageError(f"The level must be a height in metres, not {level!r}.")
     places = Places(terrain)
-    rings = [_ring(places, ring, lonlat) for ring in _split(polygon)]
+    if is_geometry(polygon):
+        polygon, lonlat = read_geojson(polygon, "Polygon", places), False
+    rings = [_ring(places, ring, lonlat) for ring in split(polygon)]
     samples = [places.samples(ring) for ring in rings]
     _check_crossings(samples)
     signed = [_shoelace(ring) for ring in samples]
@@ -119,7 +124,7 @@ def area(
     )  # fmt: skip
 
 
-def _split(polygon: Any) -> list[Any]:
+def split(polygon: Any) -> list[Any]:
     """The rings of a polygon: one (n, 2), or several."""
     try:
         if np.ndim(polygon) == 2:

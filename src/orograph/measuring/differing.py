@@ -21,8 +21,10 @@ from numpy.typing import NDArray
 
 from orograph.dem.aligned import Aligned
 from orograph.dem.placing import areal_scales
+from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.lighting.raster import Canvas, rectangles
+from orograph.measuring.detection import Detected, Doubt
 from orograph.measuring.order import Counts, Floats, quantiles, upper_counts
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
@@ -50,6 +52,7 @@ class Statistics:
         quantiles: (probability, difference), ascending.
         area: of the ground compared, metres²; gain_area, loss_area: where the difference is above and below 0.
         gain, loss: volumes above and below 0, metres³, both positive; net: gain − loss.
+        detected: if heights are uncertain, what is significant; gain, loss and their areas are then of that only.
         ratio: the factor that best maps the second's heights to the first's (least squares).
     """
 
@@ -70,6 +73,7 @@ class Statistics:
     loss: float
     ratio: float
     ends: tuple[float, float]
+    detected: Detected | None = None
 
     @property
     def net(self) -> float:
@@ -84,7 +88,8 @@ class Statistics:
             name: value if math.isfinite(value) else None for name, value in {**metres, **areas, **volumes}.items()
         }
         every = {f"{q:g}": value if math.isfinite(value) else None for q, value in self.quantiles}
-        return {"count": self.count, "missing": self.missing, **numbers, "quantiles_m": every}
+        known = {} if self.detected is None else self.detected.to_dict()
+        return {"count": self.count, "missing": self.missing, **numbers, "quantiles_m": every, **known}
 
 
 class Sums(NamedTuple):
@@ -95,19 +100,24 @@ class Sums(NamedTuple):
     plain: Array  # sums of d, d², a b, b²; the area compared, with gain, with loss; the volumes of both
     low: float
     high: float
+    doubted: Array  # of gain and loss each Σ σ² a, Σ σ a and the whole volume; significant samples; their area
+    lods: tuple[float, float]
+    lacking: int
 
 
 def differ(
     a: Aligned, b: Aligned, wanted: Sequence[float], *, max_memory: int, jobs: int | None = None,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, doubt: Doubt | None = None,
 ) -> tuple[Floats, Statistics]:  # fmt: skip
     """a − b on their grid, (rows, cols) float32, NaN where one of them has no height, and its statistics.
 
     Args:
         wanted: quantiles, 0 to 1. max_memory: bytes; a difference of more than half of them is kept in a scratch file.
+        doubt: volumes are then of significant samples only.
 
     Raises:
-        ReadError, DamagedChunkError: a source is damaged.
+        ReadError, DamagedChunkError: a source is damaged, or a map of standard deviations does not cover what is
+            compared.
     """
     grid = a.grid
     canvas = Canvas(1, grid.shape, on_disk=4 * grid.rows * grid.cols > max_memory // 2)
@@ -118,7 +128,7 @@ def differ(
         first, second = a.read(*box), b.read(*box)
         made = np.subtract(first, second) + np.float32(0.0)  # (no −0)
         values[box[0] : box[1], box[2] : box[3]] = made
-        return _sums(grid, box, first, second, made)
+        return _sums(grid, box, first, second, made, doubt)
 
     def known(box: Any) -> Floats:
         part = values[box[0] : box[1], box[2] : box[3]]
@@ -146,20 +156,36 @@ def differ(
         canvas.release()
         task.advance(len(boxes))
     told = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
-    return values, _statistics(sums, grid, middle, NORMAL * deviation, told, (low, high))
+    return values, _statistics(sums, grid, middle, NORMAL * deviation, told, (low, high), doubt)
 
 
-def _sums(grid: Grid, box: Box, first: Floats, second: Floats, made: Floats) -> Sums:
+def _sums(grid: Grid, box: Box, first: Floats, second: Floats, made: Floats, doubt: Doubt | None) -> Sums:
     there = made == made
     d = np.where(there, made, np.float32(0)).astype(np.float64)
     a, b = np.where(there, first, 0).astype(np.float64), np.where(there, second, 0).astype(np.float64)
     cells = _cells(grid, box)
-    parts = [there, d > 0, d < 0, np.maximum(d, 0.0), np.maximum(-d, 0.0)]
-    areas = [float(np.sum(_squares(part) * cells)) for part in parts]
+
+    def areas_of(*parts: NDArray[Any]) -> list[float]:
+        return [float(np.sum(_squares(part) * cells)) for part in parts]
+
+    up, down = d > 0, d < 0
+    doubted, lods, lacking = np.zeros(8), (math.inf, -math.inf), 0
+    if doubt is not None:
+        sigma = doubt.sigma(box)
+        lacking = int((np.isnan(sigma) & there).sum())
+        lod = np.nan_to_num(doubt.times * sigma)
+        sigma, sure = np.nan_to_num(sigma), np.abs(d) > lod
+        whole = areas_of(np.maximum(d, 0.0), np.maximum(-d, 0.0))
+        up, down = up & sure, down & sure
+        sums = areas_of(*(part * s for s in (up, down) for part in (sigma**2, sigma)))
+        doubted = np.array([*sums, *whole, (up | down).sum(), *areas_of(up | down)])
+        if there.any():
+            lods = float(lod[there].min()), float(lod[there].max())
+    areas = areas_of(there, up, down, np.where(up, d, 0.0), np.where(down, -d, 0.0))
     some = made[there]
     low, high = (float(some.min()), float(some.max())) if len(some) else (math.inf, -math.inf)
     plain = [float(d.sum()), float((d * d).sum()), float((a * b).sum()), float((b * b).sum()), *areas]
-    return Sums(len(some), upper_counts(some), np.array(plain), low, high)
+    return Sums(len(some), upper_counts(some), np.array(plain), low, high, doubted, lods, lacking)
 
 
 def _squares(values: NDArray[Any]) -> Array:
@@ -182,7 +208,7 @@ def _cells(grid: Grid, box: Box) -> Array:
 
 def _statistics(
     sums: Sequence[Sums], grid: Grid, median: float, nmad: float, told: tuple[tuple[float, float], ...],
-    ends: tuple[float, float],
+    ends: tuple[float, float], doubt: Doubt | None,
 ) -> Statistics:  # fmt: skip
     count = sum(one.known for one in sums)
     total, squares, product, second, area, gained, lost, gain, loss = (
@@ -194,4 +220,20 @@ def _statistics(
         math.sqrt(max(square - mean * mean, 0.0)), nmad,
         min(one.low for one in sums) if count else math.nan, max(one.high for one in sums) if count else math.nan,
         told, area, gained, lost, gain, loss, product / second if second > 0 else math.nan, ends,
+        None if doubt is None else _detected(sums, doubt),
+    )  # fmt: skip
+
+
+def _detected(sums: Sequence[Sums], doubt: Doubt) -> Detected:
+    if lacking := sum(one.lacking for one in sums):
+        raise ReadError(
+            f"A raster of standard deviations has no value at {lacking:,} samples that are compared.",
+            remedy="Give one that covers them, or compare a part (`bbox`, `clip`).",
+        )
+    up2, up, down2, down, gain, loss, count, area = (math.fsum(one.doubted[k] for one in sums) for k in range(8))
+    lowest, highest = min(one.lods[0] for one in sums), max(one.lods[1] for one in sums)
+    known = lowest <= highest
+    return Detected(
+        doubt.confidence, lowest if known else 0.0, highest if known else 0.0, int(count), area,
+        doubt.error(up2, up), doubt.error(down2, down), doubt.error(up2 + down2, up + down), gain, loss,
     )  # fmt: skip

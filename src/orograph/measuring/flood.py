@@ -21,7 +21,7 @@ from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of, scratch
 from orograph.lighting.raster import Band, rectangles
 from orograph.measuring.flood_kernels import REACHED, WET, fill
-from orograph.measuring.height_error import ErrorField, HeightError
+from orograph.measuring.height_error import ErrorField, HeightError, takes_error
 from orograph.measuring.places import Places
 from orograph.measuring.probable import (
     DRAWS,
@@ -43,6 +43,7 @@ Window = tuple[int, int, int, int]
 CERTAIN = HeightError()
 
 
+@takes_error
 @takes_terrain
 def flood(
     terrain: Terrain, level: float, sources: ArrayLike | None = None, error: HeightError = CERTAIN, *,

@@ -6,6 +6,8 @@ coordinate is ignored: heights are measured, not read.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,16 @@ from orograph.measuring.places import Places
 
 Array = NDArray[np.float64]
 
+Geometry = Any
+"""GeoJSON: a file, a mapping, or an object with ``__geo_interface__`` (shapely's, geopandas')."""
+
 DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 0, "MultiLineString": 1, "Polygon": 1, "MultiPolygon": 2}
 """Nesting depth of lines or points in a geometry's coordinates."""
+
+
+def is_geometry(given: Any) -> bool:
+    """Whether it is GeoJSON in some form, and not an array of points."""
+    return isinstance(given, str | os.PathLike | Mapping) or hasattr(given, "__geo_interface__")
 
 
 def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
@@ -38,14 +48,14 @@ def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
     if len(found) != 1:
         raise ReadError(
             f"It holds {len(found)} geometries of type {kind}, but only one can be measured at a time.", path=called,
-            remedy=f"Give a GeoJSON file with one {kind}.",
+            remedy="`areas` measures each." if kind == "Polygon" and found else f"Give GeoJSON with one {kind}.",
         )  # fmt: skip
     parts = found[0].get("coordinates")
     try:
         rings = lines(parts if kind == "Polygon" else [parts])
     except ValueError as error:
         raise ReadError(f"The {kind} has no list of coordinates.", path=called) from error
-    return _moved(rings, data, places)
+    return moved(rings, data, places)
 
 
 def read_lines(path: Any, places: Places) -> list[Array]:
@@ -72,10 +82,10 @@ def read_lines(path: Any, places: Places) -> list[Array]:
         raise ReadError(f"This is not GeoJSON of lines, polygons or points: {error!r}.", path=called) from error
     if not found:
         raise ReadError("It holds no lines, polygons or points.", path=called)
-    return _moved(found, data, places)
+    return moved(found, data, places)
 
 
-def _moved(found: list[Array], data: dict[str, Any], places: Places) -> list[Array]:
+def moved(found: list[Array], data: dict[str, Any], places: Places) -> list[Array]:
     """Lines of a GeoJSON object in the terrain's CRS."""
     name = crs_name(data)
     if name is None:

@@ -19,11 +19,14 @@ errors are independent (correlated by less than 0.005).
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +106,33 @@ class HeightError:
             source = source if isinstance(source, str) else "an array or table"
             told |= {"check_points": str(source)[:200], "check_sigma": f"{self.check_sigma:g} m"}
         return told
+
+
+NAMES = {"sigma": "sigma", "range": "range", "horizontal": "horizontal", "check_points": "checks",
+         "check_sigma": "check_sigma"}  # fmt: skip
+"""Arguments of measures → fields of ``HeightError``."""
+
+T = TypeVar("T")
+
+
+def takes_error(function: Callable[..., T]) -> Callable[..., T]:
+    """Let a measure take the fields of a ``HeightError`` by name, instead of ``error``."""
+    own = inspect.signature(function)
+    named = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in NAMES]
+    kinds = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    rest = [one for one in own.parameters.values() if one.kind is one.VAR_KEYWORD]
+
+    @functools.wraps(function)
+    def taking(*args: Any, **options: Any) -> T:
+        said = {name: options.pop(name) for name in NAMES if options.get(name) is not None}
+        if said:
+            if options.get("error") is not None:
+                raise UsageError(f"`error` and `{next(iter(said))}` contradict each other.", remedy="Give one of them.")
+            options["error"] = HeightError(**{NAMES[name]: value for name, value in said.items()})
+        return function(*args, **options)
+
+    vars(taking)["__signature__"] = own.replace(parameters=[*kinds, *named, *rest])
+    return taking
 
 
 class ErrorField:
@@ -230,14 +260,14 @@ class ErrorField:
 
     def _map(self, out: Values, jobs: int | None) -> None:
         """Fill in the standard deviation of each sample; NaN where the height is unknown."""
-        field = None if self.error.is_number else _deviations(self.error.sigma, self.terrain.grid)
+        field = None if self.error.is_number else deviations_of(self.error.sigma, self.terrain.grid)
         windows = list(rectangles(self.terrain.grid.shape, TILE, 4 * TILE))
         lacking = np.zeros(len(windows), np.int64)
 
         def fill(k: int) -> None:
             row0, row1, col0, col1 = windows[k]
             heights, inner = around(self.terrain, *windows[k])
-            sigma: Any = float(self.error.sigma) if field is None else _sampled(field, self.terrain.grid, *windows[k])
+            sigma: Any = float(self.error.sigma) if field is None else sampled(field, self.terrain.grid, *windows[k])
             if self.error.horizontal:
                 east, north = gradient(heights, self.terrain.grid.linear, 1)
                 tangent = np.hypot(east[inner].astype(np.float64), north[inner])
@@ -265,7 +295,7 @@ def around(terrain: Terrain, row0: int, row1: int, col0: int, col1: int) -> tupl
     return heights, (slice(row0 - r0, row1 - r0), slice(col0 - c0, col1 - c0))
 
 
-def _deviations(source: Any, grid: Grid) -> Field:
+def deviations_of(source: Any, grid: Grid) -> Field:
     """A raster of standard deviations over a terrain."""
     from orograph.geovis.data.dataset import Uncertainty
     from orograph.geovis.data.reading import read
@@ -280,7 +310,7 @@ def _deviations(source: Any, grid: Grid) -> Field:
     return field
 
 
-def _sampled(field: Field, grid: Grid, row0: int, row1: int, col0: int, col1: int) -> Array:
+def sampled(field: Field, grid: Grid, row0: int, row1: int, col0: int, col1: int) -> Array:
     from orograph.geovis.data.sampling import Positions
 
     return Positions.of(grid.window(row0, row1, col0, col1), field).values(field.values[0]).astype(np.float64)

@@ -25,7 +25,7 @@ from orograph.folders import Amount, bytes_of, scratch
 from orograph.geo.grid import Grid, compose
 from orograph.lighting.normal import gradient
 from orograph.lighting.raster import Band, rectangles, write
-from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around
+from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around, takes_error
 from orograph.measuring.viewshed import viewshed
 from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
@@ -149,9 +149,10 @@ class Tally:
         return told
 
 
+@takes_error
 @takes_terrain
 def probable_viewshed(
-    terrain: Terrain, /, point: ArrayLike, error: HeightError, eye_height: float = 1.7, target_height: float = 0.0, *,
+    terrain: Terrain, /, point: ArrayLike, error: HeightError, eye: float = 1.7, target: float = 0.0, *,
     draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None, **options: Any,
 ) -> Probable:  # fmt: skip
     """The probability that each sample is visible from a point.
@@ -159,7 +160,7 @@ def probable_viewshed(
     In each draw the eye stands on the ground of that draw.
 
     Args:
-        point, eye_height, target_height: as for ``viewshed``, with its ``options`` radius, lonlat…
+        point, eye, target: as for ``viewshed``, with its ``options`` radius, lonlat…
         error: of the heights. draws, seed: of the Monte Carlo.
 
     Raises:
@@ -168,7 +169,7 @@ def probable_viewshed(
     check_draws(draws)
     max_memory = bytes_of(max_memory)
     options = {**options, "max_memory": max_memory, "jobs": jobs}
-    shed = viewshed(terrain, point, eye_height, target_height, **options)
+    shed = viewshed(terrain, point, eye, target, **options)
     errors = ErrorField(terrain, error, seed, max_memory=max_memory, jobs=jobs)
     band = Band("probability of being seen", "", "the part of the draws in which the sample is seen from the eye")
 
@@ -176,7 +177,7 @@ def probable_viewshed(
         counts = Counts(shed.grid.shape, max_memory)
         with progress.task("Looking at draws", total=draws) as task:
             for draw in range(draws):
-                one = viewshed(Drawn(terrain, errors, draw), point, eye_height, target_height, **options)
+                one = viewshed(Drawn(terrain, errors, draw), point, eye, target, **options)
                 for row, col, values in one.blocks():
                     counts.add(row, col, values > 0)
                 task.advance()
@@ -186,13 +187,14 @@ def probable_viewshed(
             values[shed.beyond(row, col, part.shape)] = np.nan
             yield row, col, values.astype(np.float32)[None]
 
-    told = {"eye": f"{shed.point[0]:.10g}, {shed.point[1]:.10g}", "eye_height": f"{eye_height:g} m",
-            "target_height": f"{target_height:g} m"}  # fmt: skip
+    told = {"eye": f"{shed.point[0]:.10g}, {shed.point[1]:.10g}", "eye_height": f"{eye:g} m",
+            "target_height": f"{target:g} m"}  # fmt: skip
     return Probable("viewshed", shed.grid, (band,), error, draws, seed, told, made, threads_for(jobs))
 
 
+@takes_error
 @takes_terrain
-def probable_slope(
+def slope(
     terrain: Terrain, error: HeightError, exceeds: Numbers = (), *, draws: int = DRAWS, seed: int = 1,
     max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip
@@ -243,8 +245,9 @@ def probable_slope(
     return _by_blocks("slope", terrain.grid, terrain.grid.shape, bands, error, draws, seed, {}, look, jobs)
 
 
+@takes_error
 @takes_terrain
-def probable_contours(
+def contours(
     terrain: Terrain, error: HeightError, levels: Numbers = (), *, interval: float | None = None,
     draws: int = DRAWS, seed: int = 1, max_memory: Amount = MEMORY, jobs: int | None = None,
 ) -> Probable:  # fmt: skip

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.measuring.geojson import Geometry, is_geometry, read_geojson
 from orograph.measuring.ground import Line, height_error, line, own_heights
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places, lift
@@ -222,19 +223,22 @@ class Profile:
 
 
 @takes_terrain
-def profile(terrain: Terrain, polyline: ArrayLike, *, lonlat: bool = False) -> Profile:
+def profile(terrain: Terrain, polyline: ArrayLike | Geometry, *, lonlat: bool = False) -> Profile:
     """The surface along a polyline, exact.
 
     Args:
         polyline: (v, 2) easting, northing, at least two points, in the terrain's CRS; straight on the grid from
-            vertex to vertex.
+            vertex to vertex; or GeoJSON with one line: a file, a mapping, or an object with ``__geo_interface__``.
         lonlat: the points are longitude and latitude, degrees.
 
     Raises:
         UsageError: a point is not on the terrain, or the line has no length.
+        ReadError: the GeoJSON cannot be read, or does not hold one line.
         DamagedChunkError: a chunk of a store fails its checksum.
     """
     places = Places(terrain)
+    if is_geometry(polyline):
+        polyline, lonlat = read_geojson(polyline, "LineString", places)[0], False
     given = places.points(polyline, least=2, what="A line", lonlat=lonlat)
     corners = places.samples(given)
     moves = np.append(True, (np.diff(given, axis=0) != 0).any(axis=1))

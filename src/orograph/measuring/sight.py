@@ -94,7 +94,7 @@ class Sight:
         return float(np.linalg.norm(ends[1] - ends[0]))
 
 
-def bend_of(places: Places, point: Array, curvature: bool, refraction: float) -> float:
+def bend_of(places: Places, point: Array, flat: bool, refraction: float) -> float:
     """c = (1 − k) / R, per metre, at a point (2,); 0 for a plane.
 
     Raises:
@@ -102,7 +102,7 @@ def bend_of(places: Places, point: Array, curvature: bool, refraction: float) ->
     """
     if not (math.isfinite(refraction) and refraction < 1):
         raise UsageError(f"The coefficient of refraction must be a number below 1, usually 0.13, not {refraction!r}.")
-    return (1.0 - refraction) / places.gauss_radius(point) if curvature else 0.0
+    return 0.0 if flat else (1.0 - refraction) / places.gauss_radius(point)
 
 
 def check_heights(**heights: float) -> None:
@@ -117,10 +117,10 @@ def line_of_sight(
     terrain: Terrain,
     a: ArrayLike,
     b: ArrayLike,
-    eye_height: float = 1.7,
-    target_height: float = 0.0,
+    eye: float = 1.7,
+    target: float = 0.0,
     *,
-    curvature: bool = True,
+    flat: bool = False,
     refraction: float = REFRACTION,
     lonlat: bool = False,
 ) -> Sight:
@@ -128,20 +128,20 @@ def line_of_sight(
 
     Args:
         a, b: easting and northing of the eye and of the target.
-        eye_height, target_height: metres above the ground there.
-        curvature: whether the body is round and its air refracts.
+        eye, target: metres above the ground there.
+        flat: leave the body flat, and without refraction.
         refraction: k; 0 without air.
         lonlat: the points are longitude and latitude, degrees.
 
     Raises:
         UsageError: a point is not on the terrain, in a hole, or the same as the other; a height is negative.
     """
-    check_heights(**{"eye's height": eye_height, "target's height": target_height})
+    check_heights(**{"eye's height": eye, "target's height": target})
     places = Places(terrain)
     ends = np.concatenate([places.points(a, lonlat=lonlat), places.points(b, lonlat=lonlat)])
     if len(ends) != 2:
         raise UsageError("A line of sight needs two points.")
-    bend = bend_of(places, ends[0], curvature, refraction)
+    bend = bend_of(places, ends[0], flat, refraction)
     ground = profile(terrain, ends)
     for k, name in ((0, "first"), (-1, "second")):
         if math.isnan(ground.surface_heights[k]):
@@ -151,7 +151,7 @@ def line_of_sight(
             )
     s, z = ground.distance, ground.surface_heights
     whole = float(s[-1])
-    start, stop = z[0] + eye_height, z[-1] + target_height - 0.5 * bend * whole**2
+    start, stop = z[0] + eye, z[-1] + target - 0.5 * bend * whole**2
     apparent = z - 0.5 * bend * s**2
     straight = start + (stop - start) * (s / whole)
     clearance = straight - apparent
@@ -160,7 +160,7 @@ def line_of_sight(
     return Sight(
         first is None, obstruction, None if least is None else _mark(ground, *least),
         _needed(ground, start, z[-1] - 0.5 * bend * whole**2, bend), clearance, straight + 0.5 * bend * s**2, ground,
-        float(eye_height), float(target_height), bend,
+        float(eye), float(target), bend,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from orograph.measuring.area import Area
 from orograph.measuring.pick import Hit
 from orograph.measuring.profile import Profile
 from orograph.measuring.sight import Sight
+from orograph.measuring.zones import Zone
 
 Row = tuple[str, str, str]
 """A name, its value, and what only a wide line has room for."""
@@ -29,10 +30,30 @@ def square(value: float) -> str:
     return f"{value:,.1f} m²" + (f"  ({value / 1e6:,.4f} km²)" if value >= 1e5 else "")
 
 
+def cubic(value: float) -> str:
+    """A volume."""
+    return f"{value:,.1f} m³" + (f"  ({value / 1e9:,.4f} km³)" if abs(value) >= 1e8 else "")
+
+
 def place(lon: float | None, lat: float | None, east: float, north: float, name: str = "place") -> list[Row]:
     """A place in the terrain's CRS and, if known, in degrees."""
     degrees = [] if lon is None or lat is None else [("", f"lon {lon:.6f}, lat {lat:.6f}", "")]
     return [(name, f"{east:.2f}, {north:.2f}", ""), *degrees]
+
+
+def zone_rows(zone: Zone) -> list[Row]:
+    """A polygon's areas, heights and slopes."""
+    if zone.area is None:
+        return [("not measured", zone.problem, "")]
+    found = _area(zone.area)
+    if zone.known:
+        found += [
+            ("heights", f"{metres(zone.lowest)} to {metres(zone.highest)}, mean {metres(zone.mean)}, "
+             f"standard deviation {metres(zone.std)}", ""),
+            ("slopes", f"mean {zone.slope_mean:.2f}°, median {zone.slope_median:.2f}°, 90th percentile "
+             f"{zone.slope_90:.2f}°, {zone.steeper:.1%} above {zone.steeper_than:g}°", ""),
+        ]  # fmt: skip
+    return [*found, ("samples", f"{zone.samples:,}", f", {zone.known:,} with a height")]
 
 
 def lines(result: Hit | Profile | Area | Sight) -> list[Row]:
@@ -86,8 +107,8 @@ def _area(area: Area) -> list[Row]:
     if area.missing_grid:
         found.append(("without data", f"{area.missing_grid:,.1f} m²", " of the grid, in no surface"))
     if area.above is not None:
-        found += [(f"above {area.level:g} m", f"{area.above:,.1f} m³", ""),
-                  (f"below {area.level:g} m", f"{area.below:,.1f} m³", "")]  # fmt: skip
+        found += [(f"above {area.level:g} m", cubic(area.above), ""),
+                  (f"below {area.level:g} m", cubic(area.below or 0.0), "")]  # fmt: skip
     return found
 
 

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.cards import extent_rows, one_line
+from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
@@ -206,11 +207,11 @@ class Summary:
 def viewshed(
     terrain: Terrain,
     point: ArrayLike,
-    eye_height: float = 1.7,
-    target_height: float = 0.0,
+    eye: float = 1.7,
+    target: float = 0.0,
     *,
     radius: float | None = None,
-    curvature: bool = True,
+    flat: bool = False,
     refraction: float = REFRACTION,
     heights: bool = False,
     lonlat: bool = False,
@@ -222,9 +223,9 @@ def viewshed(
 
     Args:
         point: easting and northing of the eye, anywhere on the terrain.
-        eye_height, target_height: metres above the ground.
+        eye, target: metres above the ground.
         radius: true metres beyond which samples are ignored; None: all of the terrain.
-        curvature, refraction: as for ``line_of_sight``.
+        flat, refraction: as for ``line_of_sight``.
         heights: find the height that a target needs to be visible at each sample, instead of whether it is.
         lonlat: the point is longitude and latitude, degrees.
         max_memory: bytes; apparent heights that take more than a third of them go to a scratch file.
@@ -237,13 +238,14 @@ def viewshed(
         OutputError: the temporary folder has no room. DamagedChunkError: a chunk of a store fails its checksum.
     """
     max_memory = bytes_of(max_memory)
-    check_heights(**{"eye's height": eye_height, "target's height": target_height})
+    check_heights(**{"eye's height": eye, "target's height": target})
     if radius is not None and not (radius > 0 and math.isfinite(radius)):
         raise UsageError(f"The radius must be a positive number of metres, not {radius!r}.")
-    if heights and target_height:
+    if heights and target:
         raise UsageError(
             "With `heights`, which asks for the heights that targets need, a target's height has no meaning."
         )
+    expect("viewshed")
     places = Places(terrain)
     points = places.points(point, lonlat=lonlat)
     if len(points) != 1:
@@ -255,13 +257,13 @@ def viewshed(
             f"The point {points[0][0]:.10g}, {points[0][1]:.10g} is in a hole: no ground is known there.",
             remedy="Choose another point.",
         )
-    bend = bend_of(places, points[0], curvature, refraction)
+    bend = bend_of(places, points[0], flat, refraction)
     row0, row1, col0, col1 = window_within(places, points[0], x, y, radius)
     frame = (row0 & ~1, min(row1 + 1, terrain.grid.rows), col0 & ~1, min(col1 + 1, terrain.grid.cols))
     scene, quantum, on_disk = scene_of(
-        places, points[0], (x, y), ground, eye_height, bend, frame, max_memory, threads_for(jobs), progress
+        places, points[0], (x, y), ground, eye, bend, frame, max_memory, threads_for(jobs), progress
     )
     return Viewshed(
         terrain.grid.window(row0, row1, col0, col1), row0, col0, (float(points[0][0]), float(points[0][1])), ground,
-        float(eye_height), float(target_height), radius, bend, heights, quantum, on_disk, scene,
+        float(eye), float(target), radius, bend, heights, quantum, on_disk, scene,
     )  # fmt: skip

@@ -1,9 +1,8 @@
 """Pictures larger than memory: drawn in bands of rows, each a tile of the view, and assembled in a file.
 
 A tile is what the whole picture shows there, to the bit (``cpu.draw``), so bands have no seam and the file has the same
-pixels as a picture that fits into memory. What is drawn goes to a scratch file beside the result, row after row; the
-furniture, which depends on all of the picture, is painted into that; and GDAL encodes it, scan line by scan line.
-Memory is that of a band; room on disk for three bytes per pixel is needed besides the result's.
+pixels as a picture that fits into memory. Tiles lie compressed beside the result (``assembly``); the furniture, which
+depends on all of the picture, is painted over them; and GDAL encodes the result from there. Memory is that of a tile.
 
 Units: pixels, bytes.
 """
@@ -13,26 +12,24 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.header import copyright_tags, plain_copyright
-from orograph.dem.writing import raster_file
 from orograph.errors import OutputError, UsageError
-from orograph.geo.grid import Grid
 from orograph.geovis.layers import drawn as visible
-from orograph.output import beside, check_folder, remove
-from orograph.parallel import aside
+from orograph.output import check_folder
+from orograph.parallel import aside, threads_for
 from orograph.progress import SILENT, Progress
+from orograph.rendering.assembly import Assembly, Raster
 from orograph.rendering.backends import Session, session
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, band_pixels
-from orograph.rendering.metadata import check_dpi, stamp, tiff_tags
+from orograph.rendering.metadata import check_dpi
 from orograph.rendering.picture import picture_format, plan_grid
 from orograph.scene.scene import Scene
 
@@ -50,6 +47,9 @@ ACROSS = 2048
 
 SIDE = 8192
 """Pixels per side that any graphics card can draw at once."""
+
+BYTES, DEPTH_BYTES = 3, 6
+"""Of a pixel on disk, about: its pieces, overviews and result, compressed; of its depth as well."""
 
 MOST = {"JPEG": 65500, "WEBP": 16383}
 """Pixels per side that a format can hold."""
@@ -80,14 +80,14 @@ def draw_large(
 
     Args:
         scene: its view gives the size.
-        path: the picture: .png, .jpg, .webp or .tif (BigTIFF where needed; of a plan a GeoTIFF).
-        depth: where to write the depth as well: float32 TIFF, metres, NaN where nothing is hit.
+        path: the picture: .png, .jpg, .webp or .tif (cloud-optimised, BigTIFF where needed; of a plan a GeoTIFF).
+        depth: where to write the depth as well: float32 TIFF (cloud-optimised), metres, NaN where nothing is hit.
         draw: a backend that draws tiles; None: the CPU caster.
         progress: gets the progress.
         pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
         across: columns that a tile has at most; None: as many as the picture, if so many pixels make ``ROWS`` of them.
         dpi: dots per inch in print; None: not said.
-        by: what puts all bands onto the sheet; None: they are drawn here, one after the other.
+        by: what adds all tiles to the sheet; None: they are drawn here, one after the other.
 
     Returns:
         the picture's facts, as in ``Picture``.
@@ -107,51 +107,54 @@ def draw_large(
     if scene.surface.wireframe and draw is None:
         raise UsageError("A wireframe needs the whole picture in memory.",
                          remedy="Allow more (`max_memory`), or make it smaller.")  # fmt: skip
-    for file in filter(None, (out, None if depth is None else Path(depth))):
-        check_folder(file)
-    needed = 3 * view.width * view.height * 2 + (4 * view.width * view.height if depth is not None else 0)
+    for path in (out,) if depth is None else (out, Path(depth)):
+        check_folder(path)
+    needed = (BYTES if depth is None else BYTES + DEPTH_BYTES) * view.width * view.height
     free = shutil.disk_usage(out.parent).free
     if needed > free:
-        raise OutputError(f"This may take {amount(needed)} on disk while it is made, but {amount(free)} are free.",
+        raise OutputError(f"This takes about {amount(needed)} on disk, but {amount(free)} are free.",
                           path=out, remedy="Make room, or make it smaller.")  # fmt: skip
     began = time.perf_counter()
     place = plan_grid(view, scene.terrain.grid.crs)
     with ExitStack() as stack:
-        scratch = stack.enter_context(Scratch(out, view.width, view.height))
-        depths = None if depth is None else stack.enter_context(DepthFile(Path(depth), view.width, view.height, place))
-        sheet = Sheet(scene, scratch, depths, session(progress) if draw is None else draw)
+        files = [stack.enter_context(Assembly(out, view.width, view.height, place=place))]
+        if depth is not None:
+            files.append(stack.enter_context(Assembly(Path(depth), view.width, view.height, depth=True, place=place)))
+        sheet = Sheet(scene, files, session(progress) if draw is None else draw, progress)
         if by is not None:
             by(sheet, progress)
         else:
             with progress.task("Drawing", total=view.width * view.height) as task:
-                for band in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
-                    sheet.put(band, (sheet.tile(box) for box in band), progress)
-                    task.advance(sum(w * h for _, _, w, h in band))
+                for box in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
+                    tile = draw_tile(scene, box, sheet.session)
+                    rasters: list[Raster] = [tile.pixels, tile.depth]
+                    for file, raster in zip(files, rasters, strict=False):
+                        file.write(*box[:2], raster)
+                    sheet.add(box, seen(scene, box, tile))
+                    task.advance(box[2] * box[3])
+        facts = sheet.facts()
         if scene.annotations.furniture:
-            sheet.furnish()
-        scratch.close()
-        with progress.task(f"Writing {out.name}"):
-            aside(lambda: encode(scratch, kind, place, scene.attribution, dpi))
-    sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
-    return sheet.facts
+            sheet.furnish(facts)
+        for file in files:
+            with progress.task(f"Writing {file.out.name}"):
+                aside(partial(file.encode, "TIFF" if file.depth else kind, scene.attribution, dpi,
+                              threads_for(scene.budget.jobs)))  # fmt: skip
+    return {**facts, "seconds": {"all": round(time.perf_counter() - began, 4)}}
 
 
 Box = tuple[int, int, int, int]
 """A tile: left, top, width, height."""
 
-Band = list[Box]
-"""Tiles of the same rows, from left to right."""
 
-
-def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iterator[Band]:
-    """Tiles that make up a picture, of at most about ``pixels`` pixels and ``most`` columns, at multiples of ``ROWS``
-    and ``COLUMNS``."""
+def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iterator[Box]:
+    """Tiles that make up a picture, row by row, of at most about ``pixels`` pixels and ``most`` columns, at multiples
+    of ``ROWS`` and ``COLUMNS``."""
     most = min(width, pixels // ROWS, most or width)
     across = width if most == width else max(COLUMNS, most // COLUMNS * COLUMNS)
     rows = max(ROWS, pixels // across // ROWS * ROWS)
     for top in range(0, height, rows):
-        tall = min(rows, height - top)
-        yield [(left, top, min(across, width - left), tall) for left in range(0, width, across)]
+        for left in range(0, width, across):
+            yield left, top, min(across, width - left), min(rows, height - top)
 
 
 class Tile(NamedTuple):
@@ -178,213 +181,102 @@ def draw_tile(scene: Scene, box: Box, draw: Session) -> Tile:
     return Tile(picture.pixels, picture.depth, ground, picture.facts, picture.tint)
 
 
-class Sheet:
-    """What is known of a large picture while it is assembled.
+class Seen(NamedTuple):
+    """What is remembered of a tile that was drawn, for the picture's facts and furniture.
 
     Attributes:
-        facts: as of a ``Picture``.
+        facts: as of a ``Picture``. tint: as of a ``Tile``.
+        cover: its ground, as rows of a ``Cover``. column: depths of the picture's middle column, as far as the tile has
+            them. samples: of depths, for the legend. All three are empty where there is no furniture.
     """
 
-    def __init__(self, scene: Scene, scratch: Scratch, depths: DepthFile | None, session: Session) -> None:
-        self.scene, self.scratch, self.depths, self._session = scene, scratch, depths, session
-        self.facts: dict[str, Any] = {}
+    facts: dict[str, Any]
+    cover: NDArray[np.uint8]
+    column: NDArray[np.float32]
+    samples: NDArray[np.float64]
+    tint: Any = None
+
+
+def seen(scene: Scene, box: Box, tile: Tile) -> Seen:
+    """What to remember of a tile."""
+    if not scene.annotations.furniture:
+        nothing = np.empty(0)
+        return Seen(tile.facts, nothing.astype(np.uint8), nothing.astype(np.float32), nothing, tile.tint)
+    from orograph.rendering.furniture.furnish import cover_step
+    from orograph.rendering.furniture.legend import sampled
+
+    view, (left, top, _, _) = scene.view, box
+    step = cover_step((view.width, view.height))
+    middle = view.width // 2 - left
+    column = tile.depth[:, middle] if 0 <= middle < box[2] else np.empty(0, np.float32)
+    samples = sampled(tile.depth, view.height, view.width, top, left)
+    return Seen(tile.facts, np.packbits(tile.ground[::step, ::step], axis=1), column, samples, tile.tint)
+
+
+class Sheet:
+    """What is known of a large picture while it is assembled, from tiles in any order.
+
+    Args:
+        files: the picture's, and that of its depth if there is one. session: draws.
+    """
+
+    def __init__(self, scene: Scene, files: list[Assembly], session: Session, progress: Progress) -> None:
+        self.scene, self.files, self.session, self.progress = scene, files, session, progress
+        self._seen: dict[Box, Seen] = {}
+        self._warned: set[str] = set()
         self.tint: Any = None
-        height, width = scene.view.height, scene.view.width
-        self.column = np.full(height, np.nan)
-        self.samples: list[NDArray[np.float64]] = []
-        self.cover = np.zeros((height, -(-width // 8)), np.uint8) if scene.annotations.furniture else None
 
-    def tile(self, box: Box) -> Tile:
-        """Draw a tile."""
-        return draw_tile(self.scene, box, self._session)
+    def add(self, box: Box, seen: Seen) -> None:
+        """Remember a tile, whose pixels are in the files."""
+        self._seen[box] = seen
+        if seen.tint is not None:
+            self.tint = seen.tint
+        for warning in seen.facts.get("warnings", ()):
+            if warning not in self._warned:
+                self._warned.add(warning)
+                self.progress.warn(warning)
 
-    def put(self, band: Band, tiles: Iterable[Tile], progress: Progress) -> None:
-        """Write the rows of the next band, of its tiles."""
-        from orograph.rendering.furniture.legend import sampled
+    def _sorted(self) -> list[tuple[Box, Seen]]:
+        return sorted(self._seen.items(), key=lambda item: (item[0][1], item[0][0]))
 
-        view = self.scene.view
-        _, top, _, tall = band[0]
-        pixels, depth = np.empty((tall, view.width, 3), np.uint8), np.empty((tall, view.width), np.float32)
-        ground = np.zeros((tall, view.width), bool)
-        for (left, _, wide, _), tile in zip(band, tiles, strict=True):
-            here = slice(left, left + wide)
-            pixels[:, here], depth[:, here], ground[:, here] = tile.pixels, tile.depth, tile.ground
-            self.tint = tile.tint
-            self._add(tile.facts, wide * tall / (view.width * view.height), progress)
-        self.scratch.write(pixels)
-        if self.depths is not None:
-            self.depths.write(depth, top)
-        if self.cover is not None:
-            self.cover[top : top + tall] = np.packbits(ground, axis=1)
-            self.column[top : top + tall] = depth[:, view.width // 2]
-            self.samples.append(sampled(depth, view.height, view.width, top))
+    def facts(self) -> dict[str, Any]:
+        """The picture's facts, of those of all tiles."""
+        whole: dict[str, Any] = {}
+        pixels = self.scene.view.width * self.scene.view.height
+        for (_, _, wide, tall), tile in self._sorted():
+            facts = tile.facts
+            shown = whole.get("shown", dict.fromkeys(facts["shown"], 0))
+            sums: dict[str, Any] = {name: whole.get(name, 0.0) + wide * tall / pixels * facts[name]
+                    for name in ("hit_fraction", "edge_fraction") if name in facts}  # fmt: skip
+            sums |= {name: whole.get(name, 0) + facts[name] for name in ("patches", "triangles") if name in facts}
+            whole = {**facts, **sums, "shown": {k: shown[k] + n for k, n in facts["shown"].items()}}
+        return whole
 
-    def _add(self, facts: dict[str, Any], part: float, progress: Progress) -> None:
-        """Count a tile's facts, ``part`` of the picture, into the picture's."""
-        for warning in facts.get("warnings", ()):
-            if warning not in self.facts.get("warnings", ()):
-                progress.warn(warning)
-        shown = self.facts.get("shown", dict.fromkeys(facts["shown"], 0))
-        means: dict[str, Any] = {name: self.facts.get(name, 0.0) + part * facts[name]
-                 for name in ("hit_fraction", "edge_fraction") if name in facts}  # fmt: skip
-        means |= {name: self.facts.get(name, 0) + facts[name] for name in ("patches", "triangles") if name in facts}
-        self.facts = {**facts, **means, "shown": {k: shown[k] + n for k, n in facts["shown"].items()}}
-
-    def furnish(self) -> None:
-        """Paint the furniture into the scratch file."""
+    def furnish(self, facts: dict[str, Any]) -> None:
+        """Paint the furniture over the picture."""
         from PIL import Image
 
-        from orograph.rendering.furniture.furnish import Cover, lay_out
+        from orograph.rendering.furniture.furnish import Cover, cover_step, lay_out
         from orograph.rendering.furniture.legend import Drawn, furniture_of
         from orograph.rendering.inset import inset_of
 
         view = self.scene.view
-        assert self.cover is not None
-        layered = bool(visible(self.scene.data.layers))
-        drawn = Drawn(self.tint, self.facts["shown"], layered, np.concatenate(self.samples), self.column)
-        inset = inset_of(self.scene, self._session)
-        pieces = furniture_of(self.scene, drawn) | {"inset": inset}
-        layout = lay_out((view.width, view.height), ground=Cover(self.cover, view.width), **pieces)
+        step = cover_step((view.width, view.height))
+        cover = Cover.empty((view.width, view.height), step)
+        column = np.full(view.height, np.nan)
+        for (left, top, _, tall), tile in self._sorted():
+            rows, cols = tile.cover.shape
+            cover.rows[top // step : top // step + rows, left // step // 8 : left // step // 8 + cols] = tile.cover
+            if tile.column.size:
+                column[top : top + tall] = tile.column
+        samples = np.concatenate([tile.samples for _, tile in self._sorted()])
+        drawn = Drawn(self.tint, facts["shown"], bool(visible(self.scene.data.layers)), samples, column)
+        pieces = furniture_of(self.scene, drawn) | {"inset": inset_of(self.scene, self.session)}
+        layout = lay_out((view.width, view.height), ground=cover, **pieces)
         around = 4 * layout.style.margin
         for i, (_, box) in enumerate(layout.placed):
             x0, y0 = max(box[0] - around, 0), max(box[1] - around, 0)
             x1, y1 = min(box[2] + around, view.width), min(box[3] + around, view.height)
-            sheet = Image.fromarray(self.scratch.read(x0, y0, x1, y1))
+            sheet = Image.fromarray(self.files[0].read(x0, y0, x1, y1))
             layout.paint(sheet, (x0, y0), i)
-            self.scratch.put(x0, y0, np.asarray(sheet, np.uint8))
-
-
-class Scratch:
-    """Pixels on disk, three bytes each, row after row: raw, with a header by which GDAL can read them (ENVI's)."""
-
-    def __init__(self, out: Path, width: int, height: int) -> None:
-        self.out, self.width, self.height = out, width, height
-        self.path = beside(out, "raw")
-        self.header = self.path.with_name(self.path.name + ".hdr")
-        self.virtual = self.path.with_name(self.path.name + ".vrt")
-
-    def __enter__(self) -> Scratch:
-        try:
-            self.file = self.path.open("w+b")
-            self.header.write_text(
-                f"ENVI\nsamples = {self.width}\nlines = {self.height}\nbands = 3\nheader offset = 0\n"
-                "file type = ENVI Standard\ndata type = 1\ninterleave = bip\nbyte order = 0\n",
-                encoding="ascii",
-            )
-        except OSError as error:
-            raise OutputError(f"The file cannot be written: {error.strerror}.", path=self.out) from error
-        return self
-
-    def write(self, pixels: NDArray[np.uint8]) -> None:
-        """The next rows (rows, width, 3)."""
-        try:
-            self.file.write(np.ascontiguousarray(pixels).data)
-        except OSError as error:
-            raise OutputError(f"The file cannot be written: {error.strerror}.", path=self.out,
-                              remedy="Check that the disk has space.") from error  # fmt: skip
-
-    def read(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.uint8]:
-        """Pixels [y0, y1) × [x0, x1)."""
-        found = np.empty((y1 - y0, x1 - x0, 3), np.uint8)
-        for row in range(y0, y1):
-            self.file.seek(3 * (row * self.width + x0))
-            found[row - y0] = np.frombuffer(self.file.read(3 * (x1 - x0)), np.uint8).reshape(-1, 3)
-        return found
-
-    def put(self, x0: int, y0: int, pixels: NDArray[np.uint8]) -> None:
-        """Replace pixels from (x0, y0) on."""
-        for row, line in enumerate(pixels, y0):
-            self.file.seek(3 * (row * self.width + x0))
-            self.file.write(np.ascontiguousarray(line).data)
-
-    def described(self, attribution: tuple[str, ...]) -> Path:
-        """What GDAL reads with metadata that name the makers, for PNG and EXIF (into WebP ``stamp`` writes them)."""
-        if not attribution:
-            return self.path
-        import rasterio.shutil
-
-        rasterio.shutil.copy(self.path, self.virtual, driver="VRT")
-        said = {"Copyright": "; ".join(attribution), "EXIF_Copyright": plain_copyright(attribution)}
-        items = "".join(f'<MDI key="{name}">{escape(text)}</MDI>' for name, text in said.items())
-        head, bracket, rest = self.virtual.read_text(encoding="utf-8").partition(">")
-        self.virtual.write_text(f"{head}{bracket}<Metadata>{items}</Metadata>{rest}", encoding="utf-8")
-        return self.virtual
-
-    def close(self) -> None:
-        """Let GDAL see all of it."""
-        self.file.close()
-
-    def __exit__(self, *error: object) -> None:
-        self.file.close()
-        for path in (self.path, self.header, self.virtual):
-            remove(path)
-
-
-class DepthFile:
-    """A float32 TIFF written by whole rows; it appears when it is complete."""
-
-    def __init__(self, out: Path, width: int, height: int, place: Grid | None) -> None:
-        self.out, self.width, self.height, self.place = out, width, height, place
-        self.stack = ExitStack()
-
-    def __enter__(self) -> DepthFile:
-        import rasterio
-
-        with ExitStack() as stack:
-            part = stack.enter_context(raster_file(self.out))
-            self.file: Any = stack.enter_context(rasterio.open(
-                part, "w", driver="GTiff", width=self.width, height=self.height, count=1, dtype="float32",
-                compress="deflate", predictor=3, nodata=float("nan"), BIGTIFF="IF_SAFER", **located(self.place),
-            ))  # fmt: skip
-            self.file.set_band_description(1, "view-space depth, metres")
-            self.stack = stack.pop_all()
-        return self
-
-    def write(self, depth: NDArray[np.float32], top: int) -> None:
-        """Rows (rows, width) from ``top`` on."""
-        from rasterio.windows import Window
-
-        self.file.write(depth, 1, window=Window(0, top, self.width, len(depth)))
-
-    def __exit__(self, *error: Any) -> None:
-        self.stack.__exit__(*error)
-
-
-def encode(
-    scratch: Scratch, kind: str, place: Grid | None, attribution: tuple[str, ...] = (), dpi: float | None = None
-) -> None:
-    """Write what is in the scratch file as a picture, reading and writing a few rows at a time.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    import rasterio
-    import rasterio.shutil
-
-    options: dict[str, dict[str, Any]] = {
-        "PNG": {"ZLEVEL": 4},
-        "JPEG": {"QUALITY": 92, "JPEG_QUALITY": 92},
-        "WEBP": {"LOSSLESS": "YES"},
-        "TIFF": {"COMPRESS": "DEFLATE", "PREDICTOR": 2, "BIGTIFF": "IF_SAFER", "PHOTOMETRIC": "RGB"},
-    }
-    options["PNG"]["WRITE_METADATA_AS_TEXT"] = "YES"
-    driver = {"TIFF": "GTiff"}.get(kind, kind)
-    with raster_file(scratch.out) as part:
-        if kind == "TIFF":
-            with rasterio.open(scratch.path) as source, rasterio.open(
-                part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
-                interleave="pixel", **options[kind], **located(place),
-            ) as file:  # fmt: skip
-                file.update_tags(**copyright_tags(attribution), **tiff_tags(dpi))
-                for _, window in source.block_windows(1):
-                    file.write(source.read(window=window), window=window)
-        else:
-            rasterio.shutil.copy(scratch.described(attribution), part, driver=driver, **options[kind])
-            stamp(part, kind, attribution, dpi)
-
-
-def located(place: Grid | None) -> dict[str, Any]:
-    """The part of a raster's profile that gives its position."""
-    if place is None:
-        return {}
-    return {"transform": place.transform} | ({} if place.crs is None else {"crs": place.crs.to_wkt()})
+            self.files[0].write(x0, y0, np.asarray(sheet, np.uint8))

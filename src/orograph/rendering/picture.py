@@ -14,6 +14,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from orograph._named import named
 from orograph.cards import png
 from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
@@ -38,6 +39,7 @@ ELSEWHERE = {
 """Names in other libraries → names here."""
 
 
+@named("A picture")
 @dataclass(frozen=True, slots=True, repr=False)
 class Picture:
     """A picture drawn by a backend.

@@ -7,6 +7,7 @@ stretched by the exaggeration, the ground beneath it is. Units: metres, pixels.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,13 +21,17 @@ from orograph.progress import Progress
 from orograph.rendering.jitter import pattern
 from orograph.rendering.shadows import shade
 from orograph.scene.scene import Scene
-from orograph.viewpoint import RayBasis
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import RayBasis, View
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.float32]
 
 ROWS = 32
 """Rows of a picture that a thread draws at a time."""
+
+BLOCK, CELLS = 4096, 48
+"""Things whose boxes are made at a time; of more of them, boxes are merged in so many cells along each side."""
 
 AMBIENT = 0.45
 """The ambient share of the light on things."""
@@ -66,7 +71,7 @@ def stand(
     """
     from orograph.rendering.standing_kernels import Eye, Light, Sheet, Solids, cast
 
-    place, end = placed or places(things, scene)
+    place, end = placed or places(things, scene.terrain, scene.surface.exaggeration)
     shadow = things.kind == Kind.SHADOW
     known = np.isfinite(place[:, 2]) | shadow
     basis, origin = _basis(scene)
@@ -78,12 +83,15 @@ def stand(
     out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
     shade(things, out, depth, scene)
     which = np.full(depth.shape, -1, np.int32)
-    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
-    through = np.unique(hidden[hidden > 0])
-    sun = np.array(scene.lighting.sun.direction)
     forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]
     flat = float(np.hypot(*forward))
     ahead = forward / flat if flat > 1e-9 else np.array([0.0, 1.0])
+    hidden = np.zeros(len(things)) if things.hidden is None else things.hidden
+    if flat <= 1e-9:  # seen from above, slopes hide nothing of what stands on them
+        floating = False if things.ends is None else np.isfinite(things.ends).any(1)
+        hidden = np.where(floating | (hidden > 0), hidden, 1.0)
+    through = np.unique(hidden[hidden > 0])
+    sun = np.array(scene.lighting.sun.direction)
     eye, light = Eye(basis, offsets, ahead, scene.view.near), Light(sun, AMBIENT)
     solids = Solids(things.kind, place - origin, end, things.radius, things.height, things.rgb, boxes)
 
@@ -128,37 +136,86 @@ def _blend(pixels: NDArray[np.uint8], color: Colors, hits: Colors) -> None:
     pixels[some] = np.rint(linear_to_srgb(mixed) * 255)
 
 
-def places(things: Things, scene: Scene) -> tuple[Array, Array]:
+def with_room(scene: Scene, again: Callable[..., View]) -> Scene:
+    """A scene of an automatic camera, seen from so far that all that stands is in the picture, and beside its legend.
+
+    Args:
+        again: makes the camera, as ``camera.whole`` does: ``also`` are further positions (n, 3) to show.
+    """
+    points = extent_of(scene)
+    if points is None and not (scene.annotations.furniture and scene.keys):
+        return scene
+    view = again(also=points)
+    return scene if view == scene.view else scene.but(view=view)
+
+
+def extent_of(scene: Scene) -> Array | None:
+    """Positions (n, 3) around everything that stands in a scene, whatever its priority; None: nothing stands."""
+    scenes = [scene, *(one.scene for one in scene.variants)]
+    found = [
+        extent(one.theme.things, one.terrain, one.surface.exaggeration)
+        for one in scenes if one.theme.things is not None
+    ]  # fmt: skip
+    return np.concatenate(found) if any(map(len, found)) else None
+
+
+def extent(things: Things, terrain: Terrain, exaggeration: float) -> Array:
+    """Positions (m, 3) around what is visible of things, above the ground or through it: the corners of boxes.
+
+    In the terrain's CRS, true metres. Of many things, neighbours have one box.
+    """
+    place, end = places(things, terrain, exaggeration)
+    alone = np.full(len(things), np.nan)
+    ground = _stretched(things.x, things.y, alone, np.zeros(len(things)), terrain, 1.0)[:, 2]
+    through = np.zeros(len(things)) if things.hidden is None else things.hidden
+    shown = np.isfinite(place[:, 2]) & (things.kind != Kind.SHADOW)
+    low, high = np.empty((2, len(things), 3))
+    for start in range(0, len(things), BLOCK):
+        k = slice(start, start + BLOCK)
+        corners = _corners(things, place, end, exaggeration, k)
+        low[k], high[k] = corners.min(0), corners.max(0)
+    shown &= (through > 0) | ~(high[:, 2] < ground)
+    low[:, 2] = np.where(through > 0, low[:, 2], np.fmax(low[:, 2], ground))
+    low, high = low[shown], high[shown]
+    if len(low) > BLOCK:
+        span = np.maximum(np.ptp(low[:, :2], axis=0), 1e-9)
+        cell = (CELLS * (low[:, :2] - low[:, :2].min(0)) / span).astype(np.int64) @ [CELLS + 1, 1]
+        order = np.argsort(cell, kind="stable")
+        first = np.unique(cell[order], return_index=True)[1]
+        low, high = np.minimum.reduceat(low[order], first), np.maximum.reduceat(high[order], first)
+    return np.concatenate([np.where(side, high, low) for side in np.ndindex(2, 2, 2)]) if len(low) else low
+
+
+def places(things: Things, terrain: Terrain, exaggeration: float) -> tuple[Array, Array]:
     """Where things stand, (n, 3), and from there to the other ends of tubes and walls, (n, 3), else 0."""
-    place = feet(things, scene)
-    return place, np.nan_to_num(heads(things, scene) - place)
+    place = feet(things, terrain, exaggeration)
+    return place, np.nan_to_num(heads(things, terrain, exaggeration) - place)
 
 
-def feet(things: Things, scene: Scene) -> Array:
+def feet(things: Things, terrain: Terrain, exaggeration: float) -> Array:
     """(n, 3) where things stand: easting, northing, and the stretched height of their foot; NaN where no ground is."""
     level = np.full(len(things), np.nan) if things.ends is None else things.ends[:, 0]
-    return _stretched(things.x, things.y, level, things.lift, scene)
+    return _stretched(things.x, things.y, level, things.lift, terrain, exaggeration)
 
 
-def heads(things: Things, scene: Scene) -> Array:
+def heads(things: Things, terrain: Terrain, exaggeration: float) -> Array:
     """(n, 3) the other ends of tubes and walls, as ``feet``; NaN of what stands upright."""
     if things.ends is None:
         return np.full((len(things), 3), np.nan)
     _, x, y, level = things.ends.T
     there = np.isfinite(x)
     found = np.full((len(things), 3), np.nan)
-    found[there] = _stretched(x[there], y[there], level[there], things.lift[there], scene)
+    found[there] = _stretched(x[there], y[there], level[there], things.lift[there], terrain, exaggeration)
     return found
 
 
-def _stretched(x: Array, y: Array, level: Array, lift: Array, scene: Scene) -> Array:
+def _stretched(x: Array, y: Array, level: Array, lift: Array, terrain: Terrain, exaggeration: float) -> Array:
     """(n, 3) places at heights; where ``level`` is NaN, those of the ground."""
-    terrain = scene.terrain
     col, row = terrain.grid.index(x, y)
     rows, cols = terrain.grid.shape
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1)
     z = np.where(inside, heights(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1)), np.nan)
-    return np.stack([x, y, np.where(np.isfinite(level), level, z) * scene.surface.exaggeration + lift], 1)
+    return np.stack([x, y, np.where(np.isfinite(level), level, z) * exaggeration + lift], 1)
 
 
 def _basis(scene: Scene) -> tuple[RayBasis, Array]:
@@ -170,20 +227,7 @@ def _basis(scene: Scene) -> tuple[RayBasis, Array]:
 
 def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np.int64]:
     """(n, 4) first and last column, first and last row that each may cover; of what lies around the eye, all."""
-    wide = np.where(np.isin(things.kind, (Kind.FLAG, Kind.TUBE)), things.radius, things.radius * np.sqrt(2))
-    flat = np.isin(things.kind, (Kind.PANEL, Kind.SECTION))
-    wide = np.where(flat | (things.kind == Kind.WALL), 0.0, wide)
-    tube = things.kind == Kind.TUBE
-    low, high = np.where(tube, -wide, 0.0), np.where(tube, wide, things.height)
-    high = np.where(things.kind == Kind.COLUMN, 0.0, high)
-    corners = np.stack([
-        foot + np.stack([i * wide, j * wide, up], 1)
-        for foot in (place, place + end) for i in (-1, 1) for j in (-1, 1) for up in (low, high)
-    ])  # fmt: skip
-    # The other two corners of panels and sections.
-    rise = np.where(flat, end[:, 2], 0.0)[:, None] * [0.0, 0.0, 1.0]
-    corners = np.concatenate([corners, [place + rise, place + end - rise]])
-    corners[..., 2] /= scene.surface.exaggeration
+    corners = _corners(things, place, end, scene.surface.exaggeration)
     (xy, depth), view = scene.view.project(corners, scene.surface.exaggeration), scene.view
     around = (depth <= 0).any(0) & (depth > 0).any(0)
     behind = (depth <= 0).all(0) | ~np.isfinite(place[:, 2])
@@ -195,3 +239,23 @@ def _boxes(things: Things, place: Array, end: Array, scene: Scene) -> NDArray[np
     size = np.array([view.width, view.width, view.height, view.height])
     clipped: NDArray[np.int64] = np.clip(boxes, -1, size).astype(np.int64)
     return clipped
+
+
+def _corners(things: Things, place: Array, end: Array, exaggeration: float, some: slice = slice(None)) -> Array:
+    """(k, n, 3) positions, in true metres, whose hull each of some things lies in."""
+    kind, radius, place, end = things.kind[some], things.radius[some], place[some], end[some]
+    wide = np.where(np.isin(kind, (Kind.FLAG, Kind.TUBE)), radius, radius * np.sqrt(2))
+    flat = np.isin(kind, (Kind.PANEL, Kind.SECTION))
+    wide = np.where(flat | (kind == Kind.WALL), 0.0, wide)
+    tube = kind == Kind.TUBE
+    low, high = np.where(tube, -wide, 0.0), np.where(tube, wide, things.height[some])
+    high = np.where(kind == Kind.COLUMN, 0.0, high)
+    corners = np.stack([
+        foot + np.stack([i * wide, j * wide, up], 1)
+        for foot in (place, place + end) for i in (-1, 1) for j in (-1, 1) for up in (low, high)
+    ])  # fmt: skip
+    # The other two corners of panels and sections.
+    rise = np.where(flat, end[:, 2], 0.0)[:, None] * [0.0, 0.0, 1.0]
+    corners = np.concatenate([corners, [place + rise, place + end - rise]])
+    corners[..., 2] /= exaggeration
+    return np.asarray(corners)

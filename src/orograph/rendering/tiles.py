@@ -6,7 +6,8 @@ whose parts are timed, and tiles are cut so that each costs about as much, at mu
 forecast misses is evened out by there being several tiles for each worker, which takes the next when it is done.
 
 A tile is what the whole picture shows there, to the bit, so the file has the bytes of one that is drawn by one process.
-Tiles lie in a folder beside the picture, ``.NAME.tiles``, until it is complete: what is there is not drawn again.
+Tiles lie compressed in a folder beside the picture, ``.NAME.tiles``, until it is complete: what is there is not drawn
+again, and GDAL reads the picture from there.
 """
 
 from __future__ import annotations
@@ -25,19 +26,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import StoreError, UsageError
+from orograph.errors import UsageError
 from orograph.progress import Progress
+from orograph.rendering.assembly import Raster, piece
 from orograph.rendering.backends import Session, session
-from orograph.rendering.large import COLUMNS, ROWS, Band, Box, Sheet, Tile, draw_large, draw_tile
+from orograph.rendering.large import COLUMNS, ROWS, Box, Seen, Sheet, draw_large, draw_tile, seen
 from orograph.rendering.memory import BYTES_PER_PIXEL, WORKER, worker_memory
 from orograph.scene.scene import Scene
 from orograph.store.clusters import Cluster, check_workers, threads_of
-from orograph.store.digests import Spot
+from orograph.store.digests import Spot, crc32c
 from orograph.store.executing import Stage
 from orograph.store.layout import dumps
 from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
-from orograph.store.storage import FolderStorage, Storage
+from orograph.store.storage import FolderStorage
 from orograph.store.worker_state import guarded
 from orograph.store.workforce import workforce
 
@@ -52,6 +54,9 @@ LEAST, MOST = 1 << 14, 4 << 20
 
 PLAN = "plan.json"
 
+Band = list[Box]
+"""Tiles of the same rows, from left to right."""
+
 Costs = NDArray[np.float64]
 
 
@@ -60,7 +65,7 @@ class SheetRecipe(NamedTuple):
 
     Attributes:
         scene: that is drawn. backend: that draws. folder: of the tiles. plan: as it lies there. bands: of the tiles.
-        memory, base: as of all recipes.
+        depth: whether their depths are kept. memory, base: as of all recipes.
     """
 
     scene: Scene
@@ -68,6 +73,7 @@ class SheetRecipe(NamedTuple):
     folder: str
     plan: bytes
     bands: list[Band]
+    depth: bool
     memory: int
     base: int = WORKER
 
@@ -79,32 +85,30 @@ class _SheetState:
     """The state of one process for a picture."""
 
     def __init__(self, recipe: SheetRecipe) -> None:
-        storage = guarded(FolderStorage(recipe.folder), PLAN, recipe.plan)
+        storage = FolderStorage(recipe.folder)
+        guarded(storage, PLAN, recipe.plan)
         self._tiles = Tiles(recipe, storage, session(backend=recipe.backend))
 
     def stage(self, name: str, number: int) -> Tiles:
         return self._tiles
 
 
-class Tiles(Stage[Tile]):
-    """The tiles of a picture; a task is a band's number and its tile's.
+class Tiles(Stage[Seen]):
+    """The tiles of a picture; a task is a band's number and its tile's. What it draws are pieces of ``sheet``'s files,
+    and beside them lies what is remembered of the tile.
 
     Args:
-        storage: of the tiles. draw: draws them; None: this process only puts them onto ``sheet``, band by band.
+        storage: of the tiles. draw: draws them; None: this process only adds them to ``sheet``.
     """
 
     name = "tiles"
     label = "Drawing"
 
     def __init__(
-        self, recipe: SheetRecipe, storage: Storage, draw: Session | None = None, sheet: Sheet | None = None,
-        progress: Progress | None = None,
+        self, recipe: SheetRecipe, storage: FolderStorage, draw: Session | None = None, sheet: Sheet | None = None
     ) -> None:  # fmt: skip
         self.recipe, self.storage, self.draw, self.sheet = recipe, storage, draw, sheet
-        self.progress = progress or Progress()
         self._drawing = threading.Lock()  # a session draws one picture at a time, with all threads
-        self._there: set[Spot] = set()
-        self._next = 0
 
     @property
     def place(self) -> str:
@@ -113,13 +117,20 @@ class Tiles(Stage[Tile]):
     def tasks(self) -> list[Spot]:
         return [(b, k) for b, band in enumerate(self.recipe.bands) for k in range(len(band))]
 
+    def box(self, spot: Spot) -> Box:
+        return self.recipe.bands[spot[0]][spot[1]]
+
     def key(self, spot: Spot) -> str:
         return f"{spot[0]}.{spot[1]}.tile"
+
+    def pieces(self, spot: Spot) -> list[str]:
+        """The keys of a tile's pixels, and of its depth if that is kept."""
+        return [f"{spot[0]}.{spot[1]}.{what}.tif" for what in ("pixels", "depth")[: 1 + self.recipe.depth]]
 
     def kept(self, spot: Spot) -> bool:
         return self.storage.exists(self.key(spot))
 
-    def found(self, spot: Spot, proof: bool = True) -> Tile | None:
+    def found(self, spot: Spot, proof: bool = True) -> Seen | None:
         data = self.storage.get(self.key(spot))
         try:
             kept = {} if data is None else unpack(data)
@@ -127,47 +138,42 @@ class Tiles(Stage[Tile]):
             return None
         if not kept:
             return None
-        facts = json.loads(kept["facts"].tobytes())
-        return Tile(kept["pixels"], kept["depth"], kept["ground"].astype(bool), facts)
+        for key, check in zip(self.pieces(spot), kept["checks"], strict=True):
+            if not self.storage.exists(key) or (proof and crc32c(self.storage.get(key) or b"") != check):
+                return None
+        return Seen(json.loads(kept["facts"].tobytes()), kept["cover"], kept["column"], kept["samples"])
 
-    def make(self, spot: Spot) -> Tile:
+    def make(self, spot: Spot) -> Seen:
         assert self.draw is not None
         with self._drawing:
-            tile = draw_tile(self.recipe.scene, self.recipe.bands[spot[0]][spot[1]], self.draw)
-        facts = np.frombuffer(json.dumps(tile.facts).encode(), np.uint8)
+            tile = draw_tile(self.recipe.scene, self.box(spot), self.draw)
+        checks = []
+        rasters: list[Raster] = [tile.pixels, tile.depth]
+        for key, raster in zip(self.pieces(spot), rasters, strict=False):
+            data = piece(raster)
+            self.storage.put(key, [data])
+            checks.append(crc32c(data))
+        known = seen(self.recipe.scene, self.box(spot), tile)
+        facts = np.frombuffer(json.dumps(known.facts).encode(), np.uint8)
         kept: dict[str, NDArray[Any]] = {
-            "pixels": tile.pixels,
-            "depth": tile.depth,
-            "ground": tile.ground.astype(np.uint8),
-        }
-        kept["facts"] = facts
+            "facts": facts, "cover": known.cover, "column": known.column, "samples": known.samples,
+            "checks": np.array(checks, np.uint32),
+        }  # fmt: skip
         self.storage.put(self.key(spot), [pack(kept)])
-        return tile
+        return known
 
-    def add(self, spot: Spot, found: Tile) -> None:
-        """Put the next bands onto the sheet, as far as all of their tiles are there."""
+    def add(self, spot: Spot, found: Seen) -> None:
         assert self.sheet is not None
-        self._there.add(spot)
-        bands = self.recipe.bands
-        while self._next < len(bands):
-            spots = [(self._next, k) for k in range(len(bands[self._next]))]
-            if not self._there.issuperset(spots):
-                return
-            tiles = [found if each == spot else self._again(each) for each in spots]
-            self.sheet.put(bands[self._next], tiles, self.progress)
-            self._next += 1
-
-    def _again(self, spot: Spot) -> Tile:
-        tile = self.found(spot)
-        if tile is None:
-            raise StoreError(f"{self.key(spot)} has disappeared.", path=self.place, remedy=self.again)
-        return tile
+        for key, file in zip(self.pieces(spot), self.sheet.files, strict=True):
+            file.refer(self.storage.path / key, *self.box(spot))
+        self.sheet.add(self.box(spot), found)
 
     def finish(self) -> None:
         """What the furniture needs to know about the picture's colours, from any part of it."""
         if self.sheet is not None and self.recipe.scene.annotations.furniture:
             left, top, wide, tall = self.recipe.bands[-1][-1]
-            self.sheet.tint = self.sheet.tile((left, top, min(wide, COLUMNS), min(tall, ROWS))).tint
+            corner = (left, top, min(wide, COLUMNS), min(tall, ROWS))
+            self.sheet.tint = draw_tile(self.recipe.scene, corner, self.sheet.session).tint
 
 
 def draw_by_workers(
@@ -205,11 +211,12 @@ def draw_by_workers(
         most = min(MOST, max(each // 8 // BYTES_PER_PIXEL, LEAST))
         needed = worker_memory(most, scene.terrain, each)
         with workforce(workers, dask, 1, max_memory, WORKER + needed) as client:
-            plan, bands = _planned(scene, folder, backend, threads_of(client), most, max_memory, progress)
+            deep = depth is not None
+            plan, bands = _planned(scene, folder, backend, deep, threads_of(client), most, progress)
             drawn = scene if workers is None else scene.but(jobs=jobs or 1)  # processes share the machine's processors
-            recipe = SheetRecipe(drawn, backend, str(folder.path), plan, bands, needed)
+            recipe = SheetRecipe(drawn, backend, str(folder.path), plan, bands, deep, needed)
             with Cluster(client, recipe) as cluster:
-                cluster.run(Tiles(recipe, folder, session(backend=backend), sheet, progress), progress)
+                cluster.run(Tiles(recipe, folder, sheet=sheet), progress)
                 imbalance = cluster.imbalance()
 
     with alone(folder, "drawing this picture"):
@@ -221,10 +228,11 @@ def draw_by_workers(
 
 
 def _planned(
-    scene: Scene, folder: FolderStorage, backend: str, threads: int, most: int, max_memory: int, progress: Progress
+    scene: Scene, folder: FolderStorage, backend: str, depth: bool, threads: int, most: int, progress: Progress
 ) -> tuple[bytes, list[Band]]:
     """The tiles of a picture: unfinished ones, or new ones."""
-    fingerprint = hashlib.sha256(json.dumps([scene.told(), backend], sort_keys=True, default=str).encode()).hexdigest()
+    asked = [scene.told(), backend, depth]
+    fingerprint = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()
     there = folder.get(PLAN)
     if there is not None:
         try:
@@ -235,8 +243,7 @@ def _planned(
             pass
         folder.remove()
     costs = coarse_costs(scene, session(backend=backend), progress)
-    rows = max(ROWS, max_memory // 64 // scene.view.width // ROWS * ROWS)
-    bands = cut(scene.view.width, scene.view.height, costs, EACH * threads, most, rows)
+    bands = cut(scene.view.width, scene.view.height, costs, EACH * threads, most)
     plan_now = dumps({"picture": fingerprint, "bands": bands})
     folder.put(PLAN, [plan_now])
     return plan_now, bands
@@ -261,18 +268,18 @@ def coarse_costs(scene: Scene, draw: Session, progress: Progress) -> Costs:
     return np.asarray(np.maximum(costs - 0.9 * costs.min(), 1e-6))  # without what each tile costs, however small it is
 
 
-def cut(width: int, height: int, costs: Costs, count: int, most: int, rows: int) -> list[Band]:
+def cut(width: int, height: int, costs: Costs, count: int, most: int) -> list[Band]:
     """Cut a picture into tiles of about equal cost.
 
     Args:
         costs: (r, c) of the cells of a coarse picture; the last row and column may be cut off.
-        count: of tiles, about, or more. most: pixels of one. rows: of a band, at most.
+        count: of tiles, about, or more. most: pixels of one.
 
     Returns:
         bands of tiles at multiples of ``ROWS`` and ``COLUMNS``.
     """
     each = costs.sum() / count
-    tall = max(ROWS, min(rows, math.ceil(height / math.sqrt(count)), math.isqrt(most)) // ROWS * ROWS)
+    tall = max(ROWS, min(math.ceil(height / math.sqrt(count)), math.isqrt(most)) // ROWS * ROWS)
     found: list[Band] = []
     for top in range(0, height, tall):
         high = min(tall, height - top)

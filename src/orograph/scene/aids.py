@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Literal
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.scene.contours import round_number
 
@@ -26,6 +27,7 @@ APART = 110.0
 """Approximate pixels between grid lines at the picture's middle, if no interval is given."""
 
 
+@named("orograph.Aids")
 @dataclass(frozen=True, slots=True)
 class Aids:
     """Which orientation aids are drawn.

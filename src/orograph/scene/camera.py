@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import answering
 from orograph.errors import NothingInViewError, UsageError, absent
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside, place
@@ -88,6 +89,7 @@ def outline(terrain: Terrain) -> Array:
     return np.stack([x, y, np.concatenate(height)], 1)
 
 
+@answering
 def direction(azimuth: float, pitch: float) -> Array:
     """The unit viewing direction (3,) of an eye at ``azimuth`` from its target and ``pitch`` above it.
 
@@ -101,6 +103,7 @@ NEAREST = 1e-3
 """How near the eye may come to its target, relative to the target's size."""
 
 
+@answering
 def fit(
     points: Array,
     forward: Array,
@@ -203,14 +206,14 @@ def view_of(
         UsageError: it is none of these, or the size is not (width, height). ReadError: the file cannot be read.
     """
     size = size_of(size)
-    if given is None:
+    if given is None or (isinstance(given, str) and given == "perspective"):
         return whole(terrain, size, exaggeration=exaggeration, insets=insets)
     if isinstance(given, View):
         return given
     if isinstance(given, str) and given == "plan":
         return plan(terrain, size, insets=insets)
     if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
-        remedy = 'A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.'
+        remedy = 'A view is "plan" (a map), "perspective", the path of a VIEW.json, or made by orograph.camera.'
         if Path(given).suffix.lower() in PICTURES:
             remedy = f"Save pictures through the result: `picture.save({given!r})`. {remedy}"
         raise UsageError(f"There is no view {given!r}.", remedy=remedy)
@@ -232,12 +235,21 @@ def whole(
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
     insets: Insets = NO_INSETS,
+    also: Array | None = None,
 ) -> View:
     """A view that shows the whole terrain well: obliquely from the south, with a long lens.
 
-    ``insets`` are parts of the picture to leave free, such as ``furniture.insets``.
+    Args:
+        insets: parts of the picture to leave free, such as ``furniture.insets``.
+        also: (n, 3) further positions to show, as ``outline`` (``rendering.standing.extent``).
     """
-    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size_of(size), exaggeration, insets, azimuth + 180.0)
+    points = joined(outline(terrain), also)
+    return fit(points, direction(azimuth, pitch), fov_y, size_of(size), exaggeration, insets, azimuth + 180.0)
+
+
+def joined(points: Array, also: Array | None) -> Array:
+    """All positions (n, 3) of both."""
+    return points if also is None else np.concatenate([points, also])
 
 
 @takes_terrain
@@ -251,11 +263,12 @@ def around(
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
     insets: Insets = NO_INSETS,
+    also: Array | None = None,
 ) -> View:
     """A view from ``azimuth`` and ``pitch`` at ``distance`` from the terrain's middle (None: all of it in the picture).
 
     Pitch (degrees) and distance (metres) refer to the stretched ground of the picture. ``insets`` are parts of the
-    picture to leave free if no distance is given.
+    picture to leave free if no distance is given, ``also`` further positions to show then, as for ``whole``.
 
     Raises:
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
@@ -263,7 +276,8 @@ def around(
     check_around(azimuth, pitch, distance, exaggeration)
     size = size_of(size)
     if distance is None:
-        return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
+        return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration,
+                     insets=insets, also=also)  # fmt: skip
     points = outline(terrain)
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
@@ -322,11 +336,15 @@ def standing(
 
 
 @takes_terrain
-def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
+def plan(
+    terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS,
+    also: Array | None = None,
+) -> View:  # fmt: skip
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:
         azimuth: the side at the bottom of the picture, degrees clockwise from north; 180 has north up.
+        also: further positions to show, as for ``whole``.
 
     Raises:
         UsageError: the azimuth is not an angle, or an inset is not in [0, 0.5). NothingInViewError: no sample is valid.
@@ -334,7 +352,7 @@ def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets:
     if not math.isfinite(azimuth):
         raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     size = size_of(size)
-    points = outline(terrain)
+    points = joined(outline(terrain), also)
     up = direction(azimuth, 0.0)
     right = np.array([up[1], -up[0], 0.0])
     across, along = points @ right, points @ up

@@ -7,7 +7,7 @@ index contours. Level ground and water have no lines.
 
 The automatic interval follows the cartographers' rule (Imhof 1965): lines must remain distinct on the steepest common
 slopes, so it is tan α of those slopes times the smallest distance between lines, rounded to 1, 2 or 5 times a power of
-ten.
+ten. Where the relief is low for the scale it is less, so that some lines remain.
 
 Units: metres, pixels; colours are sRGB from 0 to 1.
 """
@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.lod.options import check, option
 
@@ -35,16 +36,23 @@ STEEP = 0.9
 WORKING = 512
 """Maximum samples per side for measuring slopes."""
 
+FEWEST = 3
+"""Contour lines, at least, between the lowest ground and the highest, for an automatic interval."""
+
 GENTLE, LEAST = 0.25, 0.02
 """See ``Contours.finer``."""
 
 LEVEL = 2e-4
 """Slopes below this (usually water) do not count."""
 
+CASING = 0.8
+"""Width of the light casing to each side of a line, pixels."""
+
 USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines and labels grow with it: such pictures are for print."""
 
 
+@named("orograph.Contours")
 @dataclass(frozen=True, slots=True)
 class Contours:
     """How contour lines are drawn.
@@ -54,6 +62,8 @@ class Contours:
         index, opacity, labels: see their help.
         width: of plain lines in pixels (index contours are twice as wide); larger in pictures for print (``USUAL``).
         color: sRGB, 0 to 1.
+        casing: opacity of a light casing around lines and labels, which keeps them legible over dark colours; None:
+            suited to what is below (data have one, plain ground has none).
         type_size: of the labels, pixels; as ``width``.
         fading: labels fade in and out as the camera moves, for films; otherwise each is either drawn or not.
 
@@ -68,6 +78,7 @@ class Contours:
     width: float = 1.0
     opacity: float = option(0.7, "Opacity of the lines.", least=0, most=1, flag="contour-opacity")
     color: tuple[float, float, float] = (0.38, 0.30, 0.22)
+    casing: float | None = None
     labels: bool = option(True, "Whether thick contour lines are labelled with their height.", flag="contour-labels")
     type_size: float = 12.0
     fading: bool = False
@@ -80,6 +91,8 @@ class Contours:
             )
         if not 0 < self.width < math.inf or not 0 < self.type_size < math.inf:
             raise UsageError("The width of contour lines and the size of their labels must be more than 0 pixels.")
+        if self.casing is not None and not 0 <= self.casing <= 1:
+            raise UsageError(f"The opacity of the casing of contour lines must be from 0 to 1, not {self.casing:g}.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
             raise UsageError(f"The colour of contour lines must be three numbers from 0 to 1, not {self.color}.")
 
@@ -87,7 +100,10 @@ class Contours:
         """These options for one picture: with an interval, and sizes that suit its number of pixels."""
         _, _, width, height = view.frame
         large = max(1.0, min(width, height) / USUAL)
-        interval = self.interval or suitable(memo("steepness", (), lambda: steepness(terrain), terrain), view)
+        interval = self.interval
+        if interval is None:
+            low, high = terrain.height_range
+            interval = suitable(memo("steepness", (), lambda: steepness(terrain), terrain), view, high - low)
         return replace(self, interval=interval, width=self.width * large, type_size=self.type_size * large)
 
     def finer(self, terrain: Terrain, view: View, memo: Memo) -> float:
@@ -108,9 +124,16 @@ class Contours:
         return 0.0 if self.interval is None else self.interval * self.index
 
 
-def suitable(steep: float, view: View) -> float:
-    """The interval (metres) for ground whose steepest common slopes are ``steep``, at the scale of a view's middle."""
-    return round_number(max(APART * view.pixel_metres * steep, 1e-3))
+def suitable(steep: float, view: View, relief: float = math.inf) -> float:
+    """The interval (metres) for ground whose steepest common slopes are ``steep``, at the scale of a view's middle.
+
+    Args:
+        relief: from the lowest ground to the highest, metres: at least ``FEWEST`` lines are between them.
+    """
+    interval = round_number(max(APART * view.pixel_metres * steep, 1e-3))
+    while relief > 0 and interval > relief / FEWEST:
+        interval = round_number(interval / 2.2)  # the next one down: 5, 2, 1, 0.5…
+    return interval
 
 
 def round_number(least: float) -> float:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.focus import Weight
@@ -31,6 +32,7 @@ COLOR = "#2f7fd1"
 KEYS = ("color", "opacity", "hidden", "name", "band", "vertical_unit")
 
 
+@named("A ghost")
 @dataclass(frozen=True, slots=True)
 class Ghost:
     """A transparent surface.

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from orograph._named import remedy
 from orograph.errors import UsageError
 from orograph.folders import parse_bytes
 from orograph.lod.options import Described, check, described, option
@@ -192,9 +193,11 @@ class Theme:
         "style (continuous, segmented, isolines, isobands, cells, hatching, stipple, arrows, lic, bivariate; "
         "standing: bars, spheres, cones, discs, flags; of lines tubes, curtains; of tracks tubes, paths; of boreholes "
         "columns, logs; of volumes curtains, walls), "
-        "colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: 0:5:10), height, above, "
+        "colormap (a name, or CLASS:COLOR;CLASS:COLOR…), names (of classes: 11:Open water;41:Forest), range "
+        "(LOW:HIGH), classes, breaks (quantiles, equal, jenks, or values: 0:5:10), height, above, "
         "depth (ATTRIBUTE[:km|ft]: metres of points over the heights' zero, or over or below the ground; from+to), "
-        "group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks), level (of a volume), vertical "
+        "group (ATTRIBUTE: which borehole or track), when (ATTRIBUTE: time of tracks and points), "
+        "trail (6h: how long points are seen after their time), level (of a volume), vertical "
         "(what its levels are: height, above, depth, pressure), along (FILE of lines, or LON:LAT:LON:LAT…: where "
         "curtains through a volume run), hidden (how strongly things below the ground show through it), size, width, "
         "opacity, name, unit: era5.grib,time=T12,style=segmented.",
@@ -357,7 +360,7 @@ def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     parts: dict[str, dict[str, Any]] = {}
     for name, value in options.items():
         if name not in HOMES:
-            raise UsageError(f"A scene has no option {name!r}; the options are {', '.join(HOMES)}.")
+            raise UsageError(f"A scene has no option {name!r}.", remedy=remedy(name, HOMES))
         parts.setdefault(HOMES[name], {})[name] = value
     return parts
 

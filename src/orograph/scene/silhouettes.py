@@ -9,8 +9,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.lod.options import check, option
+from orograph.scene.contours import CASING
 
 if TYPE_CHECKING:  # help of the command line uses these fields before anything is loaded
     import numpy as np
@@ -22,13 +24,15 @@ USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines are wider: such pictures are for print."""
 
 
+@named("orograph.Silhouettes")
 @dataclass(frozen=True, slots=True)
 class Silhouettes:
     """How silhouettes are drawn.
 
     Attributes:
         width: in pixels; more in pictures for print (``USUAL``). opacity: of the nearest ones, 0 to 1.
-        color: sRGB, 0 to 1. creases: see its help; relative to lines where ground hides something.
+        color: sRGB, 0 to 1. casing: as that of ``Contours``.
+        creases: see its help; relative to lines where ground hides something.
 
     Raises:
         UsageError: a number is out of its range.
@@ -40,6 +44,7 @@ class Silhouettes:
     )  # fmt: skip
     opacity: float = 0.8
     color: tuple[float, float, float] = (0.20, 0.18, 0.20)
+    casing: float | None = None
     creases: float = option(
         0.6,
         "Weight of silhouettes where ground turns away and back but hides nothing; 0: not drawn.", least=0, most=1,
@@ -50,6 +55,8 @@ class Silhouettes:
         check(self)
         if not 0 <= self.opacity <= 1:
             raise UsageError(f"The opacity of silhouettes must be from 0 to 1, not {self.opacity:g}.")
+        if self.casing is not None and not 0 <= self.casing <= 1:
+            raise UsageError(f"The opacity of the casing of silhouettes must be from 0 to 1, not {self.casing:g}.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
             raise UsageError(f"The colour of silhouettes must be three numbers from 0 to 1, not {self.color}.")
 
@@ -69,5 +76,5 @@ class Silhouettes:
 
     @property
     def reach(self) -> int:
-        """Distance from a line within which it may cover a pixel, pixels."""
-        return math.ceil(self.width / 2 + 0.5)
+        """Distance from a line within which it or its casing may cover a pixel, pixels."""
+        return math.ceil(self.width / 2 + (CASING if self.casing else 0.0) + 0.5)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 FINER, LEAST, MOST = 1.6, 1024, 3072
 """Texels along the longer side of painted data: this many per pixel of the picture, within these bounds."""
 
+CASED, INK = 0.45, (0.17, 0.13, 0.10)
+"""Opacity of the casing of lines over data, and the colour of contour lines of terrain without priority."""
+
 PAPER = "#f4f2ec"
 """The tint of ground under data."""
 
@@ -89,8 +92,11 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     found = [read(one) for one in pairs(inside)]
     standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
-    usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
+    covered = any(not one.cased for one in flat)  # lines leave the ground its colours
+    usual = ({} if priority.terrain else _lines()) | (_ground() if covered or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
+    if flat:
+        made |= _cased(made, terrain)
     made["layers"] = (
         *layers_of(options.get("layers")),
         *(once("painted", id(one), partial(painted, one)) for one in flat),
@@ -110,11 +116,11 @@ def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things
 
     key = things.legend
     if key.scales:
-        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),))
+        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),), which=None)
     one = dataset if not isinstance(dataset, tuple) else dataset[0]
     classes = tuple(name for name, _ in key.classes)
     alike = one.name or one.variable or ("class" if len(classes) > 1 else "".join(classes))
-    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),))
+    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),), which=None)
 
 
 def _read(
@@ -126,6 +132,7 @@ def _read(
         pixels: along the longer side of the picture. stretch: of its heights.
     """
     from orograph.geovis.data.bivariate import shown_pair
+    from orograph.geovis.data.events import happened
     from orograph.geovis.data.features import has_features, read_features
     from orograph.geovis.data.painting import shown
     from orograph.geovis.data.points import is_table, read_points
@@ -158,13 +165,13 @@ def _read(
     if features is not None and features.kind != "points":
         return shown_shapes(dataset, features, grid, texels, texels / pixels, priority)
     if features is not None or is_table(dataset.source):
-        points = read_points(dataset, grid, features)
+        dataset, points, when = happened(dataset, read_points(dataset, grid, features))
         if dataset.style in PROFILES:
             return things_of_profiles(dataset, points, grid, _ground_at(terrain, points.x, points.y))
         if dataset.leveled in ("above", "depth") and points.level is not None:
             base = _ground_at(terrain, points.x, points.y).reshape(-1, *[1] * (points.level.ndim - 1))
             points = replace(points, level=base + points.level * (-1.0 if dataset.depth is not None else 1.0))
-        return things_of(dataset, points, grid, priority, dataset.unit or "", "")
+        return things_of(dataset, points, grid, priority, dataset.unit or "", when)
     if dataset.style == "curtains":
         return curtains(dataset, grid, lambda x, y: _ground_at(terrain, x, y), stretch, priority.uncertainty)
     if stands(dataset):
@@ -304,7 +311,14 @@ def _ground() -> dict[str, Any]:
 
 def _lines() -> dict[str, Any]:
     """Options for terrain without priority: lines, and no shading."""
-    return {"light": "none", "contours": Contours(), "silhouettes": Silhouettes()}
+    return {"light": "none", "contours": Contours(color=INK, opacity=0.85), "silhouettes": Silhouettes(opacity=0.9)}
+
+
+def _cased(options: dict[str, Any], terrain: Terrain) -> dict[str, Any]:
+    """The options of lines, with a casing that keeps them legible over data of any colour."""
+    found = {name: made_of(name, options.get(name), terrain) for name in ("contours", "silhouettes")}
+    plain = {name: lines for name, lines in found.items() if lines is not None and lines.casing is None}
+    return {name: replace(lines, casing=CASED) for name, lines in plain.items()}
 
 
 def _usual(name: str, value: Any) -> bool:

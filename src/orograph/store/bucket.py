@@ -248,9 +248,12 @@ class BucketStorage(Storage):
             self._publish(data)
             return
         self._know(key, data)
-        self.elsewhere.pop(key, None)
+        self.renewed(key)
         at = self._at(key)
         self._try("written", key, lambda: self._client.put(at, data, chunk_size=PART, max_concurrency=4), written=True)
+
+    def renewed(self, key: str) -> None:
+        self.elsewhere.pop(key, None)
 
     def swap(self, key: str, data: bytes, version: Version | None) -> Version | None:
         """Put an object where there is none (``version`` is None), or in the place of this version of it; None if there
@@ -285,6 +288,11 @@ class BucketStorage(Storage):
             seen = self.look(key)
             return seen.version if seen is not None and seen.data == data else None
         return made
+
+    def copy(self, made: BucketStorage, key: str, to: str) -> None:
+        """Copy an object of another prefix of this bucket, by the server."""
+        self.may_write()
+        self._try("written", to, lambda: self._client.copy(made._at(key), self._at(to)), written=True)
 
     def _publish(self, data: bytes) -> None:
         """Put the root in the place of that which was read last."""

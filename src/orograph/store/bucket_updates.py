@@ -29,6 +29,7 @@ from orograph.store.places import PARTS, PLAN, ROOT, UPDATE, begun
 from orograph.store.plan import differing, plan_of
 from orograph.store.registry import KINDS
 from orograph.store.source import HeightSource
+from orograph.store.storage import Storage
 from orograph.store.stored import read_record, record_of
 from orograph.store.updating import ALL_AGAIN, Begun, read_plan, seeded, sized
 from orograph.store.versions import Edition
@@ -144,6 +145,13 @@ class BucketUpdate:
             self.storage.remove(UPDATE)
         except StoreError as error:  # the new version is there, and the next update has this to do again
             self.progress.note(f"{self.storage.url}: what no version needs is kept for now: {error.what}")
+
+
+def go_on(storage: Storage) -> None:
+    """Let a worker know which update is under way, and where the parts lie that it takes over."""
+    assert isinstance(storage, BucketStorage)
+    storage.get(UPDATE)
+    storage.elsewhere = _taken(storage)
 
 
 def tidy(storage: BucketStorage) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
@@ -197,7 +197,7 @@ def build(
         from orograph.store.updating import ALL_AGAIN, begin, check_updatable
 
         excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
-        check_updatable(final, {**excluded, "workers": workers is not None, "dask": dask is not None})
+        check_updatable(final, excluded)
     if workers is not None:
         jobs = jobs or 1
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
@@ -245,17 +245,16 @@ def build(
         if in_bucket is not None or not storage.exists(ROOT):
             label = "Building the store" if not going_on else "Updating the store" if update else "Resuming the store"
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
-            with executor_of(raster, storage, storage_options, plan, coding, at_once, going_on, workers, dask) as does:
+            how = going_on, update, workers, dask
+            with executor_of(raster, storage, storage_options, plan, coding, at_once, *how) as does:
                 executor = Gathering(final.url, count, does) if count else does
-                with while_compiling("orograph.error.ahead", *plan["errors"]):
-                    record = _fill(
-                        raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None
-                    )
+                expect("build")
+                record = _fill(raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None)
             if in_bucket is not None:
                 in_bucket.publish(record)
                 return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
             publish_record(storage, record)
-        if isinstance(storage, FolderStorage) and going_on:
+        if isinstance(storage, FolderStorage) and (going_on or workers is not None or dask is not None):
             storage.sweep()
         for each in [f"{PARTS}/{name}" for name in ALL_AGAIN] if update else [PARTS]:
             storage.remove(each)

@@ -20,7 +20,7 @@ from orograph.store.coding import Coding
 from orograph.store.digests import Digests
 from orograph.store.executing import KNOWN, Stage
 from orograph.store.layout import TABLES_AND_VALID, table_spec
-from orograph.store.places import PLAN
+from orograph.store.places import UPDATE
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage
 from orograph.store.terrain import TileTable
@@ -33,7 +33,8 @@ class BuildRecipe(NamedTuple):
 
     Attributes:
         url: where the store is made. storage_options: for the bucket (obstore's), in addition to the environment.
-        plan: of the build. coding: how heights are encoded. begun: the plan, as stored.
+        plan: of the build. coding: how heights are encoded. begun: the plan, as stored at the key ``at``.
+        keyed: as of ``Digests``: of updates in buckets.
         files, options: of the source (``inputs.opened``).
         levels: of the groups of heights and errors; 0: none.
         memory: bytes that a task may take, in addition to ``base`` of the process.
@@ -44,6 +45,8 @@ class BuildRecipe(NamedTuple):
     plan: dict[str, Any]
     coding: Coding | None
     begun: bytes
+    at: str
+    keyed: bool
     files: list[str]
     options: dict[str, Any]
     levels: int
@@ -56,9 +59,9 @@ class BuildRecipe(NamedTuple):
 
 def recipe_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
-    coding: Coding | None, begun: bytes, memory: int, base: int,
+    coding: Coding | None, at: str, memory: int, base: int,
 ) -> BuildRecipe:  # fmt: skip
-    """The recipe of a build without groups.
+    """The recipe of a build without groups, whose plan lies in the storage at the key ``at``.
 
     Raises:
         UsageError: the heights are not in files, or the store would be in this process's memory.
@@ -76,7 +79,8 @@ def recipe_of(
         files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
     url, _ = storage.named()
-    return BuildRecipe(url, storage_options, plan, coding, begun, here, options, 0, memory, base)
+    begun, keyed = storage.get(at) or b"", at == UPDATE
+    return BuildRecipe(url, storage_options, plan, coding, begun, at, keyed, here, options, 0, memory, base)
 
 
 class BuildState:
@@ -88,7 +92,11 @@ class BuildState:
 
     def __init__(self, recipe: BuildRecipe) -> None:
         self.recipe, self.plan = recipe, recipe.plan
-        self.storage = guarded(storage_at(recipe.url, recipe.storage_options), PLAN, recipe.begun)
+        self.storage = guarded(storage_at(recipe.url, recipe.storage_options), recipe.at, recipe.begun)
+        if recipe.keyed:
+            from orograph.store.bucket_updates import go_on
+
+            go_on(self.storage)
         self._raster: HeightSource | None = None
         self.making: Any = None
         self._stages: dict[tuple[str, int], Stage[Any]] = {}
@@ -96,8 +104,8 @@ class BuildState:
     def stage(self, name: str, number: int) -> Stage[Any]:
         """A stage."""
         if (name, number) not in self._stages:
-            writer = ShardWriter(self.storage)
-            writer.digests = Digests.from_json(json.loads(self.storage.get(KNOWN) or b"{}"))
+            writer, keyed = ShardWriter(self.storage), self.recipe.keyed
+            writer.digests = Digests.from_json(json.loads(self.storage.get(KNOWN) or b"{}"), keyed)
             self._stages[name, number] = _STAGES[name](self, writer, number)
         return self._stages[name, number]
 
@@ -165,21 +173,21 @@ def _patches(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.error import KINDS
     from orograph.store.derived_stages import PatchStage, known
 
-    return PatchStage(known(state.storage), writer, KINDS[number])
+    return PatchStage(known(state.storage, state.recipe.keyed), writer, KINDS[number])
 
 
 def _chunks(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.chunked import Kind
     from orograph.store.derived_stages import ChunkStage, known
 
-    return ChunkStage(known(state.storage), writer, Kind(*state.plan["chunked"]))
+    return ChunkStage(known(state.storage, state.recipe.keyed), writer, Kind(*state.plan["chunked"]))
 
 
 def _tins(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.derived_stages import known
     from orograph.store.tin_stage import TinStage
 
-    return TinStage(known(state.storage), writer, state.plan["tins"], number)
+    return TinStage(known(state.storage, state.recipe.keyed), writer, state.plan["tins"], number)
 
 
 def _quadtin(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
@@ -187,7 +195,7 @@ def _quadtin(state: BuildState, writer: ShardWriter, number: int) -> Stage[Any]:
     from orograph.store.quadtin_grow import Making
     from orograph.store.quadtin_stage import QuadTinStage
 
-    terrain, (finest, split) = known(state.storage), state.plan["quadtin"]
+    terrain, (finest, split) = known(state.storage, state.recipe.keyed), state.plan["quadtin"]
     if state.making is None:
         state.making = Making(terrain, finest, split == "deviation")
     return QuadTinStage(terrain, writer, state.making, number)

@@ -8,6 +8,7 @@ else from each other, so they are made on demand, in any order, by any number of
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,17 @@ SEEN = 64
 Integers = NDArray[np.int64]
 
 
+class Reached(NamedTuple):
+    """What ``MemoryChunks`` finds out of all errors before it makes any chunk.
+
+    Attributes:
+        error: metres, of level 0. levels: those of all vertices (uint8), octave by octave.
+    """
+
+    error: float
+    levels: NDArray[np.uint8]
+
+
 class MemoryChunks:
     """The chunks of a terrain, each made on demand.
 
@@ -42,21 +54,25 @@ class MemoryChunks:
 
     Args:
         terrain: the ground; its ``midpoint`` errors are needed. kind: of the chunks.
+        reached: from another process that has the same terrain; None: found out here.
 
     Attributes:
-        layout: of the chunks. error: metres, of level 0. compressed: whether words are encoded by ``chunk_code``.
+        layout: of the chunks. error: metres, of level 0. reached: for other processes.
+        compressed: whether words are encoded by ``chunk_code``.
 
     Raises:
         StoreError: a store has no such errors. DamagedChunkError: as ``terrain.read``.
     """
 
-    def __init__(self, terrain: Terrain, kind: Kind) -> None:
+    def __init__(self, terrain: Terrain, kind: Kind, reached: Reached | None = None) -> None:
         self.terrain, self.layout = terrain, Layout(terrain.grid.shape, kind.cells)
         self.compressed = kind.compressed
         self._table = terrain.derived("diamonds", error="midpoint") if terrain.n else None
-        self.error = kind.finest or self._usual()
+        self.error = kind.finest or self._usual() if reached is None else reached.error
         self._step = step_of(self.error, max(map(abs, terrain.height_range)))
-        self._levels, self._places = self._vertices()
+        self._places = self._offsets()
+        self._levels = self._vertices() if reached is None else reached.levels
+        self.reached = Reached(self.error, self._levels)
         self._corners: dict[tuple[int, int, int], float] = {}
 
     def chunk(self, level: int, i: int, j: int) -> Chunk:
@@ -100,22 +116,29 @@ class MemoryChunks:
         for row in starts.tolist():
             yield self._table.read(level, row, min(row + BAND, rows), 0, cols)
 
-    def _vertices(self) -> tuple[NDArray[np.uint8], Integers]:
-        """The levels of all vertices, and the offset of each octave's table (``chunked_kernels.level_of``)."""
-        if self._table is None:  # a raster of one cell, whose square has one diamond, squeezed onto it
-            return np.full(9, 255, np.uint8), np.array([[0, 3, 3]], np.int64)
-        reached = self.error * 2.0 ** np.append(0.0, np.arange(1, self.layout.top + 1) - 0.5)
+    def _offsets(self) -> Integers:
+        """The offset of each octave's table of levels, and its rows and columns (``chunked_kernels.level_of``)."""
+        if self._table is None:
+            return np.array([[0, 3, 3]], np.int64)
         shapes = [self.terrain.diamond_shape(level) for level in range(self.terrain.levels)]
-        ends = np.cumsum([0, *(rows * cols for rows, cols in shapes)])
-        found, _ = held(int(ends[-1]))
-        for level, at in enumerate(ends[:-1].tolist()):
+        begins = np.cumsum([0, *(rows * cols for rows, cols in shapes)])
+        return np.array([(at, *shape) for at, shape in zip(begins.tolist(), shapes)], np.int64)
+
+    def _vertices(self) -> NDArray[np.uint8]:
+        """The levels of all vertices."""
+        if self._table is None:  # a raster of one cell, whose square has one diamond, squeezed onto it
+            return np.full(9, 255, np.uint8)
+        reached = self.error * 2.0 ** np.append(0.0, np.arange(1, self.layout.top + 1) - 0.5)
+        last, rows, cols = self._places[-1].tolist()
+        found, _ = held(last + rows * cols)
+        for level, at in enumerate(self._places[:, 0].tolist()):
             for errors, radii in self._bands(level):
                 levels = (1 + np.searchsorted(reached, errors, side="right")).astype(np.uint8)
                 levels[np.isinf(errors)] = 255
                 levels[radii < 0] = 0
                 found[at : at + levels.size] = levels.reshape(-1)
                 at += levels.size
-        return found, np.array([(at, *shape) for at, shape in zip(ends.tolist(), shapes)], np.int64)
+        return found
 
     def _known(self, row: int, col: int) -> int:
         """The levels of one vertex."""

@@ -253,7 +253,10 @@ class _Round:
             error = future.exception(timeout=10) if future.status == "error" else None
             why = "it was cancelled" if error is None and future.status != "finished" else _said(error)
             if why is None:
-                self._hear(future.result(timeout=10))
+                done = future.result(timeout=10)
+                if done.seconds:
+                    self.stage.renewed(spot)
+                self._hear(done)
         except Exception as failure:  # the scheduler is gone, and what it knew with it; or the worker
             error, why = failure, _said(failure)
         future.release()

@@ -8,39 +8,52 @@ from __future__ import annotations
 import json
 import math
 import threading
-from typing import IO
+from dataclasses import replace
+from typing import IO, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.error import KINDS, ErrorKind
 from orograph.store.chunked import Kind, Words, lengths_spec, words_spec
-from orograph.store.chunked_build import MemoryChunks
+from orograph.store.chunked_build import MemoryChunks, Reached
 from orograph.store.chunked_kind import rows_of, spooled
-from orograph.store.digests import Spot
+from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Found, ShardStage
 from orograph.store.layout import Record, dumps
 from orograph.store.parts import pack, unpack
 from orograph.store.patches import LEGS, PatchErrors, spec, stored_levels
-from orograph.store.places import PARTS
-from orograph.store.storage import Storage
+from orograph.store.places import HANDED, PARTS
+from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Heights
 from orograph.store.writer import ShardWriter
 
-KNOWN = f"{PARTS}/record.json"
+KNOWN = f"{HANDED}/record.json"
 """The current state of the store, for other processes."""
 
-RUN = 256
+RUN = 1024
 """Chunks per task."""
+
+
+class Written(NamedTuple):
+    """Chunks of a task. Attributes: lengths: words of each. words: of all."""
+
+    lengths: NDArray[np.int64]
+    words: Words
+
+
+LEVELS, FINEST = f"{HANDED}/levels", f"{HANDED}/finest.json"
+"""Where workers find the levels of all vertices, and the error of level 0 with the number of vertices."""
 
 CACHE = 64 << 20
 """Number of decoded chunks that a worker's terrain caches."""
 
 
-def known(storage: Storage) -> StoredTerrain:
-    """The terrain of the store being built, as the building process left it."""
+def known(storage: Storage, keyed: bool) -> StoredTerrain:
+    """The terrain of the store being built, as the building process left it; ``keyed`` as of ``Digests``."""
     record = Record.from_json(json.loads(storage.get(KNOWN) or b"{}"), storage.url)
-    return StoredTerrain(storage, record, CACHE, 1)
+    return StoredTerrain(storage, replace(record, digests=Digests(record.digests.listed, keyed)), CACHE, 1)
 
 
 class TerrainStage(ShardStage[Found]):
@@ -72,7 +85,7 @@ class PatchStage(TerrainStage[Heights]):
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: ErrorKind) -> None:
         super().__init__(terrain, writer)
         self.kind, self.number = kind, KINDS.index(kind)
-        self.making = PatchErrors(terrain, kind, LEGS)
+        self.making = PatchErrors(terrain, terrain.derived("diamonds", error=kind), LEGS)
 
     def tasks(self) -> list[Spot]:
         return self.making.tasks()
@@ -98,11 +111,11 @@ class PatchStage(TerrainStage[Heights]):
             self.writer.array(spec(record.grid.shape, level, self.kind, record.shard, record.chunk), errors[level])
 
 
-class ChunkStage(TerrainStage[list[Words]]):
+class ChunkStage(TerrainStage[Written]):
     """Meshes of chunks. A task makes consecutive chunks of a level, row by row.
 
-    Results wait in a temporary file until all are there. Every process that makes chunks computes the levels of all
-    vertices itself (``MemoryChunks``).
+    Results wait in a temporary file until all are there. The process that builds finds the levels of all vertices
+    (``Reached``), a byte each; workers map its file. Those that build into a bucket find them themselves.
 
     Args:
         kind: of the chunks. spool: where chunks wait; None if they are only made.
@@ -115,40 +128,57 @@ class ChunkStage(TerrainStage[list[Words]]):
 
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: Kind, spool: IO[bytes] | None = None) -> None:
         super().__init__(terrain, writer)
-        self.chunks, self.spool = MemoryChunks(terrain, kind), spool
+        self.chunks, self.spool = MemoryChunks(terrain, kind, None if spool is not None else self._handed()), spool
         self.rows: list[int] = []
         self._at: dict[Spot, tuple[int, int]] = {}
         self._lengths = [np.zeros(self._count(level), np.uint32) for level in range(self.chunks.layout.top + 1)]
         self._lock = threading.Lock()
 
+    def hand_over(self) -> None:
+        super().hand_over()
+        error, levels = self.chunks.reached
+        storage = self.writer.storage
+        if isinstance(storage, FolderStorage):
+            data: Any = levels.data
+            storage.put(LEVELS, [data])
+            storage.put(FINEST, [dumps({"error": error, "vertices": len(levels)})])
+
+    def _handed(self) -> Reached | None:
+        """What the process that builds has handed over."""
+        storage = self.writer.storage
+        if not isinstance(storage, FolderStorage) or (told := storage.get(FINEST)) is None:
+            return None
+        said = json.loads(told)
+        # (Not read-only, for which kernels would be compiled once more.)
+        levels: Any = np.memmap(storage.path / LEVELS, np.uint8, "c", shape=(int(said["vertices"]),))
+        return Reached(said["error"], np.asarray(levels))
+
     def tasks(self) -> list[Spot]:
         levels = range(self.chunks.layout.top + 1)
         return [(level, run) for level in levels for run in range(-(-self._count(level) // RUN))]
 
-    def make(self, spot: Spot) -> list[Words]:
+    def make(self, spot: Spot) -> Written:
         level, _ = spot
         cols = self.chunks.layout.chunks(level)[1]
         found = [self.chunks.words(level, *divmod(at, cols)) for at in self._run(spot)]
-        lengths = np.array([len(words) for words in found])
-        self.writer.keep(self.key(spot), pack({"lengths": lengths, "words": np.concatenate(found)}))
-        return found
+        made = Written(np.array([len(words) for words in found], np.int64), np.concatenate(found))
+        self.writer.keep(self.key(spot), pack(made._asdict()))
+        return made
 
-    def found(self, spot: Spot, proof: bool = True) -> list[Words] | None:
+    def found(self, spot: Spot, proof: bool = True) -> Written | None:
         data = self.writer.storage.get(self.key(spot))
         try:
-            kept = None if data is None else unpack(data)
+            return None if data is None else Written(**unpack(data))
         except ValueError:
             return None
-        return None if kept is None else np.split(kept["words"], np.cumsum(kept["lengths"])[:-1])
 
-    def add(self, spot: Spot, found: list[Words]) -> None:
+    def add(self, spot: Spot, found: Written) -> None:
         assert self.spool is not None
         run = self._run(spot)
-        self._lengths[spot[0]][run.start : run.stop] = [len(words) for words in found]
-        data = np.concatenate(found).tobytes()
+        self._lengths[spot[0]][run.start : run.stop] = found.lengths
         with self._lock:
-            self._at[spot] = self.spool.tell(), len(data)
-            self.spool.write(data)
+            self._at[spot] = self.spool.tell(), found.words.nbytes
+            self.spool.write(found.words.data)
 
     def finish(self) -> None:
         assert self.spool is not None

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from orograph.progress import Progress
 from orograph.store.digests import Spot
 from orograph.store.layout import dumps
-from orograph.store.places import PARTS
+from orograph.store.places import HANDED
 from orograph.store.shards import go_through
 from orograph.store.terrain import Shape
 from orograph.store.writer import ShardWriter
@@ -76,6 +76,9 @@ class Stage(ABC, Generic[Found]):
             proof: read everything that it wrote; otherwise only the ends of shards are compared with the stored result.
         """
 
+    def renewed(self, spot: Spot) -> None:
+        """Another process has just stored the result of a task, maybe in place of an older one."""
+
     @abstractmethod
     def add(self, spot: Spot, found: Found) -> None:
         """Combine a task's result with the others."""
@@ -84,7 +87,7 @@ class Stage(ABC, Generic[Found]):
         """Make what no task could, once all results are combined."""
 
 
-KNOWN = f"{PARTS}/digests.json"
+KNOWN = f"{HANDED}/digests.json"
 """The digests that other processes need to read what earlier stages of a build wrote."""
 
 
@@ -104,6 +107,9 @@ class ShardStage(Stage[Found]):
 
     def kept(self, spot: Spot) -> bool:
         return self.writer.storage.exists(self.key(spot))
+
+    def renewed(self, spot: Spot) -> None:
+        self.writer.storage.renewed(self.key(spot))
 
     def hand_over(self) -> None:
         self.writer.keep(KNOWN, dumps(self.writer.digests.to_json()))

@@ -6,6 +6,7 @@ datasets.
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orograph._named import remedy
 from orograph.errors import UsageError
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain, is_metric
@@ -206,11 +208,10 @@ def check_names(options: Any, called: str) -> None:
     """Raise UsageError for unknown options of reading."""
     for name in options:
         if name not in READING:
-            import difflib
-
-            close = difflib.get_close_matches(name, READING, 2, 0.6)
-            remedy = f"Did you mean {' or '.join(close)}?" if close else f"The options are {', '.join(READING)}."
-            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy)
+            own = getattr(sys.modules["orograph"], called, None)  # (only where something is wrong)
+            known = inspect.signature(own).parameters if callable(own) else ()
+            names = [one for one in known if one not in ("options", "reading")]
+            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy(name, [*names, *READING]))
 
 
 def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:

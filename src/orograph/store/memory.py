@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -151,8 +151,8 @@ class MemoryTerrain(Terrain):
                 radii=known is None,
                 rounding=encoder,
             )
-            with while_compiling("orograph.error.ahead", kind):
-                errors, radii = gather(self.grid.shape, parts, kind)
+            expect("errors")
+            errors, radii = gather(self.grid.shape, parts, kind)
             errors = [code.decode(encoder.errors(kind, level)) for level in errors]
             for array in (*errors, *radii):
                 _frozen(array)

@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
-from orograph.compiling import while_compiling
+from orograph._named import remedy
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
@@ -73,15 +73,15 @@ def terrain(
             return source
         return part_of(source, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     files = files_of(source)
-    with while_compiling("orograph.error.ahead", *errors):
-        if files is not None and not {"transform", "name"} & set(said):
-            return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)
-        return in_memory(source_of(source, progress, called=called, **said), progress)
+    if files is not None and not {"transform", "name"} & set(said):
+        return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)
+    return in_memory(source_of(source, progress, called=called, **said), progress)
 
 
 def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:
     """Let a function that begins with a terrain take whatever ``terrain`` takes, with its options of reading."""
     own = inspect.signature(function).parameters
+    open_ = any(one.kind is one.VAR_KEYWORD for one in own.values())
     signature = f"({', '.join(map(str, (one.name for one in own.values())))})"
 
     @functools.wraps(function)
@@ -89,6 +89,8 @@ def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Co
         reading = {name: options.pop(name) for name in READING if name in options and name not in own}
         more = {k: options[k] for k in ("jobs", "max_memory") if options.get(k) is not None}
         found = terrain(terrain_, called=function.__name__, **more, **reading)
+        if odd := next((name for name in options if name not in own and not open_), None):
+            raise UsageError(f"{function.__name__} has no option {odd!r}.", remedy=remedy(odd, [*own, *READING]))
         try:
             inspect.signature(function).bind(found, *args, **options)
         except TypeError as error:
@@ -100,6 +102,8 @@ def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Co
     @functools.wraps(function)
     def taking_names(*args: Any, **options: Any) -> T:
         first = next(iter(own))
+        if not args and first not in options:
+            raise UsageError(f"{function.__name__} needs `{first}`: what to read heights from.")
         return taking(*args, **options) if args else taking(options.pop(first), **options)
 
     return taking_names

@@ -23,6 +23,8 @@ VERSION = re.compile(r"(.+)@([1-9][0-9]*)")
 """How an older version of a store is named."""
 PARTS = "parts"
 """Below it lies what tasks of a build found, which an updated store keeps."""
+HANDED = f"{PARTS}/handed"
+"""Below it lies what the process that builds leaves to workers, which no store keeps."""
 
 
 def partial(path: str | os.PathLike[str]) -> str:

@@ -10,6 +10,7 @@ import os
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from orograph._named import answering
 from orograph.errors import DamagedChunkError, StoreError, UsageError
 from orograph.parallel import map_ordered
 from orograph.progress import Progress
@@ -41,6 +42,7 @@ class Published(NamedTuple):
     size: int
 
 
+@answering
 def publish(
     store: StoredTerrain | str | os.PathLike[str],
     url: str,

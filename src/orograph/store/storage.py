@@ -61,6 +61,9 @@ class Storage(ABC):
     def exists(self, key: str) -> bool:
         """Whether the object is there."""
 
+    def renewed(self, key: str) -> None:  # noqa: B027 (only buckets remember where an object lies)
+        """Another process has written an object."""
+
     @abstractmethod
     def remove(self, key: str = "") -> None:
         """Remove an object or everything below a key (all of it: ""); nothing happens if it is not there."""

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from orograph._named import answering
 from orograph.cards import Row, amount
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
@@ -233,6 +234,7 @@ def _key(name: str, options: dict[str, Any]) -> Key:
     return name, tuple(sorted(options.items()))
 
 
+@answering
 def open(
     url: str | os.PathLike[str],
     *,

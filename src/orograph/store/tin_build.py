@@ -23,6 +23,7 @@ from orograph.progress import SILENT, Progress, Task, Within
 from orograph.store.diamonds import blank_top, place
 from orograph.store.terrain import TILE, Heights, Terrain
 from orograph.store.tin_diamonds import NUMBERS, Integers, Made, Maker
+from orograph.store.tin_greedy import put_marks
 from orograph.store.tin_windows import look
 from orograph.store.tins import EDGE, MOST_OCTAVE, NO_TIN, SQUARE, Marks, MemoryTins, lattice, octaves
 
@@ -162,13 +163,8 @@ class Building:
     def take(self, band: Band, part: slice, made: Made) -> None:
         """Store the TINs of a part of a band's diamonds. Safe from any thread, for different parts."""
         band.numbers[part] = made.numbers
-        marks, bit, begin = self.marks[band.octave], SQUARE if band.kind == diamonds.SQUARE else EDGE, 0
-        for i0, i1, j0, j1 in made.windows.tolist():
-            count = (i1 - i0) * (j1 - j0)
-            end = begin + -(-count // 8)
-            chosen = np.unpackbits(made.chosen[begin:end], count=count).view(bool).reshape(i1 - i0, j1 - j0)
-            marks[i0:i1, j0:j1][chosen] |= bit  # only its own vertices: windows overlap
-            begin = end
+        bit = np.uint8(SQUARE if band.kind == diamonds.SQUARE else EDGE)
+        put_marks(self.marks[band.octave], made.windows, made.chosen, bit)  # only its own vertices: windows overlap
 
     def _taken(self, band: Band) -> tuple[Integers, float]:
         """Record a band's diamonds, once all are taken; returns their ``Figures``."""

@@ -13,12 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import read_only
 from orograph.errors import OrographError
 from orograph.hierarchy import diamonds, triangles
 from orograph.store.terrain import TILE, Heights, Terrain
-from orograph.store.tin_kernels import Work, deviation, new_work, patches, simplify, sizes, triangulate
+from orograph.store.tin_greedy import deviation, make_row, simplify, sizes
+from orograph.store.tin_kernels import Work, new_work, patches, triangulate
 from orograph.store.tin_windows import Window, clipped, legs_of
 from orograph.store.tins import EDGE, FINER, SQUARE, Marks, Tins, lattice
+
+TOGETHER = 32
+"""The most diamonds that are made by one call of a kernel."""
 
 LIMIT = 1e-6
 """Error in metres below which no vertex is inserted."""
@@ -149,10 +154,48 @@ class Maker:
     def made(self, rows: Integers, cols: Integers) -> Made:
         """The TINs of diamonds of one level."""
         numbers, windows, chosen = np.zeros((len(rows), len(NUMBERS))), np.zeros((len(rows), 4), np.int64), []
-        for d, (row, col) in enumerate(zip(rows.tolist(), cols.tolist())):
-            numbers[d], windows[d], vertices = self._one(row, col)
-            chosen.append(np.packbits(vertices.view(bool)))
+        d = 0
+        while d < len(rows):
+            end = self._beside(rows, cols, d)
+            if end > d:
+                numbers[d:end], windows[d:end], vertices = self._several(int(rows[d]), cols[d:end])
+            else:
+                numbers[d], windows[d], marks = self._one(int(rows[d]), int(cols[d]))
+                end, vertices = d + 1, np.packbits(marks.view(bool))
+            chosen.append(vertices.ravel())
+            d = end
         return Made(numbers, windows, np.concatenate([np.zeros(0, np.uint8), *chosen]))
+
+    def _beside(self, rows: Integers, cols: Integers, d: int) -> int:
+        """The end of the diamonds that can be made together with diamond d: in its row, not cut, on all samples."""
+        shape, row, s = self.terrain.grid.shape, int(rows[d]), int(diamonds.spacing(rows[d], cols[d]))
+        last_row, last_col = (side - 1 for side in shape)
+        if lattice(shape, s.bit_length() - 1, self.legs) or row < s or row + s > last_row:
+            return d
+        end = min(d + TOGETHER, len(rows))
+        good = (rows[d:end] == row) & (cols[d:end] >= s) & (cols[d:end] + s <= last_col)
+        return end if good.all() else d + int(np.argmin(good))
+
+    def _several(self, row: int, cols: Integers) -> tuple[NDArray[np.float64], Integers, Marks]:
+        """Diamonds in a row, in order: numbers, windows and vertices, as bits."""
+        at = Place(self.terrain, row, int(cols[0]), self.legs)
+        w, (_, i0, i1, _, _) = at.window, at.heights_at
+        first = cols - w.s
+        window = i0, i1, int(first[0]), int(first[-1]) + 2 * w.s + 1
+        heights = np.ascontiguousarray(self.terrain.read(0, *window))
+        source, given, bit = below(at.octave, w.shape, self.legs), np.zeros((1, 1), np.uint8), np.uint8(0)
+        if source is not None:
+            given = np.ascontiguousarray(self.marks(source, *window))
+            bit = EDGE if w.shape == diamonds.SQUARE else SQUARE
+        odd = 1 - w.shape
+        axes = np.asarray(triangles.axis(cols, row, w.s << odd, odd), np.int64) + np.zeros(len(cols), np.int64)
+        work = self._workplace.room(self.legs, given[:0])
+        numbers, chosen = make_row(
+            w, work, first, axes, read_only(heights), read_only(given), bit, 2 * self.legs**2, LIMIT
+        )  # fmt: skip
+        numbers[:, 0] *= ROUNDING
+        windows = np.stack([np.full_like(first, i0), np.full_like(first, i1), first, first + 2 * w.s + 1], -1)
+        return numbers, windows, chosen
 
     def _one(self, row: int, col: int) -> tuple[tuple[float, ...], tuple[int, ...], Marks]:
         """A diamond's numbers, its window, and its vertices there."""
@@ -163,13 +206,12 @@ class Maker:
         self._put_legs(at, marks)
         given = int(marks.sum())
         work = self._workplace.room(self.legs, marks)
-        simplify(at.window, work, heights, at.ends, marks, 2 * self.legs**2, LIMIT)
-        count = triangulate(at.window, work, heights, at.ends, marks)
+        count, known = simplify(at.window, work, heights, at.ends, marks, 2 * self.legs**2, LIMIT)
         if count < 0:
             raise OrographError(f"The diamond at row {row}, column {col} has no TINs.", path=terrain.name)
         if at.window.step > 1:
-            heights = terrain.read(0, at.y0, at.y1 + 1, at.x0, at.x1 + 1)
-        error = float(deviation(work.mesh, np.ascontiguousarray(heights))) * ROUNDING
+            heights, known = terrain.read(0, at.y0, at.y1 + 1, at.x0, at.x1 + 1), -1.0
+        error = float(deviation(work.mesh, np.ascontiguousarray(heights), known)) * ROUNDING
         first, second, whole = sizes(work.mesh)
         chosen = marks.astype(bool)
         numbers = error, int(first), int(second), given, int(chosen.sum()), int(whole)

@@ -5,9 +5,7 @@ fixed order, constrained Delaunay, so that whoever triangulates them gets the sa
 edges of a diamond are constraints: the four legs of its patches, and the hypotenuse that they share. Where one leaves
 the raster it ends in a vertex, on the lattice or not. (A square diamond's legs are the borders of its window.)
 
-``simplify`` chooses: the vertices on the legs are given and stay, those on the hypotenuse lie on it, and samples are
-inserted greedily, the one that is farthest off first, until there are as many triangles as are wanted. Heights are
-metres; columns and rows are samples from the window's first.
+``tin_greedy`` chooses them. Heights are metres; columns and rows are samples from the window's first.
 """
 
 from __future__ import annotations
@@ -17,24 +15,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel, leaf
-from orograph.store.tin_windows import across, clipped, in_region, line_at, on_leg, place
+from orograph._numba import inlined, kernel, leaf
+from orograph.store.tin_windows import across, clipped, in_region, is_whole, line_at, on_leg, place, region_corner
 from orograph.triangulation.constraints import fix_edge
-from orograph.triangulation.deviation import FUZZ, facet_of, span, worst_crossing, worst_sample
-from orograph.triangulation.heap import NOWHERE, Queue, put_in, take_out
 from orograph.triangulation.mesh import (
     TRIANGLES,
     VERTICES,
     Mesh,
-    after,
-    before,
     insert,
     link,
     locate,
     make_delaunay,
+    new_triangle,
     new_vertex,
     put,
-    turn_of,
 )
 
 EXTRAS = 16
@@ -45,15 +39,21 @@ class Work(NamedTuple):
     """Arrays that one thread works in.
 
     Attributes:
-        mesh: of the triangulation. queue: its triangles. ids: (rows, cols) int32, the vertex at a sample of the window,
-            −1: none. extras: (16, 3) int64, column, row and vertex of ends beside the lattice. stack: of flips.
+        mesh: of the triangulation. errors: (2c,) float64, of its triangles, and the larger of each two: entry i is that
+            of 2i and 2i + 1, the last c are the triangles'. sample: (t,) int32, the number of a triangle's worst one.
+        candidates: (rows, cols) float32, heights of samples that may become vertices, NaN: of others. ids: (rows, cols)
+            int32, the vertex at a sample of the window, −1: none. extras: (16, 3) int64, column, row and vertex of ends
+            beside the lattice. stack: of flips. star: (t,) int32, triangles that are to be looked at.
     """
 
     mesh: Mesh
-    queue: Queue
+    errors: NDArray[np.float64]
+    sample: NDArray[np.int32]
+    candidates: NDArray[np.float32]
     ids: NDArray[np.int32]
     extras: NDArray[np.int64]
     stack: NDArray[np.int32]
+    star: NDArray[np.int32]
 
 
 def new_work(vertices: int, side: int) -> Work:
@@ -65,13 +65,11 @@ def new_work(vertices: int, side: int) -> Work:
         np.empty(3 * slots, np.int32), np.empty(3 * slots, np.int32), np.empty(3 * slots, np.uint8),
         np.empty(slots, np.uint8), nowhere, np.array([0, 0, -1]),
     )  # fmt: skip
-    queue = Queue(
-        np.empty(slots), np.empty(slots, np.int32), np.empty(slots, np.int32), np.empty(slots, np.int32),
-        np.full(slots, NOWHERE, np.int32), np.zeros(1, np.int64),
-    )  # fmt: skip
     return Work(
-        mesh, queue, np.empty((side, side), np.int32), np.empty((EXTRAS, 3), np.int64), np.empty(6 * slots, np.int32)
-    )
+        mesh, np.empty(4 << slots.bit_length()), np.empty(slots, np.int32), np.empty((side, side), np.float32),
+        np.empty((side, side), np.int32), np.empty((EXTRAS, 3), np.int64), np.empty(6 * slots, np.int32),
+        np.empty(slots, np.int32),
+    )  # fmt: skip
 
 
 @leaf
@@ -169,6 +167,142 @@ def fixed(m, a, b):
     return fix_edge(m, a, b)
 
 
+@leaf
+def next_on(w, marks, x, y, dx, dy, k, last):
+    """The next vertex of a leg that begins at a sample, in steps of the lattice along it; beyond the last: none."""
+    i, j = y // w.step, x // w.step
+    k += 1
+    while k < last and not marks[i + k * dy, j + k * dx]:
+        k += 1
+    return k
+
+
+@leaf
+def vertex_on(w, m, heights, x, y, dx, dy, k):
+    """A new vertex so many steps along a leg."""
+    x, y = x + k * dx * w.step, y + k * dy * w.step
+    return new_vertex(m, x, y, np.float64(heights[y // w.step, x // w.step]))
+
+
+@leaf
+def start_whole(w, work, heights, marks):
+    """Triangulate the vertices on the legs of a diamond that the raster does not cut.
+
+    From each apex the legs are joined step by step, up to the hypotenuse; then edges are flipped.
+    """
+    m = work.mesh
+    m.counts[0], m.counts[1], m.counts[2] = 0, 0, -1
+    for k in range(4):
+        x, y = region_corner(w, k)
+        new_vertex(m, x, y, np.float64(heights[y // w.step, x // w.step]))
+    other = np.int64(-1)
+    for apex in range(2, 4):
+        x, y = region_corner(w, apex)
+        live = 1 if across(w, x, y, 1) < 0 else 2
+        end_u, end_v = 0, 1
+        ux, uy = region_corner(w, 0)
+        vx, vy = region_corner(w, 1)
+        if (ux - x) * (vy - y) - (uy - y) * (vx - x) < 0:
+            end_u, end_v, ux, uy, vx, vy = 1, 0, vx, vy, ux, uy
+        long = max(abs(ux - x), abs(uy - y))
+        last = long // w.step
+        ux, uy, vx, vy = (ux - x) // long, (uy - y) // long, (vx - x) // long, (vy - y) // long
+        u, v, h = np.int64(apex), np.int64(apex), np.int64(-1)
+        at_u = next_on(w, marks, x, y, ux, uy, 0, last)
+        at_v = next_on(w, marks, x, y, vx, vy, 0, last)
+        while at_u <= last or at_v <= last:
+            along_u = u == v or (v != apex and at_u <= at_v)
+            if along_u:
+                new = end_u if at_u == last else vertex_on(w, m, heights, x, y, ux, uy, at_u)
+                at_u = next_on(w, marks, x, y, ux, uy, at_u, last)
+            else:
+                new = end_v if at_v == last else vertex_on(w, m, heights, x, y, vx, vy, at_v)
+                at_v = next_on(w, marks, x, y, vx, vy, at_v, last)
+            if u != v:
+                t = new_triangle(m)
+                put(m, t, v, u, new)
+                m.live[t] = live
+                m.twin[3 * t], m.twin[3 * t + 1], m.twin[3 * t + 2] = -1, -1, -1
+                m.fixed[3 * t + 1 if along_u else 3 * t + 2] = 1
+                if h >= 0:
+                    link(m, 3 * t, h)
+                h = 3 * t + 2 if along_u else 3 * t + 1
+            if along_u:
+                u = np.int64(new)
+            else:
+                v = np.int64(new)
+        m.fixed[h] = 1
+        if other >= 0:
+            link(m, h, other)
+        other = h
+    make_delaunay(m)
+
+
+@kernel
+def start_cut(w, work, heights, ends, marks):
+    """Triangulate the vertices on a diamond that the raster cuts, and the corners of its window.
+
+    Returns: whether its edges could be made edges.
+    """
+    m = work.mesh
+    rows, cols = heights.shape
+    work.ids[:rows, :cols] = -1
+    work.extras[:] = -1
+    start(w, work, heights, ends)
+    t, step = np.int64(0), coarsest(rows, cols)
+    first = step
+    while step:
+        for i in range(0, rows, step):
+            for j in range(0, cols, step):
+                if marks[i, j] and (step == first or (i | j) & step):
+                    x, y = place(j, w.step, w.width), place(i, w.step, w.height)
+                    if in_region(w, x, y):
+                        t = add(w, work, heights, ends, x, y, t)
+        step >>= 1
+    for edge in range(1 if w.shape == 0 else 5):
+        ax, ay, dx, dy, low, high = clipped(w, edge)
+        if low <= high:
+            t = add(w, work, heights, ends, ax + low * dx, ay + low * dy, t)
+            t = add(w, work, heights, ends, ax + high * dx, ay + high * dy, t)
+    good = True
+    for edge in range(1 if w.shape == 0 else 5):
+        good = fix(w, work, edge) and good
+    make_delaunay(m)
+    for u in range(m.counts[TRIANGLES]):
+        a, b, c = m.corner[3 * u], m.corner[3 * u + 1], m.corner[3 * u + 2]
+        x3, y3 = np.int64(m.x[a]) + m.x[b] + m.x[c], np.int64(m.y[a]) + m.y[b] + m.y[c]
+        inside = w.shape == 0 or abs(x3 - 3 * w.cx) + abs(y3 - 3 * w.cy) < 3 * w.s
+        m.live[u] = 0 if not inside else 1 if across(w, x3, y3, 3) < 0 else 2
+    return good
+
+
+@inlined
+def coarsest(rows, cols):
+    """The step of the first vertices: coarse ones first, so that few triangles are passed and flipped on the way."""
+    step = 1
+    while 2 * step < max(rows, cols):
+        step *= 2
+    return step
+
+
+@leaf
+def add_inner(w, work, heights, marks):
+    """Make the marked samples of an uncut diamond vertices that are not on its legs."""
+    m = work.mesh
+    rows, cols = heights.shape
+    t, step = np.int64(0), coarsest(rows, cols)
+    first = step
+    while step:
+        for i in range(0, rows, step):
+            for j in range(0, cols, step):
+                if marks[i, j] and (step == first or (i | j) & step):
+                    x, y = j * w.step, i * w.step
+                    if in_region(w, x, y) and not on_leg(w, x, y):
+                        v = insert(m, locate(m, t, x, y), x, y, np.float64(heights[i, j]), work.stack)
+                        t = np.int64(m.out[v]) // 3
+        step >>= 1
+
+
 @kernel
 def triangulate(w, work, heights, ends, marks):
     """The TINs whose vertices on the lattice are marked.
@@ -181,162 +315,15 @@ def triangulate(w, work, heights, ends, marks):
 
     Returns: the number of triangles, −1 if edges are in each other's way, which is a fault.
     """
-    m = work.mesh
-    rows, cols = heights.shape
-    work.ids[:rows, :cols] = -1
-    work.extras[:] = -1
-    start(w, work, heights, ends)
-    t = np.int64(0)
-    first = 1
-    while 2 * first < max(rows, cols):
-        first *= 2
-    step = first
-    while step:  # coarse ones first, so that few triangles are passed and flipped on the way
-        for i in range(0, rows, step):
-            for j in range(0, cols, step):
-                if marks[i, j] and (step == first or (i | j) & step):
-                    x, y = place(j, w.step, w.width), place(i, w.step, w.height)
-                    if in_region(w, x, y):
-                        t = add(w, work, heights, ends, x, y, t)
-        step >>= 1
-    good = True
-    for edge in range(1 if w.shape == 0 else 5):
-        ax, ay, dx, dy, low, high = clipped(w, edge)
-        if low <= high:
-            t = add(w, work, heights, ends, ax + low * dx, ay + low * dy, t)
-            t = add(w, work, heights, ends, ax + high * dx, ay + high * dy, t)
-    for edge in range(1 if w.shape == 0 else 5):
-        good = fix(w, work, edge) and good
-    make_delaunay(m)
+    if is_whole(w):
+        start_whole(w, work, heights, marks)
+        add_inner(w, work, heights, marks)
+    elif not start_cut(w, work, heights, ends, marks):
+        return -1
     count = 0
-    for u in range(m.counts[TRIANGLES]):
-        a, b, c = m.corner[3 * u], m.corner[3 * u + 1], m.corner[3 * u + 2]
-        x3, y3 = np.int64(m.x[a]) + m.x[b] + m.x[c], np.int64(m.y[a]) + m.y[b] + m.y[c]
-        inside = w.shape == 0 or abs(x3 - 3 * w.cx) + abs(y3 - 3 * w.cy) < 3 * w.s
-        m.live[u] = 0 if not inside else 1 if across(w, x3, y3, 3) < 0 else 2
-        count += inside
-    return count if good else -1
-
-
-@leaf
-def worst(w, m, heights, free, t):
-    """The sample of the lattice that may be inserted and is farthest from a triangle: how far, its row and column."""
-    a, b, c = m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2]
-    x0, y0, x1, y1, x2, y2, z0, right, down, _ = facet_of(m, a, b, c)
-    largest, at_i, at_j = -1.0, np.int64(0), np.int64(0)
-    rows, cols = heights.shape
-    i = (y0 + w.step - 1) // w.step
-    while i < rows and place(i, w.step, w.height) <= y2:
-        y = place(i, w.step, w.height)
-        far = span(y, x0, y0, x2, y2)
-        near = x1
-        if y < y1 or (y1 == y2 and y1 != y0):
-            near = span(y, x0, y0, x1, y1)
-        elif y1 != y2:
-            near = span(y, x1, y1, x2, y2)
-        low, high = min(near, far) - FUZZ, max(near, far) + FUZZ
-        plane = z0 + down * (y - y0) - right * x0
-        j = np.int64(np.ceil(max(low, 0.0) / w.step))
-        if j >= cols:
-            j = cols - 1
-        while j < cols:
-            x = place(j, w.step, w.width)
-            if x > high:
-                break
-            if free[i, j] and x >= low:
-                off = abs(plane + right * x - heights[i, j])
-                if off > largest:
-                    largest, at_i, at_j = off, i, j
-            j += 1
-        i += 1
-    return largest, at_i, at_j
-
-
-@leaf
-def assess(w, work, heights, free, t, limit):
-    """Find the worst of a triangle, and put it into the heap if that is over the limit."""
-    q = work.queue
-    off, i, j = worst(w, work.mesh, heights, free, t)
-    if off <= limit:
-        take_out(q, t)
-        return
-    put_in(q, t, off, j, i)
-
-
-@kernel
-def simplify(w, work, heights, ends, marks, wanted, limit):
-    """Mark more samples until there are as many triangles as are wanted, or all samples are within the limit.
-
-    Args:
-        w, work, heights, ends: as ``triangulate``. marks: uint8, the vertices on the legs; more are set here.
-        wanted: triangles of a diamond of which nothing is beyond the raster. limit: metres.
-
-    Returns: the number of triangles, −1 at a fault.
-    """
-    rows, cols = heights.shape
-    m, q = work.mesh, work.queue
-    free = np.zeros((rows, cols), np.uint8)
-    for i in range(rows):
-        y = place(i, w.step, w.height)
-        for j in range(cols):
-            x = place(j, w.step, w.width)
-            if in_region(w, x, y) and not on_leg(w, x, y):
-                sparse = (w.first_i + i) % w.sparse == 0 and (w.first_j + j) % w.sparse == 0
-                free[i, j] = across(w, x, y, 1) != 0 or sparse
-    count = triangulate(w, work, heights, ends, marks)
-    if count < 0:
-        return count
-    q.size[0] = 0
-    q.place[:] = NOWHERE
-    area = np.int64(0)
-    for t in range(m.counts[TRIANGLES]):
-        if m.live[t]:
-            assess(w, work, heights, free, t, limit)
-            area += turn_of(m, m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2])
-    wanted = np.int64(np.ceil(wanted * (area / ((8 if w.shape == 0 else 4) * w.s * w.s))))
-    while q.size[0] and count < wanted and m.counts[VERTICES] + 4 < len(m.x):
-        t = q.heap[0]
-        i, j = q.y[t], q.x[t]
-        before_ = m.counts[TRIANGLES]
-        v = insert(m, t, place(j, w.step, w.width), place(i, w.step, w.height), np.float64(heights[i, j]), work.stack)
-        marks[i, j], free[i, j] = 1, 0
-        count += m.counts[TRIANGLES] - before_
-        first = m.out[v]
-        h = first
-        while m.twin[before(h)] >= 0:  # to the outline, or once around
-            h = m.twin[before(h)]
-            if h == first:
-                break
-        first = h
-        while True:
-            if m.live[h // 3]:
-                assess(w, work, heights, free, h // 3, limit)
-            h = m.twin[h]
-            if h < 0:
-                break
-            h = after(h)
-            if h == first:
-                break
+    for t in range(work.mesh.counts[TRIANGLES]):
+        count += work.mesh.live[t] > 0
     return count
-
-
-@kernel
-def deviation(m, heights):
-    """The largest deviation of the patches from the surface: at samples, and where edges cross the surface's edges.
-
-    Args:
-        heights: float32 of all samples of the window, row by row.
-    """
-    largest = 0.0
-    for t in range(m.counts[TRIANGLES]):
-        if m.live[t]:
-            off = worst_sample(heights, m, m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2])[0]
-            largest = max(largest, off)
-            for k in range(3):
-                h = 3 * t + k
-                if m.twin[h] < h or not m.live[m.twin[h] // 3]:
-                    largest = max(largest, worst_crossing(heights, m, m.corner[h], m.corner[after(h)])[0])
-    return largest
 
 
 @kernel
@@ -360,15 +347,3 @@ def patches(m):
     for v in range(size):
         vertices[v, 0], vertices[v, 1], vertices[v, 2] = m.x[v], m.y[v], m.z[v]
     return vertices, first, second
-
-
-@kernel
-def sizes(m):
-    """The triangles of both patches, and those that full resolution has in their place."""
-    first, second, area = 0, 0, np.int64(0)
-    for t in range(m.counts[TRIANGLES]):
-        if m.live[t]:
-            first += m.live[t] == 1
-            second += m.live[t] == 2
-            area += turn_of(m, m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2])
-    return first, second, area

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class TinKind(Derived[dict[str, Any]]):
     """TINs of patches. Option: ``legs``."""
 
-    name, version, group = "tins", 1, "tins"
+    name, version, group = "tins", 2, "tins"
 
     def nothing(self) -> dict[str, Any]:
         return {}

@@ -1,4 +1,5 @@
-"""TINs made by tasks: a stage for each band of a level, whose tasks make some of its diamonds.
+"""TINs made by tasks: a stage for each band of a level, whose tasks make some of its diamonds. Levels of a single task
+are made by the process that builds.
 
 What tasks need of the levels below lies in ``parts/``: which diamonds there are to make, and the marks that their legs
 have. The process that builds leaves it there before a stage begins, and adds up marks, errors and spheres itself.
@@ -19,7 +20,7 @@ from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.derived_stages import CACHE, TerrainStage
 from orograph.store.digests import Digests, Spot
-from orograph.store.executing import Executor
+from orograph.store.executing import Executor, Threads
 from orograph.store.layout import dumps
 from orograph.store.parts import pack, unpack
 from orograph.store.places import PARTS
@@ -29,7 +30,7 @@ from orograph.store.tin_diamonds import Integers, Made, Maker, MarksOf, below
 from orograph.store.tins import marks_spec
 from orograph.store.writer import ShardWriter
 
-RUN = 256
+RUN = 1024
 """Diamonds of a task."""
 
 
@@ -49,7 +50,9 @@ class Bands:
         if band.first:
             self._level = ShardWriter(self.writer.storage, self.writer.digests.keyed)
         given = Given(building, band, self._level)
-        self.executor.run(TinStage(self.terrain, self.writer, self.legs, self._count, given), progress)
+        stage = TinStage(self.terrain, self.writer, self.legs, self._count, given)
+        alone = building.bands(band.octave) == 1 and len(stage.tasks()) <= 1  # not worth handing over
+        (Threads(1, True) if alone else self.executor).run(stage, progress)
         self._count += 1
 
 
@@ -109,7 +112,7 @@ class TinStage(TerrainStage[Made]):
         octave, kind = told["octave"], told["kind"]
         source = below(octave, kind, self.legs)
         spec = self._spec(octave if source is None else source, kind)
-        digests = Digests.from_json(told["digests"])
+        digests = Digests.from_json(told["digests"], self.writer.digests.keyed)
         array = ShardedArray(spec, self.writer.storage, digests, ChunkCache(CACHE), 1)
         return kept["rows"], kept["cols"], lambda octave, *window: array.read(*window)
 

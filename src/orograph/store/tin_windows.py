@@ -87,6 +87,12 @@ def clipped(w, edge):
     return ax, ay, dx, dy, low, high
 
 
+@leaf
+def is_whole(w):
+    """Whether the raster cuts nothing off a diamond."""
+    return min(w.cx, w.cy) >= w.s and w.cx + w.s <= w.width and w.cy + w.s <= w.height
+
+
 @inlined
 def in_region(w, x, y):
     """Whether a sample is in the closed region of a diamond (of a square one all of the window is)."""
@@ -112,6 +118,18 @@ def on_leg(w, x, y):
     return abs(x - w.cx) == w.s or abs(y - w.cy) == w.s
 
 
+@leaf
+def mark_leg(w, source, ratio, bit, marks, i, j, away):
+    """Mark a sample on a leg if it is a vertex; ``away``: rows from the diamond's."""
+    aside = abs(place(j, w.step, w.width) - w.cx)
+    corner = aside == 0 or away == 0 if w.shape == 1 else aside == w.s and away == w.s
+    given = np.uint8(1)
+    if bit != 0 and not corner:
+        last_i, last_j = source.shape[0] - 1, source.shape[1] - 1
+        given = source[min((w.first_i + i) * ratio, last_i), min((w.first_j + j) * ratio, last_j)] & bit
+    marks[i, j] = given != 0
+
+
 @kernel
 def legs_of(w, source, ratio, bit, marks):
     """Mark the vertices on a diamond's legs: those on the hypotenuses of its children.
@@ -121,15 +139,21 @@ def legs_of(w, source, ratio, bit, marks):
             bit: of their kind, 0: all samples are vertices.
     """
     rows, cols = marks.shape
-    last_i, last_j = source.shape[0] - 1, source.shape[1] - 1
     for i in range(rows):
         y = place(i, w.step, w.height)
-        for j in range(cols):
-            x = place(j, w.step, w.width)
-            if in_region(w, x, y) and on_leg(w, x, y):
-                corner = x == w.cx or y == w.cy if w.shape == 1 else abs(x - w.cx) == w.s and abs(y - w.cy) == w.s
-                given = source[min((w.first_i + i) * ratio, last_i), min((w.first_j + j) * ratio, last_j)] & bit
-                marks[i, j] = bit == 0 or corner or given != 0
+        away = abs(y - w.cy)
+        if away > w.s:
+            continue
+        if w.shape == 0 and away == w.s:
+            for j in range(cols):
+                mark_leg(w, source, ratio, bit, marks, i, j, away)
+            continue
+        reach = w.s - away if w.shape == 1 else w.s
+        for x in (w.cx - reach, w.cx + reach):
+            if 0 <= x <= w.width:
+                j = line_at(x, w.step, w.width)
+                if j >= 0:
+                    mark_leg(w, source, ratio, bit, marks, i, j, away)
 
 
 @kernel

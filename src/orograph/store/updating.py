@@ -37,7 +37,7 @@ from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layers import LAYERS
 from orograph.store.layout import Record, dumps, heights_spec
-from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store
+from orograph.store.places import HANDED, PARTS, PLAN, ROOT, begun, is_store
 from orograph.store.plan import compared, differing, plan_of
 from orograph.store.pyramid import part_key, tasks
 from orograph.store.resampling import look_key
@@ -47,8 +47,9 @@ from orograph.store.stored import read_record
 from orograph.store.survey import area_of, errors_key
 from orograph.store.terrain import TILE, Shape, exponent
 
-ALL_AGAIN = ("patches", "chunks", "tins", "quadtin")
-"""Stages of which an update can keep nothing: what they keep in ``parts/`` lies below these names."""
+ALL_AGAIN = ("patches", "chunks", "tins", "quadtin", HANDED.removeprefix(f"{PARTS}/"))
+"""Stages of which an update can keep nothing: what they keep in ``parts/`` lies below these names, and what workers
+need."""
 
 Window = tuple[int, int, int, int]
 """Rows and columns, half-open."""
@@ -60,6 +61,11 @@ def check_updatable(final: Storage, said: dict[str, bool]) -> None:
     Args:
         said: which other ways of building are asked for, by their names.
     """
+    if said.pop("part"):
+        raise UsageError(
+            "`update` and `part` exclude each other: what there is to do follows from what one process takes over "
+            "first.", remedy="Use `workers` or `dask`.",
+        )  # fmt: skip
     for other, given in said.items():
         if given:
             raise UsageError(f"`update` and `{other}` exclude each other.")

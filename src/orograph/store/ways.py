@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from orograph.errors import UsageError
 from orograph.store.coding import Coding
 from orograph.store.executing import Executor, Threads
-from orograph.store.places import PLAN
+from orograph.store.places import PLAN, UPDATE
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage
 
@@ -47,14 +47,14 @@ def check_ways(overwrite: bool, resume: bool, part: object, finish: bool, worker
 @contextmanager
 def executor_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
-    coding: Coding | None, at_once: AtOnce, going_on: bool, workers: int | None, dask: Any,
+    coding: Coding | None, at_once: AtOnce, going_on: bool, update: bool, workers: int | None, dask: Any,
 ) -> Iterator[Executor]:  # fmt: skip
     """What runs the tasks of a build.
 
     Args:
         storage: where the store is made; its plan is there.
         coding: how heights are kept.
-        going_on: whether anything may have been done before.
+        going_on: whether anything may have been done before. update: whether later updates go on from what tasks find.
         workers, dask: as of ``build``.
 
     Raises:
@@ -67,9 +67,10 @@ def executor_of(
     from orograph.store.clusters import Cluster, levels_of
     from orograph.store.workforce import workforce
 
-    begun = storage.get(PLAN) or b""
-    recipe = recipe_of(raster, storage, storage_options, plan, coding, begun, at_once.task, at_once.base)
+    at = UPDATE if update and storage.remote else PLAN
+    recipe = recipe_of(raster, storage, storage_options, plan, coding, at, at_once.task, at_once.base)
     with workforce(workers, dask, at_once.jobs, at_once.memory, at_once.base + at_once.task) as client:
-        recipe = recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"]))
+        if not update:  # (which takes over what tasks found of single shards)
+            recipe = recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"]))
         with Cluster(client, recipe, recipe.levels) as cluster:
             yield cluster

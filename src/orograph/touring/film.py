@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
+from orograph.rendering.standing import extent_of
 from orograph.scene.contours import Contours
 from orograph.scene.flying import Flown
 from orograph.scene.scene import Scene
@@ -86,10 +87,12 @@ class Film:
     def of(
         cls, tour: Tour, terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], *, draw: Session,
         fps: float | None, first: float | None, last: float | None, progress: Progress,
+        again: Callable[..., Tour] | None = None,
     ) -> Film:  # fmt: skip
         """The film of a tour over a terrain.
 
         Args:
+            again: makes the tour, ``also`` being further positions (n, 3) to keep in view; None: its cameras are given.
             size: (width, height) of its frames. options: of its scene, by name. Others: as of a film.
 
         Raises: as ``Scene.of`` and ``Playing.of``; a UsageError also as a film.
@@ -98,6 +101,12 @@ class Film:
         playing = Playing.of(options, terrain, len(moving), moving.fps)
         shown = options if playing is None else playing.at(playing.key(0), terrain.grid)
         scene = Scene.of(terrain, tour.keys[0].view.resized(*size), **shown)
+        everything = scene
+        if again is not None and playing is not None and any("trail_s" in fact for fact in playing.facts):
+            everything = Scene.of(terrain, scene.view, **playing.widest(terrain.grid))
+        if again is not None and (standing := extent_of(everything)) is not None:
+            tour = again(also=standing)
+            scene = scene.but(view=tour.keys[0].view.resized(*size))
         made = cls(tour, scene, draw=draw, fps=fps, first=first, last=last, playing=playing, progress=progress)
         if playing is not None:
             playing.tell(progress)

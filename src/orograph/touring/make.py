@@ -62,7 +62,7 @@ KEYS_PER_LOOK = 3.0
 def orbit(
     terrain: Terrain, size: tuple[int, int], *, seconds: float = SECONDS, azimuth: float = 180.0, pitch: float = 35.0,
     distance: float | None = None, fov_y: float = 30.0, turns: int = 1, exaggeration: float = 1.0,
-    around: Sequence[float] | None = None,
+    around: Sequence[float] | None = None, also: Array | None = None,
 ) -> Tour:  # fmt: skip
     """Once round the terrain, at even speed: a loop.
 
@@ -73,6 +73,7 @@ def orbit(
         around: (longitude, latitude[, radius]): a place to orbit instead, with this many metres of ground around it
             in view (a quarter of the terrain's shorter side, if neither this nor the distance is given); the eye keeps
             above the ground.
+        also: (n, 3) further positions to keep in view with all of the terrain, as for ``camera.whole``.
 
     Raises:
         UsageError: a number is out of its range, or the place lies beside the terrain. NothingInViewError: no sample is
@@ -83,7 +84,7 @@ def orbit(
     if turns == 0:
         raise UsageError("An orbit needs at least one turn: turns must be 1, −1, 2, …")
     if around is None:
-        view, above = _around(terrain, size, azimuth, pitch, distance, fov_y, exaggeration), None
+        view, above = _around(terrain, size, azimuth, pitch, distance, fov_y, exaggeration, also), None
     else:
         view = _about(terrain, size, around, azimuth, pitch, distance, fov_y, exaggeration)
         above = CLEAR * view.distance
@@ -95,7 +96,7 @@ def orbit(
 def turntable(
     terrain: Terrain, size: tuple[int, int], *, sun: tuple[float, float] = (315.0, 45.0), seconds: float = SECONDS,
     azimuth: float = 180.0, pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0,
-    exaggeration: float = 1.0, around: Sequence[float] | None = None,
+    exaggeration: float = 1.0, around: Sequence[float] | None = None, also: Array | None = None,
 ) -> Tour:  # fmt: skip
     """The terrain turned once before a camera and a sun that stay: a loop. Arguments as for ``orbit``.
 
@@ -103,7 +104,7 @@ def turntable(
         sun: where it stands as the tour begins.
     """
     once = orbit(terrain, size, seconds=seconds, azimuth=azimuth, pitch=pitch, distance=distance, fov_y=fov_y,
-                 exaggeration=exaggeration, around=around)  # fmt: skip
+                 exaggeration=exaggeration, around=around, also=also)  # fmt: skip
     keys = []
     for k in range(TURNTABLE_KEYS):
         time = seconds * k / TURNTABLE_KEYS
@@ -116,7 +117,7 @@ def turntable(
 def still(
     terrain: Terrain, size: tuple[int, int], *, seconds: float = SECONDS, plan: bool = False, azimuth: float = 180.0,
     pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0, exaggeration: float = 1.0,
-    around: Sequence[float] | None = None, insets: camera.Insets = camera.NO_INSETS,
+    around: Sequence[float] | None = None, insets: camera.Insets = camera.NO_INSETS, also: Array | None = None,
 ) -> Tour:  # fmt: skip
     """A camera that stays. Arguments as for ``orbit``.
 
@@ -132,7 +133,7 @@ def still(
         view = _about(terrain, size, around, azimuth, pitch, distance, fov_y, exaggeration)
     else:
         view = camera.around(terrain, size, azimuth=azimuth, pitch=pitch, distance=distance, fov_y=fov_y,
-                             exaggeration=exaggeration, insets=insets)  # fmt: skip
+                             exaggeration=exaggeration, insets=insets, also=also)  # fmt: skip
     return Tour((Key(view, 0.0),), seconds=seconds, ease=False)
 
 
@@ -214,7 +215,7 @@ def _ground(terrain: Terrain, place: Array, around: float, default: float) -> fl
 
 def _around(
     terrain: Terrain, size: tuple[int, int], azimuth: float, pitch: float, distance: float | None, fov_y: float,
-    exaggeration: float,
+    exaggeration: float, also: Array | None = None,
 ) -> View:  # fmt: skip
     """The view of ``camera.around``, from so far that all of the terrain is in it from every side."""
     view = camera.around(terrain, size, azimuth=azimuth, pitch=pitch, distance=1.0 if distance is None else distance,
@@ -223,7 +224,7 @@ def _around(
         return view
     from scipy.optimize import minimize_scalar
 
-    points = camera.outline(terrain)
+    points = camera.joined(camera.outline(terrain), also)
     stretch = np.array([1.0, 1.0, exaggeration])
     middle = (points.min(0) + points.max(0)) / 2
     ty = math.tan(math.radians(fov_y) / 2) * camera.MARGIN

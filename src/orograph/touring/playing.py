@@ -18,10 +18,11 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.choosing import picked
 from orograph.geovis.data.dataset import Dataset, Uncertainty, datasets_of
+from orograph.geovis.data.events import events_span, trail_of
 from orograph.geovis.data.listing import times_in
 from orograph.geovis.data.reading import has_classes, read
 from orograph.geovis.data.series import OneScale, doubt_of
-from orograph.geovis.data.times import is_span, span_within, written
+from orograph.geovis.data.times import is_span, lasting, span_within, written
 from orograph.geovis.data.tracks import span_of
 from orograph.progress import Progress
 from orograph.store.terrain import Terrain
@@ -128,10 +129,19 @@ class Playing(NamedTuple):
         """The scene's options in a frame."""
         return {**self.options, "data": tuple(one.at(part, grid) for one, part in zip(self.data, key))}
 
+    def widest(self, grid: Grid) -> dict[str, Any]:
+        """The scene's options at the film's beginning, but with all points that ever happen in it."""
+        first = self.at(self.key(0), grid)
+        data = (
+            one.whole if one.told and "trail_s" in one.told else made for one, made in zip(self.data, first["data"])
+        )
+        return {**first, "data": tuple(data)}
+
     @property
     def facts(self) -> list[dict[str, Any]]:
         """Of each dataset that changes: ``name``; of a span ``from``, ``to``, ``times`` (how many are known) and
-        ``between``, how values are found between them ("linear" or "nearest"); of members in turn ``members``, and
+        ``between``, how values are found between them ("linear" or "nearest"; "events": points are seen for
+        ``trail_s`` seconds after their time); of members in turn ``members``, and
         ``changes_per_second``."""
         return [dict(one.told) for one in self.data if one.told is not None]
 
@@ -141,7 +151,10 @@ class Playing(NamedTuple):
             words = []
             if "from" in fact:
                 some = f"its {fact['times']} times" if fact["times"] else "its samples"
-                words.append(f"{fact['from']} to {fact['to']}, {fact['between']} between {some}")
+                how = f"{fact['between']} between {some}"
+                if "trail_s" in fact:
+                    how = f"each point is seen for {lasting(fact['trail_s'])} after its time"
+                words.append(f"{fact['from']} to {fact['to']}, {how}")
             if "members" in fact:
                 words.append(f"{fact['members']} members in turn, {fact['changes_per_second']:.3g} a second")
                 needed = fact["members"] / fact["changes_per_second"]
@@ -166,9 +179,11 @@ def _in_turn(one: Dataset) -> bool:
 def _played(one: Dataset, grid: Grid, frames: int, fps: float) -> Played:
     if not changes(one):
         return Played(one)
-    moving = None if times_in(one) else span_of(one, grid)
-    if moving is not None and not _in_turn(one):
-        return _track(one, moving)
+    if not times_in(one) and not _in_turn(one):
+        if (moving := span_of(one, grid)) is not None:
+            return _track(one, moving)
+        if (moving := events_span(one, grid)) is not None:
+            return _events(one, moving)
     told: dict[str, Any] = {}
     words: list[str] = []
     made = Played(one)
@@ -209,7 +224,7 @@ def _turning(made: Played, bare: Dataset, grid: Grid, fps: float) -> Played:
             path=str(one.source), remedy="Leave it out, or choose another style of uncertainty.",
         )  # fmt: skip
     rate = doubt.rate if isinstance(doubt, Uncertainty) and doubt.rate is not None else RATE
-    return replace(made, members=_members(bare, grid), hold=max(1, math.ceil(fps / rate - 1e-9)))
+    return replace(made, members=members_of(bare, grid), hold=max(1, math.ceil(fps / rate - 1e-9)))
 
 
 def _track(one: Dataset, moving: tuple[float, float]) -> Played:
@@ -217,6 +232,14 @@ def _track(one: Dataset, moving: tuple[float, float]) -> Played:
     span = span_within([written(moment) for moment in moving], str(one.time))
     name = one.name or one.variable or "tracks"
     return Played(one, span, told={"name": name, **_span_told(span, 0, "linear")})
+
+
+def _events(one: Dataset, moving: tuple[float, float]) -> Played:
+    """Points that happen: each is seen for a while after its time."""
+    span = span_within([written(moment) for moment in moving], str(one.time))
+    trail = trail_of(one, span)
+    told = {"name": one.name or one.variable or "points", **_span_told(span, 0, "events"), "trail_s": trail}
+    return Played(one.but(trail=f"{trail:.10g}s"), span, told=told)
 
 
 def _span_told(span: tuple[float, float], times: int, between: str) -> dict[str, Any]:
@@ -233,7 +256,7 @@ def _span(one: Dataset) -> tuple[float, float]:
         raise UsageError(error.what, path=str(one.source), remedy=error.remedy) from None
 
 
-def _members(one: Dataset, grid: Grid) -> tuple[int, ...]:
+def members_of(one: Dataset, grid: Grid) -> tuple[int, ...]:
     """Numbers, from 1, of the members that a dataset of one moment means: all where it says none.
 
     Raises:

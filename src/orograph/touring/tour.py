@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
+from orograph._named import named
 from orograph.documents import load_object, naming, number, write
 from orograph.errors import UsageError
 from orograph.flight import SAME, Flight
@@ -44,6 +45,7 @@ FORMAT = 1
 OWN = ("tour", "fps", "seconds", "loop", "ease", "aim", "speed", "above_ground", "keys")
 
 
+@named("A tour")
 @dataclass(frozen=True, slots=True)
 class Tour:
     """A camera's path through key frames (see the module).

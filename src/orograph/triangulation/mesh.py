@@ -2,9 +2,12 @@
 
 Half-edge 3t + k runs from corner k of triangle t to its next one; ``twin`` is the same edge in the triangle beside it,
 −1 at the outline. Vertices are samples of a window, so orientation and circle tests are exact in int64 for windows of
-up to 2^14 samples a side. Where four vertices are the corners of a cell both diagonals are Delaunay: there the
-surface's own is taken (docs/architecture.md), so that a TIN of all samples is the surface itself. Fixed edges are never
-flipped: the triangulation is constrained Delaunay (``constraints``).
+up to 2^14 samples a side. Where four vertices lie on a circle both diagonals are Delaunay: there the one from the
+vertex of least ``precedence`` is taken, as if each vertex were lowered on the paraboloid by so little that only ties
+notice, the first ones by far the most (Edelsbrunner & Mücke 1990). So there is one triangulation of the vertices,
+in whatever order they came. First come those with columns + rows even. In a cell they are the ends of the surface's own
+diagonal (docs/architecture.md), so that a TIN of all samples is the surface itself. Fixed edges are never flipped: the
+triangulation is constrained Delaunay (``constraints``).
 
 Sources: Guibas & Stolfi 1985 (incremental insertion), Lawson 1977 (flips).
 """
@@ -160,8 +163,15 @@ def flip(m, h):
 
 
 @leaf
+def precedence(m, v):
+    """The order of the vertices that decides ties: columns + rows even before odd, then by rows, then by columns."""
+    x, y = np.int64(m.x[v]), np.int64(m.y[v])
+    return (((x + y) & 1) << 40) + (y << 20) + x
+
+
+@leaf
 def should_flip(m, h):
-    """Whether an edge is not Delaunay, or the diagonal of a cell that is not the surface's (columns + rows odd)."""
+    """Whether an edge is not Delaunay, or the other diagonal of four vertices on a circle is preferred."""
     g = m.twin[h]
     if g < 0 or m.fixed[h]:
         return False
@@ -169,9 +179,7 @@ def should_flip(m, h):
     inside = in_circle(m, a, b, c, d)
     if inside != 0:
         return inside > 0
-    unit = abs(m.x[a] - m.x[b]) == 1 and abs(m.y[a] - m.y[b]) == 1
-    cell = m.x[c] + m.x[d] == m.x[a] + m.x[b] and m.y[c] + m.y[d] == m.y[a] + m.y[b]
-    return unit and cell and ((m.x[a] + m.y[a]) & 1) == 1
+    return min(precedence(m, c), precedence(m, d)) < min(precedence(m, a), precedence(m, b))
 
 
 @leaf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from orograph._named import answering
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.store.checking import Damage
@@ -12,6 +13,7 @@ from orograph.store.stored import StoredTerrain
 from orograph.store.stored import open as open_store
 
 
+@answering
 def check(
     store: StoredTerrain | str | os.PathLike[str], *, jobs: int | None = None, progress: Progress | bool | None = None
 ) -> list[Damage]:

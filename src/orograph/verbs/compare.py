@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from orograph import verify
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
 from orograph.folders import Amount, bytes_of
-from orograph.lod.field import check_surface
-from orograph.lod.method import Goal, Resources
+from orograph.lod.method import Goal, Resources, check_surface
 from orograph.lod.needs import kinds_of
 from orograph.lod.registry import METHODS, Choice
 from orograph.output import check_folder
-from orograph.progress import Progress
+from orograph.progress import Progress, Task
 from orograph.rendering.comparison import Panel, caption, panel_view, sheet, usual_views
 from orograph.rendering.metadata import check_dpi
 from orograph.rendering.picture import Picture, picture_format
@@ -54,16 +54,18 @@ class Comparison(dict[str, Measurement]):
     Attributes:
         terrain: its name. goal: the goal that was given. exaggeration: of heights on the screen.
         views: the cameras by name; of a flight its frames by number. flight: whether they are a flight's.
+        left_out: methods that cannot be measured here (one that needs more memory than is allowed), and why.
     """
 
     def __init__(self, terrain: Terrain, goal: Goal, views: dict[str, View], flight: bool, exaggeration: float) -> None:
         super().__init__()
         self.terrain, self.goal, self.views, self.flight = terrain, goal, views, flight
         self.exaggeration = exaggeration
+        self.left_out: dict[str, str] = {}
 
     @property
     def broken(self) -> list[str]:
-        """Methods that broke their promise: a fault of Orograph."""
+        """Methods that broke their promise: a fault of theirs."""
         return [name for name, m in self.items() if m.kept is False]
 
     def rows(self) -> list[list[str]]:
@@ -141,11 +143,12 @@ def compare(
         max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Returns:
-        a ``verify.measure.Measurement`` by method; they print as a table.
+        a ``verify.measure.Measurement`` by method; they print as a table. Of several methods, those that cannot be
+        measured here are left out, with a warning.
 
     Raises:
-        UsageError: there is no such method, or it cannot reach the goal. ReadError, StoreError: the terrain, or a file
-            of views, cannot be read. OutputError: the picture cannot be written.
+        UsageError: there is no such method, or it cannot reach the goal; none can be measured here. ReadError,
+            StoreError: the terrain, or a file of views, cannot be read. OutputError: the picture cannot be written.
     """
     max_memory, size = bytes_of(max_memory), None if size is None else size_of(size)
     heard, goal = reporting(progress), goal_of(tolerance=tolerance, triangles=triangles)
@@ -156,35 +159,52 @@ def compare(
     choices = _contenders([methods] if isinstance(methods, str) else methods, conservative, goal, heard)
     check_colors(drape, choices)
     check_exaggeration(exaggeration)
+    drawn = [str(choice) for choice in choices if choice.info.kind != "rays"] if picture is not None else []
     if picture is not None:
+        if not drawn:
+            raise UsageError("`picture` draws meshes, and rays make none.", remedy="Name a method that makes one.")
         picture_format(Path(picture))
         check_dpi(dpi)
         check_folder(Path(picture))
     errors = kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
-    with while_compiling("orograph.verify.ahead", "mesh"):
-        ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
-        check_surface(ground)
-        seen = _views(ground, views, flight, size, exaggeration)
-        means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
-        found, judges = Comparison(ground, goal, seen, flight is not None, exaggeration), judged or JUDGED
-        for choice in choices:
-            found[str(choice)] = _measured(choice, means, list(seen.values()), judges if found.flight else None)
+    expect("compare")
+    ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
+    check_surface(ground)
+    seen = _views(ground, views, flight, size, exaggeration)
+    means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
+    found, judges = Comparison(ground, goal, seen, flight is not None, exaggeration), judged or JUDGED
+    view = panel_view(next(iter(seen.values())), len(drawn))
+    panels: list[Panel] = []
+    for choice in choices:
+        try:
+            with heard.task(str(choice), total=len(seen)) as task, closing(means.method(choice)) as method:
+                found[str(choice)] = _measured(method, means, found, judges, task)
+                if str(choice) in drawn:
+                    panels.append(_panel(method, str(choice), means, view))
+        except UsageError as error:
+            if not found and choice is choices[-1]:
+                raise
+            found.left_out[str(choice)] = str(error)
+            panels += [Panel(str(choice), None, ("left out",), True)] * (str(choice) in drawn)
+            heard.warn(f"{choice} is left out: {error}")
     for name, m in found.items():
         if m.beyond is not None and goal.triangles is not None:
             heard.warn(not_enough(goal.triangles, name, m.beyond))
     if picture is not None:
-        drawn = [choice for choice in choices if choice.info.kind != "rays"]
-        _draw(means, next(iter(seen.values())), drawn).save(picture, dpi=dpi)
+        _drawn(panels, means, view).save(picture, dpi=dpi)
     return found
 
 
 def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: Progress) -> list[Choice]:
-    """The methods to measure, each once; for "all", those that can reach the goal.
+    """The methods to measure, each once, also of a list of names; for "all", those that can reach the goal.
 
     Raises:
         UsageError: one that is given cannot, or is refused.
     """
     found: dict[str, Choice] = {}
+    given = [
+        name for text in given for name in (text.split(",") if {*text.split(",")} <= {*METHODS, "all"} else [text])
+    ]
     for name in METHODS if not given or "all" in given else ():
         choice = choice_of(name, conservative)
         if goal.name in choice.info.goals:
@@ -244,49 +264,41 @@ def load_views(path: str | os.PathLike[str], crs: Any = None) -> dict[str, View]
     return views
 
 
-def _measured(choice: Choice, means: _Means, views: list[View], judged: int | None) -> Measurement:
-    """Measure a method on views; with ``judged``, on a flight of which the referee judges that many frames."""
-    with means.progress.task(str(choice), total=len(views)) as task:
-        method = means.method(choice)
-        about: dict[str, Any] = {"exaggeration": means.exaggeration, "jobs": means.jobs, "task": task}
-        try:
-            if judged is None:
-                return measure_views(method, means.terrain, views, means.goal, **about)
-            return measure_flight(method, means.terrain, views, means.goal, judged=judged, **about)
-        finally:
-            method.close()
+def _measured(method: Any, means: _Means, found: Comparison, judged: int, task: Task) -> Measurement:
+    """Measure a method on the comparison's views; on a flight the referee judges ``judged`` frames."""
+    about: dict[str, Any] = {"exaggeration": means.exaggeration, "jobs": means.jobs, "task": task}
+    views = list(found.views.values())
+    if not found.flight:
+        return measure_views(method, means.terrain, views, means.goal, **about)
+    return measure_flight(method, means.terrain, views, means.goal, judged=judged, **about)
 
 
-def _draw(means: _Means, view: View, choices: Sequence[Choice]) -> Picture:
-    """The meshes of a view side by side, each selected and judged for its panel."""
+def _panel(method: Any, name: str, means: _Means, view: View) -> Panel:
+    """The mesh that a method selects for a panel, judged."""
+    selection = method.select(Camera.over(means.terrain.grid, view, means.exaggeration), means.goal)
+    mesh = selection.tessellation()
+    report = verify.judge_mesh(mesh, means.terrain, view, exaggeration=means.exaggeration, jobs=means.jobs)
+    lines, alarm = caption(len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest)
+    return Panel(name, mesh, lines, alarm)
+
+
+def _drawn(panels: Sequence[Panel], means: _Means, view: View) -> Picture:
+    """The panels side by side."""
     import numpy as np
 
-    terrain, goal, view = means.terrain, means.goal, panel_view(view, len(choices))
-    panels = []
-    with means.progress.task("Drawing the meshes") as task:
-        for choice in choices:
-            method = means.method(choice)
-            selection = method.select(Camera.over(terrain.grid, view, means.exaggeration), goal)
-            mesh = selection.tessellation()
-            method.close()
-            report = verify.judge_mesh(mesh, terrain, view, exaggeration=means.exaggeration, jobs=means.jobs)
-            lines, alarm = caption(
-                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest
-            )
-            panels.append(Panel(str(choice), mesh, lines, alarm))
-            task.note(panels[-1].title)
-        asked = f"{goal.triangles:,} triangles" if goal.triangles is not None else f"tolerance {goal.tolerance:g} px"
-        rows, cols = terrain.grid.shape
-        note = (
-            f"{terrain.name}, {cols} × {rows} samples. Each mesh is refined for its panel of {view.width} × "
-            f"{view.height} pixels ({asked}); errors are the referee's, over all of the surface in view."
-        )
+    terrain, goal = means.terrain, means.goal
+    asked = f"{goal.triangles:,} triangles" if goal.triangles is not None else f"tolerance {goal.tolerance:g} px"
+    rows, cols = terrain.grid.shape
+    note = (
+        f"{terrain.name}, {cols} × {rows} samples. Each mesh is refined for its panel of {view.width} × "
+        f"{view.height} pixels ({asked}); errors are the referee's, over all of the surface in view."
+    )
+    with means.progress.task("Drawing the meshes"):
         pixels = sheet(
             terrain, view, panels, note=note,
             title=f"The same view, {asked}" if len(panels) > 1 else f"{terrain.name}, {asked}",
             exaggeration=means.exaggeration, jobs=means.jobs,
         )  # fmt: skip
-        task.note("")
     return Picture(pixels, np.empty((0, 0), np.float32), view)
 
 

@@ -24,7 +24,9 @@ from orograph.geo.vertical import ELLIPSOIDAL, known_datum
 from orograph.lighting.api import Map
 from orograph.lighting.context import MEMORY
 from orograph.lighting.raster import Band
+from orograph.measuring.detection import Doubt, check_doubt
 from orograph.measuring.differing import Statistics, differ
+from orograph.measuring.told import cubic, square
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -72,10 +74,20 @@ class Difference:
     attribution: tuple[str, ...]
     _ground: Aligned = field(repr=False)
     _terrain: Terrain | None = field(repr=False)
+    _doubt: Doubt | None = field(repr=False, default=None)
 
     @property
     def name(self) -> str:
         return f"{self.first} minus {self.second}"
+
+    @property
+    def significance(self) -> NDArray[np.float32] | None:
+        """(rows, cols) the difference over its standard deviation; None without an uncertainty."""
+        if self._doubt is None:
+            return None
+        rows, cols = self.grid.shape
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.values / self._doubt.sigma((0, rows, 0, cols)), np.float32)
 
     @property
     def limit(self) -> float:
@@ -101,7 +113,7 @@ class Difference:
         self, view: Any = "plan", *, limit: float | None = None, progress: Progress | bool | None = None, **options: Any
     ) -> Picture:
         """Draw the difference on the relief of the first terrain, with a legend: red where that is lower, blue where it
-        is higher.
+        is higher. If heights are uncertain, only what is significant is coloured.
 
         Args:
             view: as for ``orograph.render``; "plan": a map. limit: metres at both ends of the scale, which is centred
@@ -118,8 +130,14 @@ class Difference:
         heard = reporting(progress)
         with temporary() as folder:
             file = Path(folder) / "difference.tif"
-            self._map().save(file)
-            data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name="difference")
+            name, shown = "Difference", self.values
+            if (sure := self.significance) is not None and self._doubt is not None:
+                shown = np.where(np.abs(sure) > self._doubt.times, shown, np.float32(np.nan))
+                name = f"Difference, significant at {100 * self._doubt.confidence:g} %"
+                if np.isnan(shown).all():
+                    heard.warn("No difference is significant: nothing is coloured.")
+            Map(shown[None], self.grid, self._map().bands[:1]).save(file)
+            data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name=name)
             how = {"size": self._size(), "furniture": True, "title": self.name.replace("_", " "), **options}
             return render(self._relief(heard, options), view, data=[data], progress=heard, **how)
 
@@ -145,20 +163,42 @@ class Difference:
         s = self.statistics
         if not s.count:
             return [("compared", "nothing: no sample is in both")]
+        found = s.detected
+        errors = ("", "", "") if found is None else tuple(
+            f" ± {v:,.1f} m³" for v in (found.gain_error, found.loss_error, found.net_error)
+        )  # fmt: skip
         every = ", ".join(f"{100 * q:g} %: {value:+.3g}" for q, value in s.quantiles)
         return [
-            ("compared", f"{s.count:,} samples, {_areas(s.area)}" + (f"; {s.missing:,} missing" if s.missing else "")),
+            ("compared", f"{s.count:,} samples, {square(s.area)}" + (f"; {s.missing:,} missing" if s.missing else "")),
             ("mean", f"mean {s.mean:+.4g} m, median {s.median:+.4g} m"),
             ("spread", f"rms {s.rms:.4g} m, NMAD {s.nmad:.4g} m"),
             ("range", f"{s.low:+.4g} to {s.high:+.4g} m" + (f" ({every})" if every else "")),
-            ("gain", f"gain {s.gain:,.4g} m³ on {_areas(s.gain_area)}"),
-            ("loss", f"loss {s.loss:,.4g} m³ on {_areas(s.loss_area)}"),
-            ("net", f"net {s.net:+,.4g} m³"),
+            *self._told_detected(),
+            ("gain", f"gain {cubic(s.gain)}{errors[0]} on {square(s.gain_area)}"),
+            ("loss", f"loss {cubic(s.loss)}{errors[1]} on {square(s.loss_area)}"),
+            ("net", f"net {'+' if s.net > 0 else ''}{cubic(s.net)}{errors[2]}"),
         ]  # fmt: skip
 
+    def _told_detected(self) -> list[Row]:
+        found, s = self.statistics.detected, self.statistics
+        if found is None:
+            return []
+        level = f"{found.lowest:.3g} m" + (f" to {found.highest:.3g} m" if found.highest > found.lowest else "")
+        sure = (
+            f"significant at {100 * found.confidence:g} %: beyond ± {level}, {found.count / s.count:.1%} of the samples"
+        )
+        whole = f"of all: gain {cubic(found.whole_gain)}, loss {cubic(found.whole_loss)}"
+        return [("significant", f"{sure}; volumes are of these ({whole})")]
+
     def _map(self) -> Map:
+        """The difference, and its significance if heights are uncertain."""
         doc = f"height of {self.first} above {self.second}, metres"
-        return Map(self.values[None], self.grid, (Band("difference", "m", doc),))
+        bands, values = [Band("difference", "m", doc)], [self.values]
+        if self._doubt is not None and (sure := self.significance) is not None:
+            limit = f"significant at {100 * self._doubt.confidence:g} % beyond ± {self._doubt.times:.3f}"
+            bands.append(Band("significance", "1", f"difference over its standard deviation; {limit}"))
+            values.append(sure)
+        return Map(np.stack(values), self.grid, tuple(bands))
 
     def _size(self) -> tuple[int, int]:
         (across, down), (rows, cols) = self.grid.spacing, self.grid.shape
@@ -180,7 +220,8 @@ class Difference:
 def difference(
     a: Any, b: Any, output: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None, *,
     onto: Onto = "first", resampling: str = "bilinear", quantiles: Numbers = QUANTILES, limit: float | None = None,
-    any_vertical: bool = False, to_vertical: Direction | None = None, geoid: str | os.PathLike[str] | None = None,
+    sigma: Any = None, range: float = 0.0, confidence: float = 0.95, any_vertical: bool = False,
+    to_vertical: Direction | None = None, geoid: str | os.PathLike[str] | None = None,
     max_memory: Amount = MEMORY, jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
 ) -> Difference:  # fmt: skip
     """The difference of two DEMs of one place, a − b: after and before, a surface and the ground, two products.
@@ -195,6 +236,13 @@ def difference(
         resampling: of the other: "nearest", "bilinear" or "cubic".
         quantiles: which of the difference are computed, 0 to 1.
         limit: of a picture, metres at both ends of the colours; None: a round number that 98 % lie within.
+        sigma: standard deviation of the heights of both, metres, or a raster of them (a file, an array over the
+            result); or a pair, of a and of b. Differences within the level of detection are then not significant:
+            volumes are without them and get an error, pictures do not show them, and a .tif has a second band, the
+            difference over its standard deviation.
+        range: metres at which 5 % of the correlation of errors is left (``orograph.measure.HeightError``); 0: errors of
+            samples are independent.
+        confidence: of the level of detection and of the volumes' errors, 0 to 1.
         any_vertical: accept heights above different vertical datums as they are; otherwise they are refused.
         to_vertical: "ellipsoidal" or "orthometric": convert heights that are not so yet. geoid: by this grid (a file).
         max_memory: bytes that heights may take. jobs: threads. Neither changes the difference.
@@ -223,6 +271,7 @@ def difference(
         raise UsageError(f"`onto` must be one of {', '.join(get_args(Onto))}, not {onto!r}.")
     if resampling not in METHODS:
         raise UsageError(f"The resampling must be one of {', '.join(METHODS)}, not {resampling!r}.")
+    check_doubt(sigma, range, confidence)
     check_names(reading, "difference")
     check_request(to_vertical, geoid)
     said = {**reading, "to_vertical": to_vertical, "geoid": geoid}
@@ -235,11 +284,12 @@ def difference(
     window = shared(keeps.grid, other, keeps.name)
     whole = window == (0, keeps.grid.rows, 0, keeps.grid.cols)
     one, two = (Aligned(each, keeps.grid, window, resampling) for each in (first, second))
-    values, told = differ(one, two, wanted, max_memory=memory, jobs=jobs, progress=heard)
+    doubt = None if sigma is None else Doubt(one.grid, sigma, range, confidence)
+    values, told = differ(one, two, wanted, max_memory=memory, jobs=jobs, progress=heard, doubt=doubt)
     _warn_of_units(told.ratio, first.name, second.name, heard)
     named = dict.fromkeys((*one.attribution, *two.attribution))
     terrain = _terrain_of(a) if whole and keeps is first else None
-    made = Difference(values, one.grid, told, first.name, second.name, tuple(named), one, terrain)
+    made = Difference(values, one.grid, told, first.name, second.name, tuple(named), one, terrain, doubt)
     for out in outputs:
         if out.suffix.lower() in TIFF:
             made.save(out)
@@ -338,7 +388,3 @@ def _terrain_of(given: Any) -> Terrain | None:
     if isinstance(given, Terrain):
         return given
     return open_store(str((files_of(given) or [])[0])) if _is_built(given) else None
-
-
-def _areas(metres2: float) -> str:
-    return f"{metres2 / 1e6:,.4g} km²" if metres2 >= 1e5 else f"{metres2:,.4g} m²"

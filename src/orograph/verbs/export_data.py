@@ -22,6 +22,7 @@ from orograph.geo.grid import Grid, wkt_of
 from orograph.geovis.data.classes import says_classes
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
+from orograph.geovis.data.events import happened
 from orograph.geovis.data.features import has_features, read_features
 from orograph.geovis.data.painting import as_shown
 from orograph.geovis.data.points import is_table, read_points
@@ -206,7 +207,7 @@ def _table(terrain: Terrain, grid: Grid, given: Dataset, path: Path) -> None:
         raise UsageError(
             f"{features.kind.capitalize()} cannot be written, only points and rasters.", path=features.name
         )
-    points = read_points(given, terrain.grid, features)
+    _, points, _ = happened(given, read_points(given, terrain.grid, features))
     col, row = grid.index(points.x, points.y)
     here = (col >= -0.5) & (row >= -0.5) & (col <= grid.cols - 0.5) & (row <= grid.rows - 0.5)
     places = np.stack([points.x, points.y], 1)[here]

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph._named import answering
 from orograph.dem.header import copyright_tags
 from orograph.dem.raster import Dem
 from orograph.dem.synth import Synth, parse_size, write_windows
@@ -27,6 +28,7 @@ STORE = ".oro"
 """The ending of a store's name."""
 
 
+@answering
 def synth(
     output: str | os.PathLike[str] | None = None,
     *,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from orograph.compiling import expect
 from orograph.errors import NothingInViewError
 from orograph.folders import Amount, bytes_of
 from orograph.lod.method import Resources
@@ -121,6 +122,8 @@ def triangulate(
 
         mesh_format(os.fspath(output))
         check_folder(Path(output))
+    if choice.info.name == "soar":
+        expect("tessellate")
     errors = kinds_of(choice.method.needs(choice.options))
     ground = opened(
         terrain, progress, max_memory=max_memory, jobs=jobs, errors=errors, called="tessellate", **reading

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.meshing import MODELS, Print, mesh_format, solid, write, write_solid
@@ -25,8 +26,8 @@ from orograph.tessellation import Tessellation
 
 def tin(
     terrain: Any,
-    *,
     max_error: float | None = None,
+    *,
     triangles: int | None = None,
     bound: Literal["surface", "samples"] = "surface",
     breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
@@ -72,10 +73,11 @@ def tin(
     max_memory = bytes_of(max_memory)
     check_goal(max_error, triangles)
     heard = reporting(progress)
+    expect("tin")
     how = print_of(output, base, model_size, scale, exaggeration)
     if output is not None:
         if how is None:
-            mesh_format(output)
+            mesh_format(output, MODELS)
         check_folder(Path(output))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="tin", **reading)
     lines = [] if breaklines is None else lines_of(ground, breaklines)

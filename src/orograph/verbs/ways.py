@@ -3,6 +3,7 @@ line."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,8 @@ def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
     way = {**dict.fromkeys(WAY), **flags, "points": (), **options}
     if way["around"] is not None:
         way["around"] = numbers(way["around"], "around")
+    if way["line"] is not None and not isinstance(way["line"], str | os.PathLike):
+        way["points"], way["line"] = way["line"], None  # (places, not a file of them)
     way["points"] = tuple(numbers(point, "points") for point in way["points"])
     return way
 
@@ -60,10 +63,10 @@ def check_tour(options: Mapping[str, Any]) -> None:
 
 def tour_of(
     terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], sun: tuple[float, float], exaggeration: float,
-    furniture: bool = False,
+    furniture: bool = False, also: Any = None,
 ) -> Tour:  # fmt: skip
     """The tour that the options describe (see ``check_tour``); an orbit, if they describe none. A camera that stays
-    leaves room for ``furniture``."""
+    leaves room for ``furniture``; one that shows the whole terrain keeps further positions, ``also``, in view."""
     from orograph.touring import make
 
     given = {new: options[old] for old, new in
@@ -71,6 +74,8 @@ def tour_of(
               ("fov", "fov_y"), ("around", "around"),
               ("height", "height"), ("speed", "speed")) if options[old] is not None}  # fmt: skip
     kind = (chosen(options) or ["orbit"])[0]
+    if kind in ("turntable", "still", "orbit"):
+        given["also"] = also
     if kind == "turntable":
         return make.turntable(terrain, size, sun=sun, exaggeration=exaggeration, **given)
     if kind in ("still", "plan"):

@@ -14,6 +14,7 @@ import numpy as np
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import read_data
+from orograph.geovis.data.events import events_span, is_eventful, trail_of
 from orograph.geovis.data.features import has_features
 from orograph.geovis.data.listing import times_in
 from orograph.geovis.data.points import is_table
@@ -21,8 +22,9 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.scales import PERCENTILES
 from orograph.geovis.data.standing import stands
-from orograph.geovis.data.times import neighbours, seconds_of, written
+from orograph.geovis.data.times import is_span, neighbours, seconds_of, span_within, written
 from orograph.geovis.data.tracks import span_of
+from orograph.viewer.turns import Turns
 
 if TYPE_CHECKING:
     from orograph.geo.grid import Grid
@@ -66,8 +68,10 @@ class ShownData:
 
     Attributes:
         times: of the data that have any, ISO 8601 in UTC, in order. span: their first and last moment, including
-            tracks, seconds since 1970; None: no times. time: the time that is shown; "": as given.
-        playing: whether time passes. exceeds: show the probability that the first raster's values exceed this one;
+            tracks and points, seconds since 1970; None: no times. limits: the part of it that is played: by default the
+            span that the data choose (``time=A..B``). time: the time that is shown; "": as given.
+        playing: whether time passes. turns: the members in turn, or None.
+        exceeds: show the probability that the first raster's values exceed this one;
             None: show its values.
         painted: what is painted, bottom to top. things: what stands, or None.
     """
@@ -75,14 +79,56 @@ class ShownData:
     def __init__(self, data: tuple[Dataset, ...], priority: Priority, grid: Grid | None = None) -> None:
         self.data, self.priority = data, priority
         self.times = sorted({time for one in data for time in times_in(one)})
-        moving = [span for one in data if grid is not None and (span := span_of(one, grid)) is not None]
-        ends = [end for span in moving for end in span] + seconds_of(self.times[:1] + self.times[-1:], "", "").tolist()
-        self.span = (min(ends), max(ends)) if len(self.times) > 1 or moving else None
+        self._moving: dict[int, tuple[float, float]] = {}
+        for k, one in enumerate(data):
+            span = None if grid is None or times_in(one) else span_of(one, grid) or events_span(one, grid)
+            if span is not None:
+                self._moving[k] = span
+        ends = [end for span in self._moving.values() for end in span]
+        ends += seconds_of(self.times[:1] + self.times[-1:], "", "").tolist()
+        self.span = (min(ends), max(ends)) if len(self.times) > 1 or self._moving else None
+        self.limits = self._chosen()
         self.time, self.playing = "", False
+        self.turns = Turns.of(data)
         self.exceeds: float | None = None
         self.painted: tuple[Shown, ...] = ()
         self.things: Things | None = None
         self._spans: dict[int, tuple[float, float]] = {}
+
+    def _chosen(self) -> tuple[float, float] | None:
+        """The span that the first data with one choose, else all."""
+        for k, one in enumerate(self.data):
+            if one.time is not None and is_span(one.time) and self.span is not None:
+                known = [written(end) for end in self._moving[k]] if k in self._moving else times_in(one)
+                return span_within(known, one.time) if len(known) > 1 else self.span
+        return self.span
+
+    @property
+    def changing(self) -> bool:
+        """Whether what is shown changes by itself: time passes, or members take turns."""
+        return self.playing or (self.turns is not None and self.turns.on)
+
+    def play(self, part: float) -> str:
+        """The moment that follows after a part (0 to 1) of the played span; after its end it begins again."""
+        assert self.span is not None and self.limits is not None
+        low, high = self.limits
+        now = float(seconds_of([self.time], "", "")[0]) if self.time else low
+        after = low + (now - low + part * (high - low)) % (high - low) if low <= now <= high else low
+        return self.at_part((after - self.span[0]) / max(self.span[1] - self.span[0], 1e-9))
+
+    def limit(self, first: str | None = None, last: str | None = None) -> None:
+        """Play from or to a moment; neither: everything.
+
+        Raises:
+            UsageError: nothing would be left to play.
+        """
+        assert self.span is not None and self.limits is not None
+        low, high = self.limits if first or last else self.span
+        low = float(seconds_of([first], "", "")[0]) if first else low
+        high = float(seconds_of([last], "", "")[0]) if last else high
+        if not low < high:
+            raise UsageError("What is played must end later than it begins.", remedy="Choose another time.")
+        self.limits = low, high
 
     def choose(self, time: str) -> None:
         """Choose the time to show, one of the data's times or a moment between them; "": as given.
@@ -130,6 +176,8 @@ class ShownData:
     def current(self, terrain: Terrain) -> tuple[Dataset, ...]:
         """The data of the chosen time. A single time of a series says nothing about the differences between members."""
         made = [self._at_time(k, one, terrain) for k, one in enumerate(self.data)]
+        if self.turns is not None and self.exceeds is None:
+            made[self.turns.of_data] = self.turns.over(made[self.turns.of_data], terrain.grid)
         k = self.doubtful
         if self.exceeds is not None and k is not None:
             doubt = made[k].uncertainty
@@ -151,7 +199,9 @@ class ShownData:
         if not self.time:
             return one
         times = times_in(one)
-        if not times and span_of(one, terrain.grid) is not None:
+        if k in self._moving and is_eventful(one) and self.limits is not None:
+            return one.but(time=self.time, trail=one.trail or f"{trail_of(one, self.limits):.10g}s")
+        if k in self._moving:
             return one.but(time=self.time)
         if self.time not in times and neighbours(times, self.time) is None:
             return one
@@ -191,7 +241,7 @@ class ShownData:
         return tuple(found)
 
     def of_thing(self, number: int) -> tuple[Found, ...]:
-        """The value of a standing thing, by its number."""
+        """The value of a standing thing, by its number, and its standard deviation where it is known."""
         if self.things is None or not 0 <= number < len(self.things) or not np.isfinite(self.things.values[number]):
             return ()
         which = int(self.things.shown[number])
@@ -199,7 +249,8 @@ class ShownData:
             return ()
         name, unit, classes = self.things.shows[which]
         value = float(self.things.values[number])
-        return (Found(name, classes[int(value)] if classes else value, None, unit),)
+        doubt = float("nan") if self.things.sigma is None else float(self.things.sigma[number])
+        return (Found(name, classes[int(value)] if classes else value, None if math.isnan(doubt) else doubt, unit),)
 
 
 def _clock(time: str) -> str:

@@ -43,7 +43,7 @@ class Standing:
             return None
         stretch = scene.surface.exaggeration
         if self._placed is None or self._placed[0] is not things or self._placed[1] != stretch:
-            self._placed = things, stretch, places(things, scene)
+            self._placed = things, stretch, places(things, scene.terrain, stretch)
         stood = stand(things, pixels, depth, scene, self._placed[2])
         screen.write(label(scene, stood.pixels))
         return stood

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 from orograph.documents import parse
@@ -82,11 +83,12 @@ class Ground:
     """A session's terrain and what belongs to it.
 
     Attributes:
-        terrain: the terrain. outline: points that a view of all of it must contain. home: that view. probe: its ground.
+        terrain: the terrain. outline: points (n, 3) that a view of all of it, and of what stands on it, must contain,
+            by the exaggeration. home: that view. probe: its ground.
     """
 
     terrain: Terrain
-    outline: Any
+    outline: Callable[[float], Any]
     home: View
     probe: Probe
 
@@ -98,9 +100,18 @@ class Ground:
             NothingInViewError: it has no valid sample. UsageError: it cannot be drawn with these settings.
         """
         size = size or (session.view.width, session.view.height)
-        outline = camera.outline(terrain)
-        home = home_of(outline, size, session.settings.exaggeration)
-        session.settings.scene(terrain, home)  # reports what cannot be drawn before there is a window
+        bare, stretch = camera.outline(terrain), session.settings.exaggeration
+        home = home_of(bare, size, stretch)
+        # (Reports what cannot be drawn before there is a window.)
+        things = session.settings.scene(terrain, home).theme.things
+
+        @lru_cache(maxsize=2)
+        def outline(exaggeration: float) -> Any:
+            from orograph.rendering.standing import extent
+
+            return bare if things is None else camera.joined(bare, extent(things, terrain, exaggeration))
+
+        home = home_of(outline(stretch), size, stretch)
         return cls(terrain, outline, home, Probe(terrain, lambda: session.changed()))
 
     @property
@@ -160,7 +171,7 @@ class Session:
 
     def _home(self, size: tuple[int, int], exaggeration: float) -> View:
         """All of the terrain in a picture of this size."""
-        return home_of(self._ground.outline, size, exaggeration)
+        return home_of(self._ground.outline(exaggeration), size, exaggeration)
 
     def renew(self, ground: Ground, moved: Callable[[View], View | None]) -> str:
         """Switch to another terrain: camera, light, and kept views stay, as far as they make sense there.

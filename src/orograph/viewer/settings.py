@@ -242,7 +242,7 @@ class Settings:
             for name, (old, new) in self._replaced.items():
                 if base[name] is new:
                     base[name] = old
-            coarse = shown.playing or finer is not None
+            coarse = shown.changing or finer is not None
             now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
             given = base | now
             theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
@@ -261,7 +261,7 @@ class Settings:
         shown.painted, shown.things = theme.painted, theme.things
         self.variants.take(variants)
         self.options = {**base, **changed, "layers": stack}
-        if finer is not None and coarse and not shown.playing:
+        if finer is not None and coarse and not shown.changing:
             self.finer.wish(lambda: _carried_out(given, terrain, PAINTED), finer)
         else:
             self.finer.drop()
@@ -274,7 +274,7 @@ class Settings:
             As ``show``; the coarse picture stays.
         """
         shown = self.shown
-        if shown is None or shown.playing:
+        if shown is None or shown.changing:
             self.finer.drop()
         made = self.finer.take()
         if made is None or shown is None:

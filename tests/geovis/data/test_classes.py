@@ -70,6 +70,45 @@ def test_exported_classes_are_those_of_the_file(tmp_path, ground):
         np.testing.assert_array_equal(file.read(1), np.kron(values, np.ones((5, 5))))
 
 
+def bare(path, values):
+    """A raster of codes of which nothing says what they are."""
+    rows, cols = values.shape
+    place = from_origin(500_000, 5_600_000, 100, 100)
+    with rasterio.open(path, "w", "GTiff", cols, rows, 1, UTM, place, "uint8") as file:
+        file.write(values.astype(np.uint8), 1)
+    return str(path)
+
+
+def test_codes_are_classes_though_nothing_says_so(tmp_path, ground):
+    codes = bare(
+        tmp_path / "codes.tif", np.kron(np.random.default_rng(3).choice([31, 43, 71], (8, 10)), np.ones((5, 5)))
+    )
+    found = shown(Dataset(codes), ground.grid, 50, Priority())
+    assert found.style == "classes" and found.classes == ("31", "43", "71")
+    assert "shown as classes" in " ".join(found.field.warnings)
+    assert shown(Dataset(codes, style="continuous"), ground.grid, 50, Priority()).classes is None
+    ranks = np.add.outer(np.arange(40), np.arange(50)) // 9  # steps of one between neighbours: counts, not codes
+    assert shown(Dataset(bare(tmp_path / "ranks.tif", ranks)), ground.grid, 50, Priority()).classes is None
+
+
+def test_users_name_and_colour_classes_by_number_or_name(tmp_path, ground):
+    path = bare(tmp_path / "c.tif", np.kron(np.random.default_rng(4).choice([11, 41, 82], (8, 10)), np.ones((5, 5))))
+    told = Dataset(path, names={11: "water"}, colormap={"water": "#0000ff", 41: "#00ff00", "82": "#ff0000", 95: "red"})
+    layer = painted(shown(told, ground.grid, 50, Priority()))
+    assert [(words, tuple(look[0, 0])) for words, look in layer.key.classes] == [
+        ("water", (0, 0, 255)), ("41", (0, 255, 0)), ("82", (255, 0, 0))]  # fmt: skip
+    assert layer.key.title == "c" and layer.key.entries[0] == ("c", None)
+    shell = Dataset.parse(f"{path},names=11:water,colormap=water:#0000ff;41:#00ff00;82:#ff0000;95:red")
+    assert shell == told.but(names={"11": "water"}, colormap={str(k): v for k, v in told.colormap.items()})
+    assert Dataset.parse(f"{path},colormap=crameri:batlow").colormap == "crameri:batlow"
+    with pytest.raises(UsageError, match="no class 'Forest' to colour"):
+        shown(Dataset(path, colormap={"Forest": "red"}), ground.grid, 50, Priority())
+    with pytest.raises(UsageError, match="by number, not by 'water'"):
+        Dataset(path, names={"water": "blue"})
+    with pytest.raises(UsageError, match="CLASS:VALUE"):
+        Dataset.parse(f"{path},names=water")
+
+
 def test_modes_of_votes():
     votes = np.array([[[1.0, np.nan]], [[2.0, np.nan]], [[2.0, 3.0]]], np.float32)
     np.testing.assert_array_equal(mode(votes), [[2, np.nan]])

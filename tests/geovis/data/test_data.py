@@ -22,7 +22,7 @@ from orograph.geovis.data.painting import shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions, bilinear
-from orograph.geovis.data.scales import ColorScale, class_breaks, suppressed
+from orograph.geovis.data.scales import ColorScale, class_breaks, doubted, suppressed
 from orograph.geovis.data.times import matches
 
 UTM = "EPSG:32630"
@@ -358,3 +358,23 @@ def test_between_two_times_values_are_linear_and_classes_those_of_the_nearer(tmp
         read(Dataset(made, time="2020-01-02T00:30"), land.grid)
     # An hour of all days is no moment.
     assert read(Dataset(made, time="T06"), land.grid).values.max() == 3.0
+
+
+def test_a_constant_uncertainty_has_a_scale_from_0_to_itself():
+    assert doubted(np.full(9, 0.15)) == (0.0, 0.15)
+    assert doubted(np.zeros(9)) == doubted(np.full(9, np.nan)) == (0.0, 1.0)
+    values = np.linspace(0, 100, 101)
+    assert doubted(values) == (0.0, 98.0)
+
+
+def test_signs_are_told_by_a_strong_colour_of_a_diverging_scale():
+    plain, diverging = (ColorScale.of(np.array([-2.0, 2.0]), name, (-1.0, 1.0)) for name in ("viridis", "RdBu"))
+    assert plain.telling == 0.0
+    assert np.ptp(diverging.color(np.array([diverging.telling]))) > 0.3 > np.ptp(diverging.color(np.zeros(1)))
+
+
+@pytest.mark.parametrize(("span", "beyond"), [((-1.0, 1.0), (True, True)), ((-3.0, 1.0), (False, True)),
+                                              ((-3.0, 3.0), (False, False))])  # fmt: skip
+def test_a_scale_says_where_values_go_beyond_its_ends(span, beyond):
+    values = np.array([-2.0, np.nan, 2.0])
+    assert ColorScale.of(values, "RdBu", span).exceeded(values) == beyond

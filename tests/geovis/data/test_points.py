@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from rasterio.transform import from_origin
 
 import orograph
+from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.points import read_points
 from orograph.scene.theming import themed
@@ -34,3 +37,21 @@ def test_points_without_attributes_have_one_colour_and_a_name() -> None:
     assert [name for name, _ in things.legend.classes] == ["Huts"] and not things.legend.scales
     np.testing.assert_allclose(things.rgb, things.rgb[:1].repeat(2, 0))
     assert things.rgb[0, 0] > things.rgb[0, 2]
+
+
+def test_names_have_colours_but_no_sizes() -> None:
+    ground = orograph.terrain(np.zeros((30, 40), np.float32), spacing=10.0)
+    x, y = ground.grid.xy(np.array([5.0, 20.0, 30.0]), np.array([8.0, 12.0, 20.0]))
+    table = {"x": x, "y": y, "kind": ["auto", "manual", "auto"]}
+
+    def placed(**how: Any) -> Any:
+        things = themed({"data": Dataset(how.pop("source", table), **how)}, ground, (200, 150)).things
+        assert things is not None
+        return things
+
+    things = placed(variable="kind", style="spheres")
+    assert len(set(things.radius)) == 1 and things.legend.entries[0] == ("kind", None)
+    rain = placed(source={**table, "rain": [380.0, 450.0, 560.0]}, variable="rain", style="bars")
+    assert "sizes begin at 38" in rain.legend.note and rain.height.max() > 10 * rain.height.min()
+    with pytest.raises(UsageError, match="None of the classes"):
+        placed(variable="kind", colormap={"automatic": "red"})

@@ -21,6 +21,7 @@ from orograph.dem.raster import Dem
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid, apply
 from orograph.geovis.color import color_table, linear_to_srgb, srgb_to_linear
+from orograph.geovis.keys import Legend
 from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device
 from orograph.rendering.cpu.draw import draw as cpu_draw
@@ -273,6 +274,35 @@ def test_a_coarser_tile_stands_in_and_there_is_never_a_hole(
     frames.until(scene, lambda stats, _: stats.tiles_wanted == 0)
     assert len(read) == count
     np.testing.assert_array_equal(frames.draw(scene, samples=1)[1], frames.draw(scene, samples=1, wait=True)[1])
+
+
+def test_painted_data_stay_until_those_that_replace_them_are_there(
+    frames: Frames, ground: Terrain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, plain = threading.Event(), ImageTiles.tile
+
+    def tile(sheet: ImageTiles, place: int) -> NDArray[np.uint8]:
+        assert "new" not in sheet.laid.layer.path or gate.wait(60)
+        return plain(sheet, place)
+
+    monkeypatch.setattr(ImageTiles, "tile", tile)
+    green = np.zeros((300, 300, 3), np.uint8) + np.array([10, 200, 10], np.uint8)
+    old, new = (
+        Layer(write(tmp_path / name, pixels), key=Legend(note=name))
+        for name, pixels in (("old.tif", noisy_red(300)), ("new.tif", green))
+    )
+    plainly = replace(new, key=None)
+    frames.draw(scene_of(ground, old), wait=True)
+    for _ in range(8):  # while its tiles are kept from coming
+        assert is_red(frames.draw(scene_of(ground, new))[1]).all()
+        time.sleep(0.02)
+    gate.set()
+    _, pixels = frames.until(scene_of(ground, new), lambda stats, _: stats.tiles_wanted == 0)
+    assert (pixels[..., 1] > 150).all()
+    # What does not replace data, or is no data, leaves nothing behind.
+    assert not is_red(frames.draw(scene_of(ground))[1]).any()
+    frames.until(scene_of(ground, old), lambda _, pixels: is_red(pixels).all())
+    assert not is_red(frames.draw(scene_of(ground, plainly))[1]).any()
 
 
 def test_a_file_that_vanishes_is_told_and_what_is_there_stays(frames: Frames, ground: Terrain, tmp_path: Path) -> None:

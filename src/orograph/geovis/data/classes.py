@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from affine import Affine
 
-from orograph.errors import ReadError
+from orograph._named import remedy
+from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.attribute_table import Named
 from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import DISTINCT
+from orograph.geovis.tables import DISTINCT
 
 MOST = 64
 """Maximum classes of a picture: more do not fit into a legend."""
@@ -54,9 +55,9 @@ def _listed(told: Any) -> str:
 
 def says_classes(field: Field) -> bool:
     """Whether a source says by itself that its numbers are classes: by a colour table, CF's flags, or a table or names
-    beside it."""
+    beside it; or they seem to be codes."""
     said = field.palette is not None or field.named is not None or "flag_meanings" in field.tags
-    return len(field.values) == 1 and said
+    return len(field.values) == 1 and (said or field.coded)
 
 
 def classes_over(field: Field, over: Grid) -> Values:
@@ -88,24 +89,46 @@ def mode(votes: Values) -> Values:
 
 
 def numbered(
-    values: Values, table: ClassTable, colors: Any, name: str
+    values: Values, table: ClassTable, colors: Any, named: Mapping[Any, str], name: str
 ) -> tuple[Values, tuple[str, ...], dict[str, str]]:
     """Classes numbered from 0, their names, and their colours by name.
 
     Args:
-        colors: the user's own, by name, where it is a mapping.
+        colors: the user's own, by name or number, where it is a mapping. named: the user's own names by number.
 
     Raises:
-        ReadError: the values are not classes: not integers, or too many.
+        ReadError: the values are not classes: not integers, or too many. UsageError: a colour is of no class.
     """
     known = np.unique(values[np.isfinite(values)])
     if (known != np.rint(known)).any() or len(known) > MOST:
         what = "whole numbers" if (known != np.rint(known)).any() else f"at most {MOST}, not {len(known)}"
         raise ReadError(f"Classes must be {what}.", path=name, remedy="Choose another style, such as segmented.")
     codes = [int(v) for v in known]
+    table = replace(table, names={**table.names, **{int(code): word for code, word in named.items()}})
     names = [table.names.get(code, str(code)) for code in codes]
     names = [word if names.count(word) == 1 else f"{word} ({code})" for word, code in zip(names, codes)]
-    own = colors if isinstance(colors, Mapping) else {}
+    own = own_colors(colors, {**table.names, **dict(zip(codes, names))}, name)
     usual = [table.colors.get(code, DISTINCT[k % len(DISTINCT)]) for k, code in enumerate(codes)]
     found = np.where(np.isfinite(values), np.searchsorted(known, values), np.nan).astype(np.float32)
     return found, tuple(names), {word: own.get(word, color) for word, color in zip(names, usual)}
+
+
+def own_colors(given: Any, names: Mapping[int, str], source: str) -> dict[str, str]:
+    """The user's colours by name, given by name or number; nothing where the colour map is no mapping.
+
+    Args:
+        names: of the classes that there are, by number.
+
+    Raises:
+        UsageError: one is of no class. (A number may be one that does not occur here.)
+    """
+    if not isinstance(given, Mapping):
+        return {}
+    found = {}
+    for key, color in given.items():
+        number = int(key) if re.fullmatch(r"-?\d+", str(key)) else None
+        if key not in names.values() and number is None:
+            known = list(dict.fromkeys(names.values()))
+            raise UsageError(f"There is no class {key!r} to colour.", path=source, remedy=remedy(str(key), known))
+        found[key if key in names.values() else names.get(number or 0, str(key))] = color
+    return found

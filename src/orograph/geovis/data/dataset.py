@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
+from orograph._named import named, remedy
 from orograph.errors import UsageError
 from orograph.geovis.data.statistics import check_statistic
+from orograph.geovis.data.times import seconds_of_trail
 from orograph.geovis.layers import keyed
-from orograph.geovis.named import named, remedy
+from orograph.geovis.tables import by_class
 
 Style = Literal[
     "continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows", "lic", "bivariate",
@@ -61,6 +64,7 @@ Geometry = Literal["points", "lines", "polygons"]
 """Kinds of features."""
 
 
+@named("An uncertainty")
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
     """How uncertain data are.
@@ -147,7 +151,8 @@ class Dataset:
             terrain without a CRS); None: along the row and the column through the terrain's middle.
         layer: of a file of features with several. geometry: "points", "lines" or "polygons", where it mixes them.
         style: see ``Style`` and ``Standing``; None: what the priority says, of points spheres.
-        colormap: any name of the cmap catalogue; of classes colours by name, {"Water": "#56b4e9"}.
+        colormap: any name of the cmap catalogue; of classes colours by name or number, {"Water": "#56b4e9", 42:
+            "green"}. names: of classes of a raster, names by number, {42: "Evergreen forest"}, besides its own.
         range: the values at its ends; None: the 2nd and the 98th percentile.
         classes, breaks: of segments: how many (2 to 12), and where they begin: quantiles, equal steps, Jenks' natural
             breaks, or the values themselves.
@@ -156,7 +161,9 @@ class Dataset:
             columns and logs also two, the ends of an interval ("from+to").
         group: of columns, logs, tubes and paths, the attribute that says which borehole, ascent or track a row belongs
             to. None: rows of a borehole are at one place; all are one track.
-        when: of tracks, the attribute that says when; None: time, timestamp, datetime or date.
+        when: of tracks and points, the attribute that says when; None: time, timestamp, datetime or date.
+        trail: of points with times, for how long each is seen after its time ("6h"; s, min, h, d); None: a twelfth of
+            the time that they span.
         hidden: with which opacity (0 to 1) what the ground hides is seen through it. None: 0.65 of what has a depth,
             else 0.
         size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
@@ -184,7 +191,8 @@ class Dataset:
     layer: str | None = None
     geometry: Geometry | None = None
     style: Style | Standing | None = None
-    colormap: str | Mapping[str, str] = "viridis"
+    colormap: str | Mapping[str, str] | Mapping[int, str] = "viridis"
+    names: Mapping[int, str] | Mapping[str, str] | None = None
     range: tuple[float, float] | None = None
     classes: int = 5
     breaks: Breaks | tuple[float, ...] = "quantiles"
@@ -193,6 +201,7 @@ class Dataset:
     depth: str | None = None
     group: str | None = None
     when: str | None = None
+    trail: str | None = None
     hidden: float | None = None
     size: float | None = None
     width: float | str | None = None
@@ -216,6 +225,9 @@ class Dataset:
             color_table(self.colormap, 2)
         else:
             _check_colors(self.colormap)
+        for number in self.names or {}:
+            if not re.fullmatch(r"-?\d+", str(number)):
+                raise UsageError(f"Names of classes are by number, not by {number!r}.")
         if not 2 <= self.classes <= 12:
             raise UsageError(f"The number of classes must be 2 to 12, not {self.classes}.")
         if isinstance(self.breaks, str):
@@ -229,6 +241,8 @@ class Dataset:
                 raise UsageError(f"The opacity must be a number from 0 to 1, not {opacity:g}.")
         _check_choice("vertical dimension", self.vertical, get_args(Vertical))
         _check_choice("kind of geometry", self.geometry, get_args(Geometry))
+        if self.trail is not None:
+            seconds_of_trail(self.trail)
         if self.width is not None:
             object.__setattr__(self, "width", _width(self.width))
         self._check_derived()
@@ -248,7 +262,7 @@ class Dataset:
         """
         return _parsed(
             cls, text, {"range": _range, "classes": _whole, "breaks": _breaks, "size": _number, "opacity": _number,
-                         "exceeds": _number, "hidden": _number},
+                         "exceeds": _number, "hidden": _number, "names": by_class, "colormap": _colors},
             without=("uncertainty",),
         )  # fmt: skip
 
@@ -332,7 +346,14 @@ def _whole(text: str) -> int:
     return int(found)
 
 
-def _check_colors(given: Mapping[str, str]) -> None:
+def _colors(text: str) -> str | dict[str, str]:
+    """A name, or colours by class: 41:#1a7f37;Water:blue. (Names of maps have a colon, too: crameri:batlow.)"""
+    first, _, color = text.partition(";")[0].partition(":")
+    one = color.startswith("#") or first.strip().lstrip("-").isdigit()
+    return by_class(text) if ";" in text or one else text
+
+
+def _check_colors(given: Mapping[Any, str]) -> None:
     from PIL import ImageColor
 
     for name, color in given.items():

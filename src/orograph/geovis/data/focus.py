@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import named
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
@@ -31,6 +32,7 @@ LENS, NEAR = "lens", "near"
 KEYS = ("priority", "at", "radius", "width", "distance", "blend", "layer", "geometry")
 
 
+@named("A focus")
 @dataclass(frozen=True, slots=True)
 class Focus:
     """Where a different priority applies.

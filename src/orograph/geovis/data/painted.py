@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.painting import Shown, along, pitch_of, with_data
 from orograph.geovis.data.signs import Paint
-from orograph.geovis.keys import Legend, Scale
+from orograph.geovis.keys import Legend, Scale, minus
 from orograph.geovis.layers import Layer
 
 Array = NDArray[np.float64]
@@ -45,18 +45,18 @@ def key_of(found: Shown) -> Legend:
         return Legend(note=found.field.chosen, squares=(found.square,))
     scale = Scale(
         found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
-        below=found.dataset.range is None, above=found.dataset.range is None,
+        *found.scale.exceeded(found.values),
     )  # fmt: skip
     scales, classes = ((scale,), ()) if found.classes is None else ((), _classes(found, found.classes))
     if found.sign == "none" or found.sigma is None:
-        return Legend(scales, classes=classes, note=found.note)
+        return Legend(scales, classes=classes, note=found.note, title=found.title)
     low, high = found.doubt
     swatches = []
     for part in SWATCHES:
         sigma = low + part * (high - low)
         words = f"± {rounded(sigma, high)} {found.unit}".rstrip()
         swatches.append((words, _swatch(found, sigma)))
-    return Legend(scales, tuple(swatches), classes, found.note)
+    return Legend(scales, tuple(swatches), classes, found.note, title=found.title)
 
 
 def _classes(found: Shown, names: tuple[str, ...]) -> tuple[tuple[str, NDArray[np.uint8]], ...]:
@@ -67,11 +67,12 @@ def _classes(found: Shown, names: tuple[str, ...]) -> tuple[tuple[str, NDArray[n
 
 
 def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
-    """A tile (rows, cols, 3) of what the data look like in the middle of their scale, so uncertain."""
-    x = np.mgrid[:SWATCH, :SWATCH][1] + 0.5
-    at = np.where(x < SWATCH / 2, 0.25, 0.75) if found.sign == "blur" else np.full((SWATCH, SWATCH), 0.5)
-    middle = found.scale.low + at * (found.scale.high - found.scale.low)
-    return _painted_swatch(_plainly(found), middle, sigma)
+    """A tile (rows, cols, 3) of what the data look like in a telling colour of their scale, so uncertain."""
+    scale, values = found.scale, np.full((SWATCH, SWATCH), found.scale.telling)
+    if found.sign == "blur":
+        x = np.mgrid[:SWATCH, :SWATCH][1] + 0.5
+        values = scale.low + np.where(x < SWATCH / 2, 0.25, 0.75) * (scale.high - scale.low)
+    return _painted_swatch(_plainly(found), values, sigma)
 
 
 def _painted_swatch(found: Shown, values: Array, sigma: float) -> NDArray[np.uint8]:
@@ -95,4 +96,4 @@ def _plainly(found: Shown) -> Shown:
 def rounded(value: float, top: float) -> str:
     """A number with the digits that its scale needs."""
     digits = max(0, 2 - int(np.floor(np.log10(top))) - 1) if top > 0 else 0
-    return f"{value:.{min(digits, 6)}f}"
+    return minus(f"{value:.{min(digits, 6)}f}")

@@ -25,7 +25,7 @@ from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.shared import once
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors
@@ -128,7 +128,7 @@ def shown(
     """
     style = dataset.style or priority.style
     if style == "classes":
-        return _shown_classes(dataset, grid, texels, priority)
+        return _shown_classes(dataset, read_data(dataset, grid), grid, texels, priority)
     if dataset.derived and style in FLOWS:
         raise UsageError(f"{style} shows two components, which have no value= or exceeds=.")
     components: list[Values] = []
@@ -137,7 +137,7 @@ def shown(
     else:
         field = once("read", (dataset, grid), lambda: read_data(dataset, grid))
     if dataset.style is None and not dataset.derived and says_classes(field):
-        return _shown_classes(dataset.but(style="classes"), grid, texels, priority)
+        return _shown_classes(dataset.but(style="classes"), field, grid, texels, priority)
     dataset = as_shown(dataset)
     over, positions, values, sigma = once(
         "sampled", (dataset, grid, texels, id(field)), lambda: _sampled(dataset, field, grid, texels)
@@ -150,7 +150,7 @@ def shown(
     doubt = (0.0, 1.0)
     if sigma is not None:
         asked = None if dataset.uncertainty is None else dataset.uncertainty.range
-        doubt = asked or (0.0, spanned(sigma, None)[1])
+        doubt = asked or doubted(sigma)
     streaks = None
     if style == "lic" and toward is not None:
         flat = np.zeros(over.shape) if surface is None else surface(over)
@@ -173,15 +173,16 @@ def _sampled(
     return over, positions, positions.values(field.shown), sigma
 
 
-def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:
+def _shown_classes(dataset: Dataset, field: Field, grid: Grid, texels: int, priority: Priority) -> Shown:
     """A raster of classes: nothing is interpolated but how uncertain they are."""
-    field = read_data(dataset, grid)
     if dataset.derived or len(field.values) > 1:
         raise UsageError("Classes have no mean, no value= and no exceeds=.", path=str(dataset.source),
                          remedy="Choose one band, time or member.")  # fmt: skip
     over = cropped(field, grid, texels)
     table = ClassTable.of_tags(field.tags, field.palette, field.named)
-    values, names, colors = numbered(classes_over(field, over), table, dataset.colormap, field.name)
+    values, names, colors = numbered(
+        classes_over(field, over), table, dataset.colormap, dataset.names or {}, field.name
+    )
     found = deviations(dataset, field, grid)
     sigma = None if found is None else Positions.of(over, found[0]).values(found[1])
     given = None if dataset.uncertainty is None else dataset.uncertainty
@@ -193,7 +194,7 @@ def _shown_classes(dataset: Dataset, grid: Grid, texels: int, priority: Priority
         )  # fmt: skip
     doubt = (0.0, 1.0)
     if sigma is not None and given is not None:
-        doubt = given.range or (0.0, spanned(sigma, None)[1])
+        doubt = given.range or doubted(sigma)
     scale = ColorScale.of_classes(names, colors)
     return Shown(dataset, "classes", sign, field, values, sigma, over, scale, doubt, classes=names)
 

@@ -7,7 +7,7 @@ features'. What is no number is missing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,16 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import Features, classes_in, has_features, read_features
+from orograph.geovis.data.times import seconds_of
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.object_]
 
 LENGTHS = {"": 1.0, "m": 1.0, "km": 1000.0, "ft": 0.3048}
 """Metres of units of heights and depths."""
+
+WHEN = ("time", "timestamp", "datetime", "date")
+"""Attributes that say when, where none is named."""
 
 TABLES = (".csv", ".tsv", ".txt")
 
@@ -39,6 +43,9 @@ class Points:
         level: (n,) how high they are, metres, as ``Dataset.height``, ``above`` or ``depth`` say; (n, 2) of intervals;
             None: they are on the ground.
         name: what they are. classes: the names of values 0, 1, …; None: they are numbers.
+        seconds: (n,) when each happened, since 1970, UTC, NaN: unknown; None: nothing says it, or no time is
+            asked for.
+        ages: (n,) how long ago that is, from 0 (now) to 1 (no longer seen); None: that does not matter.
         group: (n,) which borehole each belongs to, numbered from 0, as ``Dataset.group`` says; None: it says nothing.
     """
 
@@ -50,6 +57,43 @@ class Points:
     classes: tuple[str, ...] | None = None
     level: Array | None = None
     group: NDArray[np.int64] | None = None
+    seconds: Array | None = None
+    ages: Array | None = None
+
+    def some(self, which: NDArray[Any]) -> Points:
+        """Some of the points."""
+        chosen: dict[str, Any] = {
+            f.name: part[which] for f in fields(self)
+            if f.name not in ("name", "classes") and (part := getattr(self, f.name)) is not None
+        }  # fmt: skip
+        return replace(self, **chosen)
+
+
+def is_points(given: Dataset, grid: Grid) -> bool:
+    """Whether a dataset is points: a table, or features of that kind."""
+    if is_table(given.source):
+        return True
+    return has_features(given.source) and read_features(given, grid).kind == "points"
+
+
+def when_of(given: Dataset, texts: Mapping[str, Any], name: str) -> str | None:
+    """The attribute that says when; None: there is none.
+
+    Raises:
+        UsageError: the one that is named is not there.
+    """
+    when = given.when or next((k for k in texts if k.lower() in WHEN), None)
+    if when is not None and when not in texts:
+        raise UsageError(f"There is no attribute {when!r}.", path=name, remedy="Choose one: when=NAME.")
+    return when
+
+
+def seconds_in(given: Dataset, grid: Grid) -> Array | None:
+    """(n,) when the points of a source happened, seconds since 1970, UTC, NaN where unknown; None: nothing says it."""
+    found = read_features(given, grid) if has_features(given.source) else None
+    _, texts, _, name = columns_of(given.source) if found is None else columns_of_features(found)
+    when = when_of(given, texts, name)
+    return None if when is None else seconds_of(texts[when], name, when)
 
 
 def is_table(source: Any) -> bool:
@@ -116,10 +160,12 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
             f"None of its {len(x)} points lies on the terrain and has a {value}.", path=name,
             remedy="Give data of the same area.",
         )  # fmt: skip
+    when = when_of(given, texts, name) if given.time is not None else None
+    seconds = None if when is None else seconds_of(texts[when], name, when)[here]
     spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
     alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
     return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike or classes,
-                  None if level is None else level[here], None if group is None else group[here])  # fmt: skip
+                  None if level is None else level[here], None if group is None else group[here], seconds)  # fmt: skip
 
 
 def level_of(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[Array | None, set[str]]:

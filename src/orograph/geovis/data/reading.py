@@ -19,6 +19,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from orograph.dem.fills import are_codes
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
@@ -37,6 +38,9 @@ Values = NDArray[np.float32]
 MOST = 1 << 22
 """Samples of a window that are held of each band."""
 
+PROBE = 512
+"""Side of the reduced window that says whether a raster holds codes."""
+
 HELD = 1 << 27
 """Samples of all bands together."""
 
@@ -53,7 +57,7 @@ class Field:
         name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
         statistic: what is shown of members ("mean", "p90"…: see ``statistics``).
         tags, palette, named: of classes (``classes``), what the source, or a file beside it, says of their names and
-            colours.
+            colours. coded: whether its numbers seem to be codes of classes although nothing says so.
     """
 
     values: Values
@@ -66,6 +70,7 @@ class Field:
     tags: Mapping[str, Any] = field(default_factory=dict)
     palette: Mapping[int, Any] | None = None
     named: Named | None = None
+    coded: bool = False
 
     @property
     def mean(self) -> Values:
@@ -137,7 +142,7 @@ def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, 
 def has_classes(given: Dataset | Uncertainty, found: Field) -> bool:
     """Whether values stand for names, which have nothing between them."""
     said = found.palette is not None or found.named is not None or "flag_meanings" in found.tags
-    return said or getattr(given, "style", None) == "classes"
+    return said or found.coded or getattr(given, "style", None) == "classes"
 
 
 def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
@@ -166,7 +171,8 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         named = named_beside(location, bands[0])
         said_so = coloured or named is not None or "flag_meanings" in file.tags(bands[0])
         style = given.style if isinstance(given, Dataset) else "continuous"
-        classes = style == "classes" or (style is None and said_so)
+        coded = style is None and not said_so and _coded(file, bands, where)
+        classes = style == "classes" or (style is None and (said_so or coded))
         way = Resampling.nearest if step == 1 else Resampling.mode if classes else Resampling.average
         values = np.empty((len(bands), rows, cols), np.float32)
         try:
@@ -182,8 +188,25 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
         palette = file.colormap(bands[0]) if coloured else None
     values[~np.isfinite(values)] = np.nan
+    if coded:
+        told.append(
+            f"{name} holds a few whole numbers in patches, which are shown as classes. (The style continuous shows "
+            "them as numbers.)"
+        )
     return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette,
-                           named=named))  # fmt: skip
+                           named=named, coded=coded))  # fmt: skip
+
+
+def _coded(file: Any, bands: list[int], where: Any) -> bool:
+    """Whether the one band that is meant seems to hold codes of classes: integers without a unit, as ``are_codes``."""
+    at = bands[0] - 1
+    plain = file.scales[at] == 1 and file.offsets[at] == 0 and not (file.units[at] or file.tags(bands[0]).get("units"))
+    if len(bands) > 1 or np.dtype(file.dtypes[at]).kind not in "iu" or not plain:
+        return False
+    shape = min(PROBE, int(where.height)), min(PROBE, int(where.width))
+    probe = file.read(bands[0], window=where, out_shape=shape, masked=True)
+    values = np.ma.filled(probe.astype(np.float32), np.nan)
+    return are_codes(np.unique(values[np.isfinite(values)]), [values])
 
 
 def _in_degrees(file: Any, found: Grid) -> Grid:

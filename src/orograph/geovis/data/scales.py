@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageColor
 
-from orograph.geovis.color import color_table, srgb_to_linear
+from orograph.errors import UsageError
+from orograph.geovis.color import color_table, linear_to_srgb, srgb_to_linear
 from orograph.geovis.data.dataset import Breaks
+from orograph.geovis.tables import DISTINCT
 
 Colors = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -25,16 +27,17 @@ PERCENTILES = (2.0, 98.0)
 ALIKE = 1e-7
 """Of their size, differences between values that float32 hardly tells apart."""
 
+MOST_NAMED = 12
+"""Classes that a message lists."""
+
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
 
-DISTINCT = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#555555", "#7f3c8d",
-            "#a5aa99", "#80ba5a", "#8c510a")  # fmt: skip
-"""Colours of classes without an order, at most twelve: Okabe & Ito's (2008), which colour-blind readers tell apart,
-then others."""
-
 PALE = (0.86, 0.86, 0.86)
 """Linear grey: what nothing is known of, in a value-suppressing palette."""
+
+GREYISH = 0.2
+"""Range of the channels of a colour, below which it is nearly grey."""
 
 LEVELS = 4
 """Of uncertainty in such a palette: 8 classes of values where they are certain, then 4, 2 and 1."""
@@ -82,7 +85,12 @@ class ColorScale:
     @classmethod
     def of_classes(cls, names: tuple[str, ...], colors: Any) -> ColorScale:
         """Of classes without an order, numbered from 0, at most twelve; ``colors``: by name, where it is a mapping."""
-        own = colors if isinstance(colors, Mapping) else {}
+        own = {str(name): color for name, color in colors.items()} if isinstance(colors, Mapping) else {}
+        if own and not any(name in own for name in names):
+            raise UsageError(
+                f"None of the classes that have colours occurs: {', '.join(own)}.",
+                remedy=f"There are {', '.join(names[:MOST_NAMED])}.",
+            )
         rest = iter(DISTINCT)
         rgb = np.array([ImageColor.getrgb(own.get(name) or next(rest))[:3] for name in names], np.float32) / 255
         edges = tuple(k - 0.5 for k in range(len(names) + 1))
@@ -99,6 +107,21 @@ class ColorScale:
     def colors(self) -> Colors:
         """(256, 3) at even steps of the values: what a legend shows."""
         return self.color(np.linspace(self.low, self.high, 256))
+
+    @property
+    def telling(self) -> float:
+        """A value whose colour shows best how it fades: the middle, unless that is grey or white, as in diverging maps;
+        then the one of the strongest colour."""
+        shades = np.linspace(self.low, self.high, 256)
+        chroma = np.ptp(linear_to_srgb(self.color(shades)), axis=1)
+        middle = (self.low + self.high) / 2
+        weak = chroma[len(chroma) // 2] < GREYISH < chroma.max()
+        return float(shades[np.argmax(chroma)]) if weak else middle
+
+    def exceeded(self, values: NDArray[Any]) -> tuple[bool, bool]:
+        """Whether there are values below and above its ends, more than rounding."""
+        slack = 1e-6 * (self.high - self.low)
+        return bool((values < self.low - slack).any()), bool((values > self.high + slack).any())
 
     def color(self, values: NDArray[Any]) -> Colors:
         """Colours (…, 3); those of NaN mean nothing."""
@@ -119,6 +142,13 @@ def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[flo
         low, high = float(known.min()), float(known.max())
     alike = high - low <= ALIKE * max(abs(low), abs(high))  # (by rounding only)
     return (low - 0.5, low + 0.5) if alike else (low, high)
+
+
+def doubted(sigma: NDArray[Any]) -> tuple[float, float]:
+    """The ends of a scale of uncertainties: 0 and the 98th percentile (1 if all are 0 or unknown)."""
+    known = sigma[np.isfinite(sigma)]
+    high = float(np.percentile(known, PERCENTILES[1]) or known.max()) if len(known) else 0.0
+    return 0.0, high or 1.0
 
 
 def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ from orograph.geovis.data.listing import levels_in
 from orograph.geovis.data.painting import FLOWS, image_grid
 from orograph.geovis.data.reading import Field, read
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import class_breaks, spanned
+from orograph.geovis.data.scales import class_breaks, doubted
 from orograph.geovis.data.vectors import read_vectors
 
 LOOKED_AT = 512
@@ -52,7 +52,7 @@ class OneScale(NamedTuple):
             edges = (span[0], *class_breaks(inside, whole.classes, "jenks", *span), span[1])
             breaks = edges if len(edges) > 2 else "equal"
         asked = whole.uncertainty.range if isinstance(whole.uncertainty, Uncertainty) else None
-        doubt = asked or ((0.0, spanned(np.concatenate(sigmas), None)[1]) if sigmas else None)
+        doubt = asked or (doubted(np.concatenate(sigmas)) if sigmas else None)
         return cls(span, breaks, doubt)
 
     def over(self, one: Dataset) -> Dataset:

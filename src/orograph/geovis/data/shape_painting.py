@@ -19,7 +19,7 @@ from orograph.geovis.data.features import Features
 from orograph.geovis.data.painting import Shown, image_grid
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import Field
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.shape_kernels import fill, stroke
 from orograph.geovis.data.shapes import Shapes, read_shapes
 
@@ -66,7 +66,7 @@ def shown_shapes(
     doubt = (0.0, 1.0)
     if shapes.sigma is not None:
         given = dataset.uncertainty.range if dataset.uncertainty is not None else None
-        doubt = given or (0.0, spanned(shapes.sigma[np.unique(shapes.owner)], None)[1])
+        doubt = given or doubted(shapes.sigma[np.unique(shapes.owner)])
 
     def spread(of: Any) -> NDArray[np.float32]:
         return np.where(which >= 0, np.asarray(of, np.float32)[which], np.float32(np.nan))

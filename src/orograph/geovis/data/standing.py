@@ -21,7 +21,7 @@ from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.signs import INK, colored
 from orograph.geovis.data.standing_marks import MARKS, swatch
 from orograph.geovis.keys import Legend, Scale
@@ -40,6 +40,9 @@ LATTICE = 28
 
 PALER = ("saturation", "whiteness", "palette", "none")
 """Signs of uncertainty that change the colours of things."""
+
+FADED = 0.75
+"""How much of their colour points have lost when they disappear."""
 
 FLOOR = 0.06
 """Of the largest, what the least value still is."""
@@ -93,7 +96,8 @@ class Things:
     Attributes:
         kind: (n,) of ``Kind``. x, y: (n,) in the terrain's CRS. lift: (n,) metres of the picture above the ground.
         radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
-        values: (n,), what they show, NaN of parts that show none. legend: what it means.
+        values: (n,), what they show, NaN of parts that show none. sigma: (n,) standard deviations, NaN where unknown;
+            None: unknown of all. legend: what it means.
         ends: (n, 4): the height of the foot, or of the one end, NaN where it is on the ground; of tubes, walls,
             shadows, columns, panels and sections x, y and height of the other end (of the last three of the upper
             one), else NaN; None: all stand on the ground.
@@ -116,6 +120,7 @@ class Things:
     marks: tuple[Mark, ...] = ()
     shows: tuple[Variable, ...] = ()
     which: NDArray[np.int64] | None = None
+    sigma: Array | None = None
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -147,6 +152,7 @@ class Things:
         legends = [one.legend for one in several]
         upright = [np.full((len(one), 4), np.nan) if one.ends is None else one.ends for one in several]
         through = [np.zeros(len(one)) if one.hidden is None else one.hidden for one in several]
+        doubts = [np.full(len(one), np.nan) if one.sigma is None else one.sigma for one in several]
         begins = np.cumsum([0, *(len(one.shows) for one in several)])
         which = [np.where(one.shown < 0, -1, one.shown + begin) for one, begin in zip(several, begins)]
         return cls(
@@ -154,6 +160,7 @@ class Things:
             shows=tuple(name for one in several for name in one.shows),
             which=np.concatenate(which),
             hidden=np.concatenate(through) if any(one.hidden is not None for one in several) else None,
+            sigma=np.concatenate(doubts) if any(one.sigma is not None for one in several) else None,
             ends=np.concatenate(upright) if any(one.ends is not None for one in several) else None,
             marks=tuple(mark for one in several for mark in one.marks),
             legend=Legend(
@@ -161,6 +168,7 @@ class Things:
                 tuple(swatch for one in legends for swatch in one.swatches),
                 tuple(named for one in legends for named in one.classes),
                 note="; ".join(one.note for one in legends if one.note),
+                title=", ".join(one.title for one in legends if one.classes and one.title),
             ),
         )
 
@@ -196,9 +204,13 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     x, y, values = points.x[order], points.y[order], points.values[order]
     sigma = None if points.sigma is None else points.sigma[order]
     part = np.maximum(np.clip((values - scale.low) / (scale.high - scale.low), 0, 1), FLOOR)
+    if points.classes is not None:
+        part = np.ones(len(values))  # names have no size
+    elif scale.low > 0:
+        note = ", ".join(filter(None, (note, f"sizes begin at {rounded(scale.low, scale.high)} {unit}".rstrip())))
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     sign = _sign(dataset, priority, style) if sigma is not None else "none"
-    doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
+    doubt = doubted(sigma) if sigma is not None else (0.0, 1.0)
     if dataset.uncertainty is not None and dataset.uncertainty.range is not None:
         doubt = dataset.uncertainty.range
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
@@ -208,11 +220,13 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         level = points.level.reshape(len(values), -1).mean(1)  # (of intervals, their middles)
         ends = np.column_stack([level[order], *[np.full(len(values), np.nan)] * 3])
     lift = np.zeros(len(values)) if ends is None else -height / 2
+    rgb = colored(values, u, scale, sign)
+    if points.ages is not None and sign in ("none", "errorbars"):  # (else paleness tells the uncertainty)
+        rgb += (np.float32(FADED) * points.ages[order].astype(np.float32))[:, None] * (1 - rgb)
     main = Things(
-        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height,
-        colored(values, u, scale, sign), values,
-        key_of(dataset, points.name, scale, unit, note, sign, doubt, points.classes), ends,
-        None if ends is None or not dataset.through else np.full(len(values), dataset.through),
+        np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height, rgb, values,
+        key_of(dataset, points.name, values, scale, unit, note, sign, doubt, points.classes), ends,
+        None if ends is None or not dataset.through else np.full(len(values), dataset.through), sigma=sigma,
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
         return main
@@ -271,16 +285,15 @@ def longer(grid: Grid) -> float:
 
 
 def key_of(
-    dataset: Dataset, name: str, scale: ColorScale, unit: str, note: str, sign: str, doubt: tuple[float, float],
-    classes: tuple[str, ...] | None = None,
+    dataset: Dataset, name: str, values: Array, scale: ColorScale, unit: str, note: str, sign: str,
+    doubt: tuple[float, float], classes: tuple[str, ...] | None = None,
 ) -> Legend:  # fmt: skip
     """What the colours of things mean."""
     title = dataset.name or name
-    beyond = dataset.range is None
-    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, below=beyond, above=beyond)
+    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, *scale.exceeded(values))
     swatches: list[tuple[str, Any]] = []
     if sign not in ("none", "errorbars"):
-        middle = np.full(len(SWATCHES), (scale.low + scale.high) / 2)
+        middle = np.full(len(SWATCHES), scale.telling)
         shades: Any = linear_to_srgb(colored(middle, np.array(SWATCHES), scale, sign))
         if sign in MARKS:
             shades = [swatch(scale.color(middle[:1])[0], part, sign) for part in SWATCHES]
@@ -294,7 +307,7 @@ def key_of(
     if classes is None:
         return Legend((colors,), tuple(swatches), note=told)
     names = zip(classes, linear_to_srgb(scale.color(np.arange(len(classes), dtype=np.float64))))
-    return Legend((), tuple(swatches), tuple(names), told)
+    return Legend((), tuple(swatches), tuple(names), told, title=title)
 
 
 def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.signs import colored
 from orograph.geovis.data.standing import PALER, key_of
 from orograph.geovis.data.standing_marks import MARKS
@@ -69,7 +69,7 @@ def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, 
         )  # fmt: skip
     doubt = (0.0, 1.0)
     if sigma is not None and dataset.uncertainty is not None:
-        doubt = dataset.uncertainty.range or (0.0, spanned(sigma, None)[1])
+        doubt = dataset.uncertainty.range or doubted(sigma)
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
-    legend = key_of(dataset, told.name, scale, told.unit, told.note, sign, doubt, told.classes)
+    legend = key_of(dataset, told.name, values, scale, told.unit, told.note, sign, doubt, told.classes)
     return Colored(colored(values, u, scale, sign), legend, u, sign if sigma is not None else "none")

@@ -1,4 +1,5 @@
-"""Times: of a raster's bands, how they are asked for (ISO 8601 in UTC, to the minute), moments of tracks, and ticks."""
+"""Times: of a raster's bands, how they are asked for (ISO 8601 in UTC, to the minute), moments of tracks,
+trails, and ticks."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import ReadError
+from orograph.errors import ReadError, UsageError
 
 _SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
 """Seconds of CF's units of time."""
@@ -135,6 +136,30 @@ def _moment(text: str, name: str, attribute: str) -> float:
         f"{text!r} in its {attribute} is not a time.", path=name,
         remedy="Write them as 2019-03-01T12:00:00Z, or as seconds since 1970.",
     )  # fmt: skip
+
+
+UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86_400.0}
+"""Seconds of units of a trail."""
+
+
+def seconds_of_trail(text: str) -> float:
+    """The seconds of a trail: a number with a unit, "6h".
+
+    Raises:
+        UsageError: it is none.
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(\w+)\s*", text)
+    if found is None or found[2] not in UNITS or float(found[1]) <= 0:
+        raise UsageError(
+            f"A trail is a time, such as 6h or 2d, not {text!r}.", remedy=f"The units are {', '.join(UNITS)}."
+        )
+    return float(found[1]) * UNITS[found[2]]
+
+
+def lasting(seconds: float) -> str:
+    """A duration, in the largest unit that gives at least two."""
+    unit = next((one for one in reversed(UNITS) if seconds >= 2 * UNITS[one]), "s")
+    return f"{seconds / UNITS[unit]:.3g} {unit}"
 
 
 STEPS = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400, 172_800,

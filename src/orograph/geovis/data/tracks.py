@@ -22,14 +22,11 @@ from orograph.geo.grid import Grid
 from orograph.geo.transform import transformer
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import GEOJSON, MOST_CLASSES, classes_in, has_features, read_features
-from orograph.geovis.data.points import attribute_of, columns_of, columns_of_features, is_table, level_of
+from orograph.geovis.data.points import attribute_of, columns_of, columns_of_features, is_table, level_of, when_of
 from orograph.geovis.data.times import seconds_of
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
-
-WHEN = ("time", "timestamp", "datetime", "date")
-"""Attributes that say when, where none is named."""
 
 
 class Rows(NamedTuple):
@@ -103,9 +100,7 @@ def read_tracks(given: Dataset, rows: Rows, grid: Grid) -> Tracks:
         level = numbers.get("z", np.full(len(rows.columns[east]), np.nan))
     if level.ndim != 1:
         raise UsageError("A track has one height at a time, not an interval.", path=rows.name)
-    when = given.when or next((k for k in rows.texts if k.lower() in WHEN), None)
-    if when is not None and when not in rows.texts:
-        raise UsageError(f"There is no attribute {when!r}.", path=rows.name, remedy="Choose one: when=NAME.")
+    when = when_of(given, rows.texts, rows.name)
     seconds = np.full(len(level), np.nan) if when is None else seconds_of(rows.texts[when], rows.name, when)
     if given.group is not None and given.group not in rows.texts:
         raise UsageError(f"There is no attribute {given.group!r}.", path=rows.name, remedy="Choose one: group=NAME.")
@@ -147,8 +142,8 @@ def span_of(given: Dataset, grid: Grid) -> tuple[float, float] | None:
     if given.style not in ("tubes", "paths"):
         return None
     rows = rows_of(given, grid)
-    when = None if rows is None else given.when or next((k for k in rows.texts if k.lower() in WHEN), None)
-    if rows is None or when not in rows.texts:
+    when = None if rows is None else when_of(given, rows.texts, rows.name)
+    if rows is None or when is None:
         return None
     seconds = seconds_of(rows.texts[when], rows.name, when)
     known = seconds[np.isfinite(seconds)]

@@ -95,9 +95,9 @@ fn line_rate(depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32
   return max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
 }
 
-// Part of a pixel that contour lines cover: the height's derivative along the screen's axes on the tangent plane says how
+// Parts of a pixel that contour lines and their casing cover: the height's derivative along the screen's axes on the tangent plane says how
 // far the next contour is. ``drawn``: the slope of that plane; ``slope``: of heights.
-fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope_here: vec2<f32>) -> f32 {
+fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope_here: vec2<f32>) -> vec2<f32> {
   let rate = line_rate(depth, direction, drawn, slope_here);
   let n = height / shade.contour.x;
   let far = abs(n - round(n)) * shade.contour.x / rate;
@@ -106,10 +106,11 @@ fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<
   // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
   let interval = shade.contour.x * select(1.0, shade.contour.y, index);
   // Ground too level has none: no line can be said to be its contour.
-  var cover = clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, interval / rate);
+  let cased = select(0.0, half + shade.casing.z, shade.casing.x > 0.0);
+  var cover = clamp(vec2<f32>(half, cased) - far + 0.5, vec2<f32>(0.0), vec2<f32>(1.0)) * smoothstep(3.0, 7.0, interval / rate);
   cover *= smoothstep(5e-5, 2e-4, length(slope_here));
   var total = 0.0;   // nor is a line left on a ledge among those that have faded (thin_out)
-  for (var k = select(4, 0, cover > 0.0); k < 4; k++) {
+  for (var k = select(4, 0, max(cover.x, cover.y) > 0.0); k < 4; k++) {
     let side = select(6.0, -6.0, k > 1) * footprint;
     let s = slope(moved(at, select(vec2<f32>(side, 0.0), vec2<f32>(0.0, side), (k & 1) == 1)), 4.0 * footprint);
     let g = vec2<f32>(dot(s, camera.inverse.xz), dot(s, camera.inverse.yw));

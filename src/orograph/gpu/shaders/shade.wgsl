@@ -17,6 +17,7 @@ struct Shade {
   contour_colour: vec4<f32>,
   edge: vec4<f32>,          // of silhouettes: color, opacity
   edge_range: vec4<f32>,    // depths in view (metres), width of lines in pixels, pixels that they reach
+  casing: vec4<f32>,        // of contour lines and of silhouettes: opacity; width in pixels
   side: vec2<f32>,          // horizontal direction towards the sun
   sky_at: u32, sky_rows: u32,
   sky_cols: u32, ring_at: u32,
@@ -196,7 +197,7 @@ fn behind(at: vec2<f32>) -> vec4<f32> {
     color = dithered(sky(d), in_picture(at));
   }
   if ((FLAGS & 8192u) != 0u) {
-    color = outlined(color, vec2<i32>(at), d);
+    color = outlined(color, vec2<i32>(at), d, 0.0);
   }
   return vec4<f32>(color, 1.0);
 }
@@ -211,7 +212,7 @@ fn hatched(at: vec2<f32>, d: vec3<f32>, depth: f32) -> vec4<f32> {
     color = haze(color, d, depth);
   }
   if ((FLAGS & 8192u) != 0u) {
-    color = outlined(color, vec2<i32>(at), d);
+    color = outlined(color, vec2<i32>(at), d, 1.0);
   }
   return vec4<f32>(color, 1.0);
 }
@@ -259,13 +260,13 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
       height = smooth_height(hit.place, hit.footprint, ray.direction, height, (FLAGS & 16384u) == 0u);
     }
     var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own);
-    cover *= (1.0 - seen.wet) * shade.contour.w;
+    cover *= (1.0 - seen.wet) * vec2<f32>(shade.contour.w, shade.casing.x);
     if ((FLAGS & 4096u) != 0u) {   // labels: rendering/cpu/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
-      color = mix(color, vec3<f32>(1.0), 0.16 * letters.g);
-      cover = cover * (1.0 - letters.g) + letters.r * min(1.0, shade.contour.w + 0.3);
+      color = mix(color, vec3<f32>(1.0), max(0.16, shade.casing.x) * letters.g);
+      cover = cover * (1.0 - letters.g) + vec2<f32>(letters.r * min(1.0, shade.contour.w + 0.3), 0.0);
     }
-    color = mix(color, shade.contour_colour.rgb, cover);
+    color = mix(mix(color, shade.paper.rgb, cover.y), shade.contour_colour.rgb, cover.x);
   }
   if ((FLAGS & 256u) != 0u) {
     color = haze(color, d, depth);
@@ -274,7 +275,7 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
     color = dithered(color, in_picture(at));
   }
   if ((FLAGS & 8192u) != 0u) {
-    color = outlined(color, pixel, d);
+    color = outlined(color, pixel, d, 1.0);
   }
   if ((FLAGS & 8u) != 0u) {
     var edge = 0.75 * f32((mark >> 16u) & 255u) / 255.0;

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.compiling import while_compiling
+from orograph.compiling import expect
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.color import linear_to_srgb
 from orograph.hierarchy.clip_stack import Rectangle
@@ -109,10 +109,10 @@ def draw(
             "method": scene.surface.method, "triangles": len(subject.mesh.triangles), **subject.mesh.stats
         }  # fmt: skip
         clock.lap("mesh")
-    with while_compiling("orograph.rendering.cpu.ahead", scene.lighting.light):
-        ground = _ground(subject, memo, progress, cast)
-        clock.lap("heights")
-        canvas = _Canvas(subject, ground, memo, progress, clock)
+    expect("render", scene.lighting.light, *(["mesh"] if meshed else []))
+    ground = _ground(subject, memo, progress, cast)
+    clock.lap("heights")
+    canvas = _Canvas(subject, ground, memo, progress, clock)
     facts |= canvas.facts
     pixels, depth, void_filled = canvas.finished()
     facts |= {"shader": canvas.shader.facts, "shown": canvas.shader.shown, "seconds": clock.seconds}

@@ -20,8 +20,9 @@ from orograph.rendering.lines.contour_kernels import AROUND, WIDE, Seen, line_co
 from orograph.rendering.lines.label_type import Lettering
 from orograph.rendering.lines.labels import Placer
 from orograph.rendering.lines.smooth import smoothed
-from orograph.rendering.palette import ink
+from orograph.rendering.palette import PAPER, ink
 from orograph.rendering.rays import Hits
+from orograph.scene.contours import CASING
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -85,19 +86,28 @@ class Lines:
             gradient = own.gradient(hits.points, hits.width)
             heights = smoothed(own, hits.points, hits.width, heights)
         seen = Seen(hits.points, heights, gradient, drawn, self.ground.to_world)
-        line_cover(px, py, hits.t, seen, self._basis, self._lines, maps.water, maps.place, cover)
-        lines = np.flatnonzero(cover > 0)
+        about = px, py, hits.t, seen, self._basis, self._lines
+        line_cover(*about, maps.water, maps.place, 0.0, cover)
+        light = np.zeros_like(cover)
+        if c.casing:
+            line_cover(*about, maps.water, maps.place, CASING, light)
+        lines = np.flatnonzero((light if c.casing else cover) > 0)
         if len(lines):
-            cover[lines] = self._thinned(hits, px, py, heights, own, lines, cover[lines])
+            thinned = self._thinned(hits, px, py, heights, own, lines)
+            cover[lines] *= thinned
+            light[lines] *= thinned * np.float32(c.casing or 0)
         cover *= np.float32(c.opacity)
         if self.letters.words:
             top, _, left, _ = self._area
             found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
             letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
             gaps = np.flatnonzero(letters[:, 1] > 0)
-            out[gaps] += (np.float32(GLOW) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            out[gaps] += (np.float32(max(GLOW, c.casing or 0)) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            light *= 1 - letters[:, 1]
             cover *= 1 - letters[:, 1]
             cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
+        if c.casing:
+            out += light[:, None] * (PAPER - out)
         some = np.flatnonzero(cover > 0)
         out[some] += cover[some, None] * (self.ink - out[some])
 
@@ -108,9 +118,10 @@ class Lines:
         return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.surface.exaggeration], -1)
 
     def _thinned(
-        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colors
+        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp]
     ) -> Colors:
-        """``cover`` (m,) of the hits ``lines``, reduced where lines around run together."""
+        """What remains (m,), 0 to 1, of the lines at the hits ``lines``: less where those around run together."""
+        cover = np.ones(len(lines), np.float32)
         points, width = hits.points[lines], hits.width[lines]
         away = np.zeros((4, *points.shape))
         away[0, :, 0], away[1, :, 1] = AROUND * width, AROUND * width

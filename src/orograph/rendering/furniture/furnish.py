@@ -29,6 +29,7 @@ from orograph.rendering.furniture.pieces import (
     above_map,
     arrow,
     cube,
+    fewer,
     foot,
     heading,
     key,
@@ -46,7 +47,10 @@ OVERSIZE = 3
 COVER = 0.36
 """Maximum part of the picture that furniture may cover."""
 
-TALL = 0.56
+COVERED = 1 << 26
+"""Pixels of a picture above which not each has a bit of its own in a ``Cover``."""
+
+TALL, TALLER = 0.56, 0.84
 """Maximum part of the picture's height for the legend."""
 
 USUAL = Legend((Scale(-5000.0, 5000.0, np.zeros((2, 3))),), (("Water", (0, 0, 0)), ("No data", (0, 0, 0))))
@@ -74,13 +78,13 @@ def insets(
     scales = [replace(USUAL.scales[0], label=one.title) for one in drawn(layers) if one.colormap is not None]
     scales += [scale for one in drawn(layers) if one.key is not None for scale in one.key.scales]
     scales += [scale for one in keys for scale in one.scales]
-    named = [words for one in keys for words in (*one.classes, *one.swatches)]
+    named = [entry for one in keys for entry in one.entries]
     squares = tuple(square for one in keys for square in one.squares)
     usual = Legend((*USUAL.scales, *scales), (*USUAL.swatches, *named), squares=squares)
     style = Style.of(size, credit or "")
     far = 100 * max(size)
     title = heading("A", None, style, far)
-    column = key(usual, style, 6.5, True)
+    column = key(usual, style, 6.5)
     beside = size[0] - 2 * style.margin - math.ceil(column.width) - style.gap
     base = foot(1.0, "A", credit, style, far, 1.0, beside) or foot(1.0, "A", None, style, far, 1.0)
     edge = style.margin + style.gap
@@ -89,31 +93,46 @@ def insets(
     return 0.0, min(right, MOST_INSET), min(top, MOST_INSET), min(bottom, MOST_INSET)
 
 
+def cover_step(size: tuple[int, int]) -> int:
+    """Every how many columns and rows of a picture of ``size`` (width, height) a ``Cover`` has a bit: 1, 2, 4 or 8."""
+    return next((step for step in (1, 2, 4) if size[0] * size[1] <= step * step * COVERED), 8)
+
+
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """Which pixels show ground that should not be hidden, one bit per pixel.
+    """Which pixels show ground that should not be hidden: one bit per pixel, or for every ``step``-th column and row.
 
     Attributes:
-        rows: (height, ⌈width / 8⌉) uint8, packed as ``numpy.packbits`` does. width: pixels.
+        rows: (⌈height / step⌉, ⌈width / step / 8⌉) uint8, packed as ``numpy.packbits`` does. width: of these, in bits.
     """
 
     rows: NDArray[np.uint8]
     width: int
+    step: int = 1
 
     @classmethod
     def of(cls, mask: NDArray[np.bool_]) -> Cover:
-        return cls(np.packbits(mask, axis=1), mask.shape[1])
+        step = cover_step((mask.shape[1], mask.shape[0]))
+        some = mask[::step, ::step]
+        return cls(np.packbits(some, axis=1), some.shape[1], step)
+
+    @classmethod
+    def empty(cls, size: tuple[int, int], step: int) -> Cover:
+        """That of a picture of ``size`` (width, height) without ground, to be filled."""
+        cols, rows = (-(-side // step) for side in size)
+        return cls(np.zeros((rows, -(-cols // 8)), np.uint8), cols, step)
 
     @property
     def size(self) -> int:
         """The total number of pixels."""
-        return int(self.rows.shape[0]) * self.width
+        return int(self.rows.shape[0]) * self.width * self.step**2
 
     def under(self, box: Box) -> int:
         """Pixels of ground under a box."""
-        first = box[0] // 8
-        bits = np.unpackbits(self.rows[box[1] : box[3], first : -(-box[2] // 8)], axis=1)
-        return int(np.count_nonzero(bits[:, box[0] - 8 * first : box[2] - 8 * first]))
+        x0, y0, x1, y1 = (-(-side // self.step) for side in box)
+        first = x0 // 8
+        bits = np.unpackbits(self.rows[y0:y1, first : -(-x1 // 8)], axis=1)
+        return int(np.count_nonzero(bits[:, x0 - 8 * first : x1 - 8 * first])) * self.step**2
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,9 +231,10 @@ def lay_out(
     if title:
         put("top left", heading(title, None, style, inner))
     if legend is not None:
-        sizes = ((12, True), (9, True), (6.5, True), (9, False), (6.5, False), (4.5, False))
-        pieces = (key(legend, style, size, rows) for size, rows in sizes)
-        any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
+        keys = [(legend, high, share) for high, share in ((12.0, TALL), (9.0, TALL), (6.5, TALL), (4.5, TALLER))]
+        keys += [(fewer(legend, count), 4.5, TALLER) for count in range(len(legend.swatches) - 1, -1, -1)]
+        pieces = ((key(one, style, high), share) for one, high, share in keys)
+        any(put("bottom right", piece) for piece, share in pieces if piece.height < share * size[1])
     if metres_per_pixel is not None:
         any(put("bottom left", foot(metres_per_pixel, None, None, style, inner, share)) for share in (0.24, 0.4))
     pointing = None if north is None else arrow(north, style, grid_north)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.color import linear_to_srgb
-from orograph.geovis.keys import Legend, Scale, Square
+from orograph.geovis.keys import Legend, Scale, Square, minus
 from orograph.rendering.furniture.lettering import Color, Style, cut, length
 
 PAPER: Color = (246, 244, 239)
@@ -66,10 +66,16 @@ def heading(title: str, subtitle: str | None, style: Style, inner: int) -> Piece
     return piece
 
 
-def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
-    """The scales with their ticks, ``size`` units high in all; below them the swatches, if ``extras``."""
+def fewer(legend: Legend, count: int) -> Legend:
+    """The legend with its first swatches only, and how many are left out."""
+    more = (f"and {len(legend.swatches) - count} more", None)
+    return replace(legend, swatches=(*legend.swatches[:count], more) if count else ())
+
+
+def key(legend: Legend, style: Style, size: float) -> Piece:
+    """The scales with their ticks, ``size`` units high in all; below them the swatches; headings have no colour."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
-    rows = [(cut(style.text(words), small, WIDEST * u, style), color) for words, color in legend.swatches if extras]
+    rows = [(cut(style.text(words), small, WIDEST * u, style), color) for words, color in legend.swatches]
     bar, tip = round(1.15 * u), 0.8 * u
     each = max(size / max(len(legend.scales), 1), LEAST)
     piece = Piece(max([bar + 0.6 * u + length(small, words) for words, _ in rows], default=0.0), float(pad))
@@ -84,6 +90,10 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
     piece.height += pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u)
     piece.width += 2 * pad
     for words, color in rows:
+        if color is None:
+            piece.texts.append((pad, y + 0.78 * u, words, small, GREY, "ls"))
+            y = round(y + 1.5 * u)
+            continue
         sample = _bytes(color)
         piece.framed(pad, y, pad + bar, y + high, _color(sample.reshape(-1, 3)[0]), style.hair / 2)
         if sample.ndim == 3:
@@ -107,7 +117,7 @@ def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, ba
             piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
     span = scale.high - scale.low
     values = ticks(scale.low, scale.high, max(2, int(tall / (1.9 * u))))
-    names = [number(v, values) for v in values]
+    names = [style.text(number(v, values)) for v in values]
     for value, name in zip(values, names):
         y = top + tall * (1 - (value - scale.low) / span) if span > 0 else top + tall / 2
         piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
@@ -134,13 +144,13 @@ def _square(piece: Piece, both: Square, style: Style) -> None:
     ends, names = (both.up_edges[1:-1], both.across_edges[1:-1]), []
     for k, value in enumerate(ends[0]):
         y = top + (rows - 1 - k) * cell
-        names.append(f"{value:.3g}")
+        names.append(style.text(minus(f"{value:.3g}")))
         piece.box(left + cols * cell, y - style.hair / 2, left + cols * cell + 0.35 * u, y + style.hair / 2, INK)
         piece.texts.append((left + cols * cell + 0.65 * u, y + 0.31 * u, names[-1], small, INK, "ls"))
     for k, value in enumerate(ends[1]):
         x = left + (k + 1) * cell
         piece.box(x - style.hair / 2, top + rows * cell, x + style.hair / 2, top + rows * cell + 0.35 * u, INK)
-        piece.texts.append((x, top + rows * cell + 1.3 * u, f"{value:.3g}", small, INK, "ms"))
+        piece.texts.append((x, top + rows * cell + 1.3 * u, style.text(minus(f"{value:.3g}")), small, INK, "ms"))
     piece.texts.append((left, top + rows * cell + 2.6 * u, across, small, GREY, "ls"))
     beside = cols * cell + 0.8 * u + max([length(small, one) for one in names], default=0.0)
     piece.width = max(piece.width, beside, length(small, up), length(small, across))
@@ -341,7 +351,7 @@ def number(value: float, among: list[float]) -> str:
     while decimals < MOST_DECIMALS and any(abs(round(v, decimals) - v) > 1e-6 * min(steps) for v in among):
         decimals += 1
     text = f"{value:,.{decimals}f}" if abs(value) >= 10_000 else f"{value:.{decimals}f}"
-    return "0" if float(text.replace(",", "")) == 0 else text.replace(",", " ")
+    return "0" if float(text.replace(",", "")) == 0 else minus(text.replace(",", " "))
 
 
 def bar_length(most: float) -> tuple[float, int, str]:

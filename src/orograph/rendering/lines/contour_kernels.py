@@ -92,12 +92,13 @@ def _nearest(height, lines):
 
 
 @kernel
-def line_cover(px, py, t, seen, basis, lines, water, place, out):
+def line_cover(px, py, t, seen, basis, lines, water, place, casing, out):
     """Part of each pixel (n,) that contour lines cover.
 
     Args:
         px, py: pixel positions. t: depths, NaN where there is no ground. basis: ``View.ray_basis``, true space.
         seen: ``Seen``. lines: ``Lines``. water: the field of water, place: where it lies (``kernels.compose``).
+        casing: pixels more to each side.
         out: (n,) float32.
     """
     points, heights = seen.points, seen.heights
@@ -111,6 +112,7 @@ def line_cover(px, py, t, seen, basis, lines, water, place, out):
         nearest, thick = _nearest(heights[i], lines)
         away = abs(heights[i] / lines.interval - nearest) * lines.interval / rate
         half = lines.width if thick and nearest != 0.0 else 0.5 * lines.width  # a shore is a thin line
+        half += casing
         apart = lines.interval / rate * (lines.every if thick else 1)
         cover = min(max(half - away + 0.5, 0.0), 1.0) * _ramp(CLOSE[0], CLOSE[1], apart)
         cover *= _ramp(LEVEL[0], LEVEL[1], slope)

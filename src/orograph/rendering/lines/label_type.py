@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.keys import minus
 from orograph.rendering.furniture.lettering import Style, _font
 from orograph.rendering.lines.label_kernels import lie, set_labels
 from orograph.rendering.lines.label_spots import POINTS
@@ -45,7 +46,7 @@ NOTHING = Labels(np.zeros((0, POINTS, 3)), np.zeros(0), np.zeros(0))
 
 def wording(height: float) -> str:
     """A label's text: metres, with no more digits than the interval needs."""
-    return f"{height:.6g}"
+    return minus(f"{height:.6g}")
 
 
 @lru_cache(maxsize=1024)
@@ -55,6 +56,7 @@ def _set(words: str, size: float) -> NDArray[np.uint8]:
     from scipy.ndimage import uniform_filter
 
     style = Style.of((1000, 1000), words)
+    words = style.text(words)
     font = _font(style.face, round(size * SCALE, 1))
     x0, y0, x1, y1 = font.getbbox(words, anchor="ls")
     edge = SCALE

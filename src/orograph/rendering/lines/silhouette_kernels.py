@@ -192,11 +192,11 @@ def creases(facing, depth, depths, weight, strong, nearest):
 
 
 @kernel
-def gather(strong, nearest, depths, width, reach, cover, depth):
+def gather(strong, nearest, depths, width, casing, reach, cover, depth):
     """Coverage (rows, cols) of pixels by lines on breaks, and the depth of the line that covers most.
 
     Args:
-        width: of the nearest lines, pixels. reach: pixels to look around.
+        width: of the nearest lines, pixels. casing: pixels more to each side. reach: pixels to look around.
     """
     rows, cols = cover.shape
     for i in range(rows):
@@ -214,7 +214,7 @@ def gather(strong, nearest, depths, width, reach, cover, depth):
                         else:
                             dx, dy = max(abs(c - j) - 0.5, 0.0), r + 0.5 - i
                         f = farness(nearest[k, r, c], depths)
-                        half = 0.5 * width * (1.0 - (1.0 - THIN) * f)
+                        half = 0.5 * width * (1.0 - (1.0 - THIN) * f) + casing
                         s *= min(max(half + 0.5 - np.sqrt(dx * dx + dy * dy), 0.0), min(2.0 * half, 1.0))
                         if s > best:
                             best, z = s, nearest[k, r, c]

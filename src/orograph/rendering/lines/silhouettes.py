@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 
 from orograph.parallel import map_ordered
 from orograph.rendering.lines.silhouette_kernels import WALK
+from orograph.rendering.palette import PAPER
+from orograph.scene.contours import CASING
 from orograph.scene.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
 
@@ -98,9 +100,9 @@ class Outlines:
         if len(samples) > 1:
             from scipy.ndimage import binary_dilation
 
-            touched = binary_dilation(cover > 0, iterations=1)
+            touched = binary_dilation(cover.max(0) > 0, iterations=1)
             asked = binary_dilation(touched, iterations=rim(self.lines))
-            mean, nearest = np.zeros(cover.shape, np.float32), np.full(cover.shape, np.inf)
+            mean, nearest = np.zeros(cover.shape, np.float32), np.full(depth.shape, np.inf)
             rows, cols = np.nonzero(asked)
 
             def at(place: Array) -> tuple[Colors, Array]:
@@ -117,19 +119,21 @@ class Outlines:
 
             for one, z in map_ordered(at, list(samples), self.ground.scene.budget.jobs):
                 mean += one
-                nearest = np.fmin(nearest, np.where(one > 0, z, np.inf))
+                nearest = np.fmin(nearest, np.where(one.max(0) > 0, z, np.inf))
             cover, near = np.where(touched, mean / np.float32(len(samples)), np.float32(0)), nearest
-        rows, cols = np.nonzero(cover > 0)
+        rows, cols = np.nonzero(cover.max(0) > 0)
         if not len(rows):
             return
-        ink = np.broadcast_to(self.lines.ink, (len(rows), 3)).astype(np.float32)
-        if air is not None:
-            px, py = cols + (self.area[2] + 0.5), rows + (self.area[0] + 0.5)
-            t = near[rows, cols]
-            hits = self.ground.rays.meet(px.astype(np.float64), py.astype(np.float64), t)
-            ink = air.haze(ink, hits.rays, t)
-        part = (cover[rows, cols] * np.float32(self.lines.opacity))[:, None]
-        linear[rows, cols] += part * (ink - linear[rows, cols])
+        px, py = cols + (self.area[2] + 0.5), rows + (self.area[0] + 0.5)
+        t = near[rows, cols]
+        hits = None if air is None else self.ground.rays.meet(px.astype(np.float64), py.astype(np.float64), t)
+        over = np.float32(self.lines.casing or 0) * np.isfinite(depth[rows, cols])  # no casing on the sky
+        opaque = np.float32(self.lines.opacity)
+        for color, part in ((PAPER, cover[1][rows, cols] * over), (self.lines.ink, cover[0][rows, cols] * opaque)):
+            shade = np.broadcast_to(color, (len(rows), 3)).astype(np.float32)
+            if hits is not None:
+                shade = air.haze(shade, hits.rays, t)
+            linear[rows, cols] += part[:, None].astype(np.float32) * (shade - linear[rows, cols])
 
     def _facing(self, px: Array, py: Array, depth: Array) -> Colors:
         """n · v of the ground at pixel positions (n,) and depths; NaN where there is none."""
@@ -148,7 +152,8 @@ class Outlines:
         return out
 
     def _cover(self, depth: Array, facing: Colors, x: float, y: float) -> tuple[Colors, Array]:
-        """Coverage (rows, cols) by lines where depths are those at (x, y) in each pixel, and depths of the lines."""
+        """Coverage (2, rows, cols) by lines and by their casing where depths are those at (x, y) in each pixel, and
+        depths (rows, cols) of the lines."""
         from orograph.rendering.lines.silhouette_kernels import Border, breaks, creases, gather
 
         rays, grid = self.ground.rays, self.ground.scene.terrain.grid
@@ -159,6 +164,7 @@ class Outlines:
         breaks(depth, left, top, rays.pixels, rays.to_samples, border, self.depths, strong, near)
         if facing.size:
             creases(facing, depth, self.depths, self.lines.creases, strong, near)
-        cover, nearest = np.empty((rows, cols), np.float32), np.empty((rows, cols))
-        gather(strong, near, self.depths, self.lines.width, self.lines.reach, cover, nearest)
+        cover, nearest = np.zeros((2, rows, cols), np.float32), np.empty((rows, cols))
+        for k, casing in enumerate((0.0, CASING) if self.lines.casing else (0.0,)):
+            gather(strong, near, self.depths, self.lines.width, casing, self.lines.reach, cover[k], nearest)
         return cover, nearest

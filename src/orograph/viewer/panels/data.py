@@ -9,10 +9,12 @@ import numpy as np
 from imgui_bundle import imgui
 
 from orograph.errors import OrographError
+from orograph.geovis.data.times import written
 from orograph.geovis.keys import Legend, Scale
 from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:
+    from orograph.viewer.data import ShownData
     from orograph.viewer.window import Window
 
 SWITCHES = (
@@ -41,6 +43,7 @@ def draw(window: Window) -> None:
         if moved:
             change(window, priority=replace(shown.priority, **{name: on}))
     _exceeding(window)
+    _turns(window)
     _times(window)
     for key in window.session.scene().keys:
         _key(key)
@@ -89,6 +92,31 @@ def _exceeding(window: Window) -> None:
             exceed(window, value)
 
 
+def _turns(window: Window) -> None:
+    """Choose between all members at once and one after the other."""
+    shown = window.session.settings.shown
+    if shown is None or (turns := shown.turns) is None or shown.exceeds is not None:
+        return
+    moved, on = imgui.checkbox("members in turn##turns", turns.on)
+    tip(f"Shows each member for a moment, {turns.rate:g} a second: what is uncertain moves.")
+    if turns.on and turns.member:
+        imgui.same_line()
+        imgui.text_unformatted(f"{turns.member} of {len(turns.members)}")
+    if moved:
+        turn(window, on)
+
+
+def turn(window: Window, on: bool) -> None:
+    """Show the members of the data in turn, or all of them."""
+    shown = window.session.settings.shown
+    if shown is None or shown.turns is None:
+        return
+    shown.turns.on = on
+    change(window)
+    if on and not shown.turns.members:
+        window.session.messages.say("There are no members at this time.")
+
+
 def exceed(window: Window, value: float | None) -> None:
     """Show the probability that the first raster's values exceed one; None: show the values."""
     shown = window.session.settings.shown
@@ -124,7 +152,7 @@ def _times(window: Window) -> None:
             window.touch()
         else:
             change(window)  # finely again
-    tip(f"Plays everything in {PLAYED:g} seconds, or as fast as the data are read.")
+    tip(f"Plays the span below in {PLAYED:g} seconds, or as fast as the data are read.")
     for words, way in (("<##earlier", -1), (">##later", 1)):
         imgui.same_line()
         if imgui.button(words):
@@ -134,8 +162,41 @@ def _times(window: Window) -> None:
     if imgui.button("As given##time"):
         shown.playing = False
         change(window, time="")
+    _limits(window, shown)
     if shown.time:
         imgui.text_wrapped(shown.told)
+
+
+def _limits(window: Window, shown: ShownData) -> None:
+    """Choose the span that is played."""
+    assert shown.limits is not None
+    first, last = (written(end).replace("T", " ") for end in shown.limits)
+    imgui.text_wrapped(f"plays {first} to {last}")
+    if imgui.button("From here##time"):
+        limit(window, first=shown.time)
+    tip("The span that is played begins at the time that is shown.")
+    imgui.same_line()
+    if imgui.button("To here##time"):
+        limit(window, last=shown.time)
+    tip("The span that is played ends at the time that is shown.")
+    imgui.same_line()
+    if imgui.button("All##time"):
+        limit(window)
+
+
+def limit(window: Window, **ends: str) -> None:
+    """Play from or to a moment; without one, everything."""
+    shown = window.session.settings.shown
+    if shown is None or shown.span is None:
+        return
+    if "" in ends.values():
+        window.session.messages.say("Choose a time first: drag the slider, or press >.")
+        return
+    try:
+        shown.limit(**ends)
+    except OrographError as error:
+        window.session.messages.say(str(error))
+    window.touch()
 
 
 def step(window: Window, way: int) -> None:
@@ -154,11 +215,15 @@ def step(window: Window, way: int) -> None:
 
 
 def advance(window: Window, seconds: float) -> bool:
-    """Advance the data's time; returns whether it changed."""
+    """Advance the data's time, and the turns of members; returns whether anything goes on by itself."""
     shown = window.session.settings.shown
-    if shown is None or not shown.playing:
+    if shown is None or not shown.changing:
         return False
-    change(window, time=shown.at_part((shown.part + seconds / PLAYED) % 1.0))
+    turned = shown.turns is not None and shown.turns.advance(seconds)
+    if shown.playing:
+        change(window, time=shown.play(seconds / PLAYED))
+    elif turned:
+        change(window)
     return True
 
 

@@ -17,7 +17,7 @@ from orograph.rendering.gpu.shade.tracing import RAYS, SHADOW_RAYS
 from orograph.rendering.lookup import SHORE
 from orograph.rendering.palette import BOUNCE, MISSING, PAPER, WATER, illumination, ink
 from orograph.rendering.sky import FADE, Atmosphere
-from orograph.scene.contours import Contours
+from orograph.scene.contours import CASING, Contours
 from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
 
@@ -25,7 +25,7 @@ SHADE = np.dtype(
     [
         ("sun", "<f4", 4), ("sunlight", "<f4", 4), ("skylight", "<f4", 4), ("water", "<f4", 4), ("paper", "<f4", 4),
         ("extinction", "<f4", 4), ("mist", "<f4", 4), ("disc", "<f4", 4), ("tint", "<f4", 4), ("contour", "<f4", 4),
-        ("contour_color", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4),
+        ("contour_color", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4), ("casing", "<f4", 4),
         ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
         ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
         ("levels", "<u4"), ("flags", "<u4"), ("searched", "<i4", 4), ("light", "<i4", 4),
@@ -95,10 +95,13 @@ class Look:
         if contours is not None:
             u["contour"] = contours.interval, contours.index, contours.width, contours.opacity
             u["contour_color"][:3] = ink(contours)
+            u["casing"][0] = contours.casing or 0.0
         if silhouettes is not None:
             near = max(visible_range[0], 1e-3)
             u["edge"] = *silhouettes.ink, silhouettes.opacity
             u["edge_range"] = near, max(visible_range[1], near * 1.001, 2e-3), silhouettes.width, silhouettes.reach
+            u["casing"][1] = silhouettes.casing or 0.0
+        u["casing"][2] = CASING
         u["levels"] = terrain.levels
         flags = (SHADOWS if len(maps.windows) else 0) | (SHADOWS | SHADOW_RAYS if maps.by_rays else 0)
         flags |= WATERS if maps.wet else 0

@@ -5,6 +5,7 @@ a pixel, and all above them. They are read by threads of their own (``streamer``
 size, which is made when there is a first layer. Each layer has a page table: for every tile the slot of the finest tile
 that is there for its place, itself or one above, so that shaders look up once and there is never a hole; the coarsest
 tiles never leave. A layer is opened, and its coarse levels are read, by the same threads: frames do not wait for it.
+Data that are painted anew (another priority, another time) are a new layer: until it is there, the one before is drawn.
 
 One buffer holds all that ``shaders/imagery.wgsl`` asks for (``image_words``).
 """
@@ -12,8 +13,9 @@ One buffer holds all that ``shaders/imagery.wgsl`` asks for (``image_words``).
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +48,9 @@ UPLOAD = 16
 MORE = 2.0
 """Seconds after which a tile of which there is more now is read again."""
 
+PATIENCE = 1.0
+"""Seconds after which painted data replace those before, if only their coarsest tiles are there."""
+
 OPENING = -1
 """The place of a layer's tile that stands for opening it."""
 
@@ -76,7 +81,8 @@ class Held:
 
     Attributes:
         sheet: its tiles. own: pages of the tiles that are there; pages: of all places. stale: whether ``own`` is newer.
-        at: where its words begin in the buffer.
+        at: where its words begin in the buffer. since: when it was opened, on ``time.monotonic``'s clock.
+        there: whether all tiles that a frame wanted were there once.
     """
 
     sheet: ImageTiles
@@ -84,6 +90,8 @@ class Held:
     pages: Words
     stale: bool = True
     at: int = 0
+    since: float = field(default_factory=time.monotonic)
+    there: bool = False
 
 
 class Imagery:
@@ -114,6 +122,7 @@ class Imagery:
         self._asked: set[tuple[Layer, int]] = set()
         self._none: tuple[Any, Any] | None = None
         self._came: list[Array] = []
+        self._data: list[Layer] = []  # painted data of the last frame, bottom to top
 
     def prepare(
         self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False
@@ -135,7 +144,7 @@ class Imagery:
         seen = drawn(layers)
         if not seen and not self._held:
             return 0
-        self._known = {layer.content for layer in layers}
+        self._known = {layer.content for layer in (*layers, *(() if wait else self._data))}
         self._drop()
         if self._streamer is None:
             self._streamer = Streamer(self._make, self.jobs or 2)
@@ -151,10 +160,26 @@ class Imagery:
                 raise self._error(layer, place)
             wanted = self._want(seen, view, exaggeration, wait=True)
         self.missing = wanted
-        ready = [layer for layer in seen if layer.content in self._held]
+        ready = self._ready(seen, () if wait else self._data)
         if ready:
             self._write(ready, view, TAPS if wait or not self.device.adapter.software else FEW)
         return len(ready)
+
+    def _ready(self, seen: Sequence[Layer], data: Sequence[Layer]) -> list[Layer]:
+        """The layers to draw: those that are open; for painted data that are not there yet, ``data``, those before."""
+        assert self._streamer is not None
+        before = dict(zip((layer for layer in seen if layer.key is not None), data))
+        drawn = {}
+        for layer in seen:
+            held = self._held.get(layer.content)
+            there = held is not None and (held.there or layer not in before)
+            if not there and layer in before and (layer.content, OPENING) not in self._streamer.failed:
+                drawn[layer] = replace(before[layer], opacity=layer.opacity)
+            elif held is not None:
+                drawn[layer] = layer
+        ready = [layer for layer in drawn.values() if layer.content in self._held]
+        self._data = [layer for layer in ready if layer.key is not None]
+        return ready
 
     def bound(self) -> tuple[Any, Any]:
         """The atlas's view and the buffer of ``shaders/imagery.wgsl``."""
@@ -272,11 +297,13 @@ class Imagery:
                 slots[lacking] = -1
             tiles.append((content, held, which, priority, slots))
         least = self._least([t[3] for t in tiles])
-        for content, _, which, priority, slots in tiles:
+        for content, there, which, priority, slots in tiles:
             assert self._atlas is not None
             fits = priority >= least
             self._atlas.touch(slots[fits], self._frame)
             lack = fits & (slots < 0)
+            pinned = bool((there.own[: there.sheet.pinned] & THERE).all())
+            there.there |= not lack.any() or (pinned and time.monotonic() - there.since > PATIENCE)
             wanted += [(p, content, i) for p, i in zip(priority[lack].tolist(), which[lack].tolist(), strict=True)]
         self._streamer.want(wanted)
         self._asked = {(layer, place) for _, layer, place in wanted}
