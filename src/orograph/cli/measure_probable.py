@@ -198,9 +198,7 @@ def contours(
     terrain = opened(ctx, () if output is None else (output,), (picture,))
     from orograph import measuring
 
-    found = measuring.contours(
-        terrain, error, levels, interval=interval, draws=draws, seed=seed, **_means(ctx)
-    )
+    found = measuring.contours(terrain, error, levels, interval=interval, draws=draws, seed=seed, **_means(ctx))
     _told(ctx, terrain, found, output, picture, camera, as_json)
 
 
