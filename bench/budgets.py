@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from orograph.errors import UsageError
+from orograph.lod.budget import FINEST
 from orograph.lod.method import Goal, Method, Resources
 from orograph.lod.registry import chosen, method_of, names
-from orograph.lod.right_triangles import FINEST
 from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import Camera, View
 from roam import flight, load

@@ -1,11 +1,12 @@
 """Data on the ground: what each style, sign and kind of thing costs beside the bare picture, and the manual's pictures.
 
-    python bench/geovis.py [--pictures FOLDER] [--quick | --uncertain]
+    python bench/geovis.py [--pictures FOLDER] [--quick | --uncertain] [--times N] [--only KIND ...]
 
 The terrain is 2 km orography of the western United Kingdom; its data are ERA5's temperature at noon on the days of
 March 2019 (their mean, and how the days differ) where that file is at hand, else a made field of 13 members. Each time
-is the median of three pictures of 900 × 640 pixels, seconds, kernels compiled; with ``--quick`` that of one of a ninth
-of the pixels.
+is the median of three (``--times``) pictures of 900 × 640 pixels, kernels compiled: seconds on the clock, and seconds
+of processors, which say more on a busy machine; with ``--quick`` that of one of a ninth of the pixels. ``--only T
+figure`` makes the pictures of priorities and of figure 5 alone (rows by the beginnings of their names).
 """
 
 from __future__ import annotations
@@ -150,37 +151,42 @@ def uncertain() -> None:
         print(f"| {name} | " + " | ".join(f"{seconds:.3f}" for seconds in took) + " |", flush=True)
 
 
-def timed(times: int, **options: Any) -> tuple[Picture, float]:
-    """A picture, and the median of the seconds that it takes."""
+def timed(times: int, **options: Any) -> tuple[Picture, float, float]:
+    """A picture, and the medians of the seconds that it takes, on the clock and of processors."""
     if times > 1:
         orograph.render(**options)
-    took = []
+    took, worked = [], []
     for _ in range(times):
-        began = time.perf_counter()
+        began, busy = time.perf_counter(), time.process_time()
         picture = orograph.render(**options)
         took.append(time.perf_counter() - began)
-    return picture, statistics.median(took)
+        worked.append(time.process_time() - busy)
+    return picture, statistics.median(took), statistics.median(worked)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--pictures", type=Path, help="write the manual's pictures there")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--times", type=int, default=3, metavar="N")
     parser.add_argument("--uncertain", action="store_true", help="only what draws of uncertain terrain cost")
+    parser.add_argument("--only", nargs="+", metavar="KIND", help="only rows whose names begin so, or figure")
     given = parser.parse_args()
     if given.uncertain:
         uncertain()
         return
-    terrain, data, times = ground(), members(), 1 if given.quick else 3
+    terrain, data, times = ground(), members(), 1 if given.quick else given.times
     view = orograph.camera.whole(terrain, SIZE, exaggeration=STRETCH)
     common: dict[str, Any] = {"terrain": terrain, "view": view, "exaggeration": STRETCH, "progress": False}
     made: dict[str, Picture] = {}
 
     def row(name: str, **options: Any) -> None:
-        made[name], seconds = timed(times, **{**common, **options})
-        print(f"| {name} | {seconds:.2f} |", flush=True)
+        if given.only and not name.startswith(tuple(given.only)):
+            return
+        made[name], seconds, worked = timed(times, **{**common, **options})
+        print(f"| {name} | {seconds:.2f} | {worked:.2f} |", flush=True)
 
-    print("| picture | seconds |\n|---|---:|")
+    print("| picture | seconds | of processors |\n|---|---:|---:|")
     row("bare")
     for marks in product("+-", repeat=3):
         name = "".join(letter + mark for letter, mark in zip("TDU", marks))
@@ -220,7 +226,8 @@ def main() -> None:
     for name, options in shapes().items():
         row(f"shape {name}", **{"exaggeration": 1, "priority": "T+D+U-", **options})
     if given.pictures is not None:
-        for letter, name in zip("abc", ("T+D-U-", "T-D+U-", "T-D-U+")):
+        figures = "abc" if not given.only or "figure" in given.only else ""
+        for letter, name in zip(figures, ("T+D-U-", "T-D+U-", "T-D-U+")):
             made[f"figure-5{letter}"] = orograph.render(
                 terrain, size=(1200, 720), exaggeration=STRETCH, data=data, priority=name, furniture=True,
                 title=f"Noon in March 2019 ({name})", progress=False,

@@ -19,6 +19,7 @@ import orograph
 from geovis import STRETCH, ground, members
 from orograph.progress import SILENT
 from orograph.rendering.backends import session
+from orograph.scene.flying import Flight
 from orograph.touring.film import Film
 from orograph.touring.keys import Key
 from orograph.touring.tour import Tour
@@ -53,14 +54,14 @@ def flight() -> Image.Image:
     """Frames of a film that climbs, and then stays high above: approach, overflight, re-planning."""
     terrain = ground()
     size, keys = (480, 320), []
-    for second, distance in ((0, 160_000), (10, 200_000), (20, 420_000), (30, 900_000), (90, 900_001)):
+    for second, distance in ((0, 160_000), (10, 200_000), (20, 400_000), (30, 640_000), (90, 640_001)):
         view = orograph.camera.around(terrain, size, azimuth=200, pitch=35, distance=distance, exaggeration=STRETCH)
         keys.append(Key(view, float(second)))
-    scenarios = orograph.Flight(3000, 8000, 1000, 8000)
+    scenarios = Flight(3000, 8000, 1000, 8000)
     options = {"exaggeration": STRETCH, "data": members(), "flight": scenarios}
     film = Film.of(Tour(tuple(keys), fps=2.0, ease=False), terrain, size, options, draw=session(), fps=None, first=None,
                    last=None, progress=SILENT)  # fmt: skip
-    return sheet([film.picture(2 * second).pixels for second in (2, 12, 15, 25, 33, 60)], 3)
+    return sheet([film.picture(2 * second).pixels for second in (2, 14, 18, 26, 29, 60)], 3)
 
 
 def panels() -> Image.Image:

@@ -264,7 +264,7 @@ def told(frames: list[Frame]) -> str:
     stats = [f.stats for f in frames]
     worst = max(range(len(frames)), key=lambda k: frames[k].done)
     gpu = [f.gpu for f in frames if f.gpu is not None]
-    finite = [s.error_px for s in stats if math.isfinite(s.error_px)]
+    finite = [s.error_px for s in stats if s.error_px is not None and math.isfinite(s.error_px)]
     lines = [
         row("ms a frame", [f.done for f in frames], "{:.2f}") + f"   (frame {worst})",
         row("ms of all threads", [f.worked for f in frames]),

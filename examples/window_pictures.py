@@ -1,7 +1,9 @@
-"""The manual's pictures of the window: python examples/window_pictures.py N44W072.hgt docs/images [NAME ...]
+"""The manual's pictures of the window: python examples/window_pictures.py DEM docs/images [NAME ...]
 
 Each is the whole window as it would be on a screen of 1280 × 800, drawn off screen, set by the same calls that mouse,
-keys and panels make. The DEM is the tile of the White Mountains (SRTM N44W072). Needs the extra ``view``.
+keys and panels make. The DEM is the tile of the White Mountains (SRTM N44W072); that of ``DATA`` is the orography of
+the Met Office's UK model, with ERA5's temperature and its spread (``--data era5.grib,time=T12``). Needs the extra
+``view``.
 """
 
 from __future__ import annotations
@@ -20,10 +22,12 @@ import numpy as np
 from PIL import Image
 from rendercanvas.offscreen import RenderCanvas
 
+from orograph.geovis.data.dataset import Dataset
 from orograph.scene.contours import Contours
 from orograph.store.prepare import prepare
 from orograph.viewer import commands
 from orograph.viewer.app import renderer_of
+from orograph.viewer.panels import data, plot
 from orograph.viewer.results import Kind
 from orograph.viewer.session import Session
 from orograph.viewer.window import Window
@@ -38,8 +42,8 @@ WASHINGTON, ADAMS = (316_181.0, 4_904_514.0), (317_278.0, 4_909_999.0)
 class Maker:
     """A window, and what is done in it."""
 
-    def __init__(self, dem: str) -> None:
-        self.session = Session(prepare([dem]), size=SIZE)
+    def __init__(self, dem: str, **options: Any) -> None:
+        self.session = Session(prepare([dem]), size=SIZE, **options)
         self.window = Window(self.session, RenderCanvas(size=SIZE), renderer_of())
 
     def look(self, east: float, north: float, height: float, heading: float, pitch: float, fov: float = 30.0) -> None:
@@ -163,6 +167,29 @@ def viewshed(m: Maker) -> None:
     m.measure("viewshed", WASHINGTON)
 
 
+def question(m: Maker) -> None:
+    """Where is it above 7 °C with 90 % certainty?"""
+    m.until(lambda: m.session.settings.shown and m.session.settings.shown.painted)
+    data.exceed(m.window, 7.0)
+    name = "P(2 metre temperature > 7 °C)"
+    plot.select(m.window, ranges={name: (0.9, 1.0)})
+    m.window.texts["plot x"] = name
+    m.frames(6)
+    m.raise_panel("Plot")
+    m.frames(20)
+
+
+def brushing(m: Maker) -> None:
+    """What is warmer than 9 °C, on the ground and beside the height."""
+    name = "2 metre temperature"
+    plot.select(m.window, ranges={name: (9.0, 13.0)})
+    m.window.texts |= {"plot x": name, "plot y": "Height"}
+    m.frames(6)
+    m.raise_panel("Plot")
+    m.frames(20)
+
+
+DATA = {"question": question, "brushing": brushing}
 PICTURES = {
     "viewer": viewer, "viewer-frozen": frozen, "viewer-method": method, "viewer-plan": plan, "viewer-tour": tour,
     "viewer-profile": profile, "viewer-viewshed": viewshed,
@@ -174,13 +201,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dem")
     parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", choices=[*PICTURES, []])
+    parser.add_argument("names", nargs="*", choices=[*PICTURES, *DATA, []])
+    parser.add_argument("--data", help="shown over the DEM (for those of DATA)")
+    parser.add_argument("--exaggeration", type=float, default=20.0, help="of those of DATA")
     given = parser.parse_args()
+    shown = {}
+    if given.data:
+        shown["data"] = Dataset.parse(given.data).but(uncertainty="spread")
+        shown["exaggeration"] = given.exaggeration
     for name in given.names or PICTURES:
         with tempfile.TemporaryDirectory() as config:
             os.environ["OROGRAPH_CONFIG"] = config  # nobody's layout but the first one
-            maker = Maker(given.dem)
-            PICTURES[name](maker)
+            maker = Maker(given.dem, **shown)
+            {**PICTURES, **DATA}[name](maker)
             maker.save(given.folder / f"{name}.jpg")
         print(given.folder / f"{name}.jpg", flush=True)
 

@@ -1,4 +1,4 @@
-"""Eight numbers side by side: every operation beside NumPy's, to the bit."""
+"""Numbers side by side: every operation beside NumPy's, to the bit."""
 
 from __future__ import annotations
 
@@ -22,6 +22,20 @@ from orograph._lanes import (
     store,
     where,
     whole,
+)
+from orograph._lanes32 import (
+    count_of,
+    float_bits,
+    gather32,
+    lane,
+    least_unsigned,
+    load32,
+    marked,
+    marked_before,
+    shifted_in,
+    shifted_right,
+    spread32,
+    store32,
 )
 from orograph._numba import kernel
 
@@ -97,6 +111,46 @@ def test_samples(stride: int) -> None:
     looked_up(pool, i + 0.75, stride, out)
     found = [pool[i], pool[i + 1], pool[i + stride], pool[i + stride + 1], pool[2 * i + 1], i >> 1, i % 2 == 0]
     assert_same(out, found)
+
+
+@kernel
+def whole_numbers(x, y, pool, words, out):
+    a, b = load32(x, 0), load32(y, 0)
+    found = a
+    found += b
+    store32(out, 0, found)
+    store32(out, 16, a - b)
+    store32(out, 32, a * b)
+    store32(out, 48, 7 - a)
+    store32(out, 64, (a & 255) | (b << 3))
+    store32(out, 80, (a ^ b) >> 5)
+    store32(out, 96, shifted_right(a, 5))
+    store32(out, 112, shifted_right(a, b & 31) + (spread32(1) << (b & 31)))
+    store32(out, 128, where((a < b) & ~(a == 3), a, b))
+    store32(out, 144, least_unsigned(a, 4095))
+    store32(out, 160, gather32(pool, b & 31))
+    store32(out, 176, gather32(words, b & 31))
+    store32(out, 192, shifted_in(5, a))
+    store32(out, 208, marked_before(a < 0))
+    store32(out, 224, float_bits(b))
+    store32(out, 240, where(marked(0b1010000000000101), a, 0))
+    return count_of(a < 0), lane(a, 15), some(a == 3)
+
+
+def test_sixteen_whole_numbers() -> None:
+    rng = np.random.default_rng(1)
+    a, b = rng.integers(-(2**31), 2**31, (2, 16)).astype(np.int32)
+    a[:4], b[:3] = [3, -(2**31), 2**31 - 1, 0], [3, 1, -1]
+    pool, words = rng.integers(-(2**31), 2**31, 32).astype(np.int32), rng.integers(0, 2**16, 32).astype(np.uint16)
+    out, bits, low = np.empty(256, np.int32), a.view(np.uint32), b & 31
+    assert whole_numbers(a, b, pool, words, out) == ((a < 0).sum(), a[15], True)
+    before = np.concatenate([[0], np.cumsum(a < 0)[:-1]])
+    right = ((bits >> low.astype(np.uint32)) + (np.uint32(1) << low.astype(np.uint32))).view(np.int32)
+    chosen = [(0b1010000000000101 >> k) & 1 for k in range(16)]
+    expected = [a + b, a - b, a * b, 7 - a, (a & 255) | (b << 3), (a ^ b) >> 5, (bits >> np.uint32(5)).view(np.int32)]
+    expected += [right, np.where((a < b) & (a != 3), a, b), np.minimum(bits, 4095), pool[low], words[low]]
+    expected += [np.concatenate([[5], a[:-1]]), before, b.astype(np.float32).view(np.int32), a * np.array(chosen)]
+    np.testing.assert_array_equal(out.reshape(16, 16), np.array([np.asarray(e).astype(np.int32) for e in expected]))
 
 
 def assert_same(out: np.ndarray, expected: list[np.ndarray], signs: slice = slice(0)) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -76,9 +77,28 @@ DEM = orograph.Dem(
         (lambda: orograph.camera.whole(DEM, azimut=30), "whole has no option 'azimut'. Did you mean azimuth"),
         (lambda: orograph.movie(DEM, "a.mp4", fsp=30), "movie has no option 'fsp'. Did you mean fps"),
         (lambda: orograph.Picture.save(None, "a.png", dip=300), "save has no option 'dip'. Did you mean dpi"),
+        (lambda: orograph.read("a.oro", bbox=(1, 2, 3, 4)), "bbox=(7, 45, 8, 46))` reads a part"),
+        (lambda: orograph.measure.viewshed(DEM, (9, 9), eye=2), "has no option 'eye'. It is called eye_height"),
+        (lambda: orograph.render(DEM, cellsize=30), "render has no option 'cellsize'. It is called spacing here"),
+        (lambda: orograph.render(DEM, **{"from": 225}), "Here the camera is given as a view"),
+        (lambda: orograph.tin(DEM, 1, output="a.dxf"), "Use .npz, .ply, .obj, .glb, .stl or .3mf"),
+        (lambda: orograph.movie(DEM, "a.mp4", 3), "A tour is made by orograph.tour, or is its file, not int"),
         (lambda: orograph.View((0, 0, 9), (1, 1, 0), fov=40), "A view has no 'fov'. Did you mean fov_y"),
     ],
 )  # fmt: skip
 def test_what_is_passed_on(call: Callable[[], Any], wrong: str) -> None:
-    with pytest.raises(UsageError, match=wrong.replace("?", r"\?")):
+    with pytest.raises(UsageError, match=re.escape(wrong)):
         call()
+
+
+def test_what_the_command_line_calls_otherwise_is_told() -> None:
+    with pytest.raises(AttributeError, match=r"Use orograph\.measure\.probable_slope"):
+        _ = orograph.measure.slope
+
+
+def test_a_tour_may_be_given_as_it_is_at_hand() -> None:
+    places = [(-82.11, 36.139), (-82.108, 36.137)]
+    tour = orograph.tour(DEM, line=places, progress=False)
+    assert tour == orograph.tour(DEM, points=places, progress=False)
+    with pytest.raises(UsageError, match=r"must end in|cannot be written|ending"):
+        orograph.movie(DEM, "film.xyz", tour.to_dict(), progress=False)

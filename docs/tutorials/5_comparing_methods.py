@@ -15,7 +15,7 @@ orograph.methods()
 
 # %%
 # First, compare at a tolerance of one pixel, in three views. The referee checks every sample in view and the surface
-# between samples; where a method guarantees the tolerance, "largest px" does not exceed it.
+# between samples; where a method promises the tolerance, "largest px" does not exceed it.
 
 methods = ["top-down", "soar", "roam", "triangle-patches"]
 orograph.compare(terrain, methods=methods, tolerance=1, size=(640, 360), progress=False)

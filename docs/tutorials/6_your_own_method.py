@@ -7,7 +7,7 @@ A method is a class that selects triangles for a camera. Once it is registered, 
 """
 
 # %%
-# This one takes a grid of every k-th sample, the same for every view: simple, but with no guaranteed error.
+# This one takes a grid of every k-th sample, the same for every view: simple, but with no promised error.
 
 from dataclasses import dataclass
 

@@ -1,9 +1,9 @@
-"""Eight numbers side by side inside kernels: an operation on them acts on all eight, with vector instructions.
+"""Numbers side by side inside kernels: an operation on them acts on all of them, with vector instructions.
 
 LLVM vectorises a loop only if it can prove that no load meets a store, which it cannot for scattered lookups. So
-kernels say it: ``Lanes`` holds eight float64 (or int64, or booleans) and has Python's operators; a scalar operand
-stands for eight equal numbers. Each lane has the same bits as scalar code, on every processor: vectors wider than the
-processor's are split.
+kernels say it: ``Lanes`` holds eight float64 (or int64, or booleans) or sixteen int32 (``_lanes32``) and has Python's
+operators; a scalar operand stands for as many equal numbers. Each lane has the same bits as scalar code, on every
+processor: vectors wider than the processor's are split.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from orograph._numba import Function, inlined
 
-LANES = 8
+LANES, LANES32 = 8, 16
 
 
 class Lanes(types.Type):
-    """Numba's type of eight floats, integers or booleans."""
+    """Numba's type of eight floats, integers or booleans, or sixteen of 32 bits or booleans."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
@@ -31,9 +31,22 @@ class Lanes(types.Type):
 
 
 FLOATS, INTS, MARKS = Lanes("float"), Lanes("int"), Lanes("mark")
+INTS32, MARKS32 = Lanes("int32"), Lanes("mark32")
 
-ELEMENTS = {"float": ir.DoubleType(), "int": ir.IntType(64), "mark": ir.IntType(1)}
-SCALARS = {"float": types.float64, "int": types.int64, "mark": types.boolean}
+VECTORS = {
+    "float": ir.VectorType(ir.DoubleType(), LANES),
+    "int": ir.VectorType(ir.IntType(64), LANES),
+    "mark": ir.VectorType(ir.IntType(1), LANES),
+    "int32": ir.VectorType(ir.IntType(32), LANES32),
+    "mark32": ir.VectorType(ir.IntType(1), LANES32),
+}
+SCALARS = {
+    "float": types.float64,
+    "int": types.int64,
+    "mark": types.boolean,
+    "int32": types.int32,
+    "mark32": types.boolean,
+}
 
 
 @register_model(Lanes)
@@ -41,13 +54,13 @@ class LanesModel(models.PrimitiveModel):
     """Stored as an LLVM vector."""
 
     def __init__(self, manager: Any, kind: Lanes) -> None:
-        super().__init__(manager, kind, ir.VectorType(ELEMENTS[kind.kind], LANES))
+        super().__init__(manager, kind, VECTORS[kind.kind])
 
 
-def _spread(builder: Any, value: Any) -> Any:
-    """Eight times the same number."""
-    one = builder.insert_element(ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined), value, _at(0))
-    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+def _spread(builder: Any, value: Any, count: int = LANES) -> Any:
+    """So many times the same number."""
+    one = builder.insert_element(ir.Constant(ir.VectorType(value.type, count), ir.Undefined), value, _at(0))
+    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), count), [0] * count))
 
 
 def _at(lane: int) -> Any:
@@ -58,12 +71,16 @@ def _joined(context: Any, builder: Any, kind: Lanes, value: Any, of: Any) -> Any
     """A value as lanes of a kind."""
     if isinstance(of, Lanes):
         return value
-    return _spread(builder, context.cast(builder, value, of, SCALARS[kind.kind]))
+    return _spread(builder, context.cast(builder, value, of, SCALARS[kind.kind]), VECTORS[kind.kind].count)
 
 
-def _operator(function: Any, kinds: dict[Lanes, Callable[[Any, Any, Any], Any]], result: Lanes | None = None) -> None:
-    """Give lanes one of Python's operators. ``kinds``: how each kind computes it; ``result``: the kind of the result
-    (default: the same)."""
+def marks_of(kind: Lanes) -> Lanes:
+    """The kind of what a comparison of two of a kind gives."""
+    return MARKS32 if kind is INTS32 else MARKS
+
+
+def _operator(function: Any, kinds: dict[Lanes, Callable[[Any, Any, Any], Any]], compares: bool = False) -> None:
+    """Give lanes one of Python's operators. ``kinds``: how each kind computes it; ``compares``: it gives marks."""
 
     @infer_global(function)
     class Operator(AbstractTemplate):
@@ -71,7 +88,8 @@ def _operator(function: Any, kinds: dict[Lanes, Callable[[Any, Any, Any], Any]],
             found = {a for a in args if isinstance(a, Lanes)}
             if len(args) != 2 or len(found) != 1 or not found <= kinds.keys():
                 return None
-            return signature(result or found.pop(), *args)
+            kind = found.pop()
+            return signature(marks_of(kind) if compares else kind, *args)
 
     def lowered(context: Any, builder: Any, sig: Any, args: tuple[Any, Any]) -> Any:
         kind = next(a for a in sig.args if isinstance(a, Lanes))
@@ -82,14 +100,21 @@ def _operator(function: Any, kinds: dict[Lanes, Callable[[Any, Any, Any], Any]],
         lower_builtin(function, *pair)(lowered)
 
 
-_operator(operator.add, {FLOATS: lambda b, x, y: b.fadd(x, y), INTS: lambda b, x, y: b.add(x, y)})
-_operator(operator.sub, {FLOATS: lambda b, x, y: b.fsub(x, y), INTS: lambda b, x, y: b.sub(x, y)})
-_operator(operator.mul, {FLOATS: lambda b, x, y: b.fmul(x, y), INTS: lambda b, x, y: b.mul(x, y)})
-_operator(operator.truediv, {FLOATS: lambda b, x, y: b.fdiv(x, y)})
-_operator(operator.and_, {INTS: lambda b, x, y: b.and_(x, y), MARKS: lambda b, x, y: b.and_(x, y)})
-_operator(operator.or_, {MARKS: lambda b, x, y: b.or_(x, y)})
-_operator(operator.xor, {MARKS: lambda b, x, y: b.xor(x, y)})
-_operator(operator.rshift, {INTS: lambda b, x, y: b.ashr(x, y)})
+def _of(name: str, *kinds: Lanes) -> dict[Lanes, Callable[[Any, Any, Any], Any]]:
+    """An instruction of LLVM for several kinds."""
+    return dict.fromkeys(kinds, lambda b, x, y: getattr(b, name)(x, y))
+
+
+for _add in (operator.add, operator.iadd):
+    _operator(_add, _of("fadd", FLOATS) | _of("add", INTS, INTS32))
+_operator(operator.sub, _of("fsub", FLOATS) | _of("sub", INTS, INTS32))
+_operator(operator.mul, _of("fmul", FLOATS) | _of("mul", INTS, INTS32))
+_operator(operator.truediv, _of("fdiv", FLOATS))
+_operator(operator.and_, _of("and_", INTS, MARKS, INTS32, MARKS32))
+_operator(operator.or_, _of("or_", MARKS, INTS32, MARKS32))
+_operator(operator.xor, _of("xor", MARKS, INTS32, MARKS32))
+_operator(operator.rshift, _of("ashr", INTS, INTS32))
+_operator(operator.lshift, _of("shl", INTS32))
 
 
 def _comparison(function: Any, sign: str) -> None:
@@ -97,8 +122,9 @@ def _comparison(function: Any, sign: str) -> None:
     kinds: dict[Lanes, Callable[[Any, Any, Any], Any]] = {
         FLOATS: lambda b, x, y: b.fcmp_ordered(sign, x, y),
         INTS: lambda b, x, y: b.icmp_signed(sign, x, y),
+        INTS32: lambda b, x, y: b.icmp_signed(sign, x, y),
     }
-    _operator(function, kinds, MARKS)
+    _operator(function, kinds, compares=True)
 
 
 _comparison(operator.lt, "<")
@@ -111,7 +137,7 @@ _comparison(operator.eq, "==")
 @infer_global(operator.invert)
 class _Invert(AbstractTemplate):
     def generic(self, args: tuple[Any, ...], kws: object) -> Any:
-        return signature(MARKS, MARKS) if args == (MARKS,) else None
+        return signature(*args, *args) if args in ((MARKS,), (MARKS32,)) else None
 
 
 @lower_builtin(operator.invert, Lanes)
@@ -153,6 +179,7 @@ def counted(typing: Any) -> Any:
 def where(typing: Any, marks: Any, yes: Any, no: Any) -> Any:
     """Lane by lane, ``yes`` where ``mask`` is true, else ``no``; both may be lanes or numbers."""
     numbers = INTS if isinstance(yes, types.Integer) and isinstance(no, types.Integer) else FLOATS
+    numbers = INTS32 if marks == MARKS32 else numbers
     kind = next((k for k in (yes, no) if isinstance(k, Lanes)), numbers)
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -166,7 +193,7 @@ def some(typing: Any, marks: Any) -> Any:
     """Whether any lane is marked."""
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.bitcast(args[0], ir.IntType(LANES))
+        bits = builder.bitcast(args[0], ir.IntType(args[0].type.count))
         return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
     return types.boolean(marks), lowered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
 
 from orograph.errors import UsageError
@@ -21,6 +21,10 @@ MEANT = {
     **dict.fromkeys(("legend",), "key"),
     **dict.fromkeys(("units",), "unit"),
     **dict.fromkeys(("error", "sigma", "std"), "uncertainty"),
+    **dict.fromkeys(("cellsize", "cell_size", "pixel_size", "cell"), "spacing"),
+    "eye": "eye_height",
+    "target": "target_height",
+    "flat": "curvature",
 }
 """Names of attributes elsewhere → here."""
 
@@ -34,11 +38,12 @@ def remedy(name: str, known: Iterable[str]) -> str:
     return f"Did you mean {close[0]}?" if close else f"There are {', '.join(names)}."
 
 
-def answering(function: F, called: str = "") -> F:
+def answering(function: F, called: str = "", elsewhere: Mapping[str, str] | None = None) -> F:
     """Make a function answer an unknown keyword with a UsageError that names the right one.
 
     Args:
         called: what messages call it; "": its name, and that keywords are its options.
+        elsewhere: remedies for keywords that other functions take.
     """
     parameters = list(inspect.signature(function).parameters.values())
     known = [one.name for one in parameters if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY)]
@@ -50,7 +55,7 @@ def answering(function: F, called: str = "") -> F:
     def answers(*args: Any, **given: Any) -> Any:
         if not given.keys() <= named:
             name = next(name for name in given if name not in named)
-            raise UsageError(f"{said} {name!r}.", remedy=remedy(name, listed))
+            raise UsageError(f"{said} {name!r}.", remedy=(elsewhere or {}).get(name) or remedy(name, listed))
         return function(*args, **given)
 
     return cast(F, answers)

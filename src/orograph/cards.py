@@ -34,8 +34,7 @@ def extent_rows(grid: Grid) -> list[Row]:
     across, down = (f"{v:.6g}" for v in grid.spacing)
     gap = "" if unit == "°" else " "
     apart = f"{across}{gap}{unit}" if across == down else f"{across} × {down}{gap}{unit}"
-    crs = "no CRS" if grid.crs is None else str(grid.crs.name)
-    return [("samples", f"{rows:,} × {cols:,}"), ("spacing", apart), ("CRS", crs)]
+    return [("samples", f"{rows:,} × {cols:,}"), ("spacing", apart), ("CRS", grid.crs_name)]
 
 
 def heights_row(low: float, high: float, vertical: str | None) -> Row:

@@ -7,11 +7,12 @@ import json
 import numpy as np
 import pytest
 import rasterio
+import toy
 from affine import Affine
 from PIL import Image
 
 from orograph.errors import ReadError, UsageError
-from orograph.lod.registry import METHODS
+from orograph.lod.registry import METHODS, method_of
 from orograph.rendering.comparison import Panel, columns, panel_view, sheet, usual_views
 from orograph.store.prepare import prepare
 from orograph.verbs.compare import load_views
@@ -69,15 +70,24 @@ def test_the_overview_is_the_default_camera_of_tessellate(run, hilly, tmp_path):
     assert json.loads(said)["views"]["overview"] == json.loads(mesh)["view"]
 
 
-def test_every_method_keeps_its_promise(run, hilly):
+@pytest.fixture
+def one_more(tmp_path):
+    """A method is added to all."""
+    with toy.added(tmp_path):
+        yield
+
+
+def test_every_method_keeps_its_promise(run, hilly, one_more):
     code, said, _ = run("compare", hilly, "--tolerance", 2, "--json", "-", *SMALL)
     told = json.loads(said)
     assert code == 0 and list(told["methods"]) == list(METHODS)
-    # (QuadTINs promise nothing where samples are missing.)
-    for name in ("cdlod", "chunked-lod", "clipmap", "quadtin", "hyperblock"):
-        assert not told["methods"].pop(name)["conservative"]
     for name, m in told["methods"].items():
-        assert m["conservative"] and m["kept"] and (m["largest_in_picture" if name == "raycast" else "largest"] <= 2)
+        info = method_of(name).info
+        if name in ("quadtin", "hyperblock") or not info.conservative(info.options()):
+            assert not m["conservative"] and m["kept"] is None  # (QuadTINs promise nothing where samples are missing.)
+        else:
+            assert m["conservative"] and m["kept"]
+            assert all(m[what] is None or m[what] <= 2 for what in ("largest", "largest_in_picture"))
     both = told["methods"]["hybrid"]  # its patches and its rays
     assert 0 < both["largest"] <= 2 and 0 <= both["largest_in_picture"] <= 2 and both["triangles"] is None
     assert both["judged"] == 3
@@ -106,13 +116,20 @@ def test_no_promise_is_broken_by_a_budget_without_one(run, hilly, monkeypatch):
     assert run(*arguments)[0] == 1
 
 
-def test_all_that_can_reach_a_budget(run, hilly):
+def test_all_that_can_reach_a_budget(run, hilly, one_more):
     code, said, err = run("compare", hilly, "--methods", "all", *of("soar,error=wedgie"), "--triangles", 900,
                           "--json", "-", *SMALL[:2])  # fmt: skip
     told = json.loads(said)
-    able = [name for name in METHODS if name not in ("raycast", "hybrid")]
+    able = [name for name in METHODS if "triangles" in method_of(name).info.goals]
     assert code == 0 and list(told["methods"]) == [*able, "soar,error=wedgie"]
-    assert "raycast does not support the goal triangles and is left out" in err
+    for name in {"raycast", toy.NAME, *METHODS} - set(able):
+        assert f"{name} does not support the goal triangles and is left out" in err
+
+
+def test_a_list_of_methods_is_each_of_them(run, hilly):
+    code, said, _ = run("compare", hilly, "--methods", "soar,stateless", "--json", "-", "-q", *SMALL[:2])
+    assert code == 0 and list(json.loads(said)["methods"]) == ["soar", "stateless"]
+    assert run("compare", hilly, "--methods", "soar,no-such", *SMALL[:2])[0] == 2
 
 
 def test_a_flight(run, hilly, tmp_path):
@@ -215,7 +232,7 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
         (of("soar,metric=euclid"), 2, ("euclid",)),
         ((*of("soar", "threshold-spheres,metric=wedgie"), "--views", "none.json"), 2, ("not 'wedgie'",)),
         ((*of("raycast"), "--triangles", 9), 2, ("does not support the goal triangles", "tolerance")),
-        ((*of("soar,error=midpoint"), "--conservative"), 2, ("not guaranteed", "orograph methods soar")),
+        ((*of("soar,error=midpoint"), "--conservative"), 2, ("not promised", "orograph methods soar")),
         (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
         (("--judged", 3), 2, ("--flight",)),
         (("--flight", "none.json"), 3, ("none.json",)),

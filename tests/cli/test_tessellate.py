@@ -160,7 +160,7 @@ def test_a_store_gives_the_same_mesh(run, hilly, tmp_path):
         (("-o", "m.npz", "--method", "top-down,geomorph=yes"), 2, ("no option 'geomorph'", "queue")),
         (("-o", "m.npz", "--method", "raycast"), 2, ("makes no triangles", "soar")),
         (("-o", "m.npz", "--method", "hybrid"), 2, ("hybrid", "makes no triangles", "soar")),
-        (("-o", "m.npz", "--method", "soar,error=midpoint", "--conservative"), 2, ("not guaranteed",)),
+        (("-o", "m.npz", "--method", "soar,error=midpoint", "--conservative"), 2, ("not promised",)),
         (("-o", "m.npz", "--drape", "a.png"), 2, ("color-tolerance",)),
         (("-o", "m.npz", "--method", "soar,metric=euclid"), 2, ("euclid", "anisotropic")),
         (("-o", "m.npz", "--view", "none.json"), 3, ("none.json",)),

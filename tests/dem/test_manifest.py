@@ -272,3 +272,18 @@ def test_workers_read_the_manifest(tiles: list[Path], tmp_path: Path) -> None:
     build(tiles, tmp_path / "a.oro", progress=False)
     build(listed, tmp_path / "b.oro", workers=2, max_memory=4 << 30, progress=False)
     assert contents(tmp_path / "a.oro") == contents(tmp_path / "b.oro")
+
+
+def test_of_many_files_those_that_were_cut_off_are_all_named(tiles: list[Path], tmp_path: Path) -> None:
+    """A download that ended early opens: its header is there, and its last samples are not."""
+    for i in (1, 3):
+        os.truncate(tiles[i], tiles[i].stat().st_size - 5)
+    with pytest.raises(ReadError, match=r"2 of 4 files are damaged") as caught:
+        Mosaic.open(tiles)
+    assert "t1.tif: It ends 5 bytes before" in str(caught.value) and "t3.tif" in str(caught.value)
+    found = Mosaic.open(tiles, skip_damaged=True)
+    assert len(found.skipped) == 2
+    with pytest.raises(ReadError, match=r"2 of 4 files"):
+        manifest(tiles, tmp_path / "a.manifest.geojsonl", progress=False)
+    lines = [json.loads(line) for line in (tmp_path / "a.manifest.geojsonl").read_text().splitlines()]
+    assert ["error" in line.get("properties", line) for line in lines] == [False, True, False, True]

@@ -82,13 +82,13 @@ def test_gullies_follow_the_slope_and_leave_flats_alone() -> None:
     px, py = np.empty((20, 20)), np.empty((20, 20))
     feature_points(-2, -2, 9, px, py)
     out = np.empty((n, n))
-    gullies(plane, 0, 0, 8.0, 1.0, 0.0, px, py, -2, -2, 0.1, 0.1, 0.9, out)
+    gullies(plane, 0, 0, 8.0, (1.0, 0.0), (px, py, -2, -2), 0.1, 0.1, 0.9, out)
     furrows = out - plane[1:-1, 1:-1]
     assert np.abs(np.diff(furrows, axis=0)).mean() > 2 * np.abs(np.diff(furrows, axis=1)).mean()
     deep = 0.1 * 8 * 0.5 * (0.5 / 0.6) / (1 + 0.5 / 0.9)
     assert 0.3 * deep < furrows.std() < deep and np.abs(furrows).max() <= deep + 1e-9
     flat = np.full((n + 2, n + 2), 3.0)
-    gullies(flat, 0, 0, 8.0, 1.0, 0.0, px, py, -2, -2, 0.1, 0.1, 0.9, out)
+    gullies(flat, 0, 0, 8.0, (1.0, 0.0), (px, py, -2, -2), 0.1, 0.1, 0.9, out)
     assert (out == 3).all()
 
 

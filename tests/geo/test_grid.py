@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rasterio.transform import rowcol, xy
 
-from orograph.geo.grid import Grid, apply, compose
+from orograph.geo.grid import Grid, apply, compose, name_of
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)
 maps = st.builds(Affine, numbers, numbers, numbers, numbers, numbers, numbers)
@@ -50,3 +50,14 @@ def test_places_and_extent_are_rasterio_s() -> None:
     assert grid.bounds() == (min(xs), min(ys), max(xs), max(ys))
     part = grid.window(5, 9, -2, 6)
     np.testing.assert_allclose(part.xy(0, 0), grid.xy(-2, 5), rtol=0, atol=1e-8)
+
+
+def test_a_crs_without_a_name_has_that_of_the_one_it_equals() -> None:
+    from pyproj import CRS
+
+    nad27 = CRS("EPSG:26710")
+    text = nad27.to_wkt("WKT1_GDAL").replace('PROJCS["NAD27 / UTM zone 10N"', 'PROJCS["unnamed"')
+    assert name_of(CRS(text)) == name_of(nad27) == "NAD27 / UTM zone 10N"
+    odd = CRS("+proj=tmerc +lon_0=8.3 +k=0.99971 +x_0=12345 +ellps=bessel +units=m")
+    assert name_of(odd) is None
+    assert Grid((2, 2), Affine.identity()).crs_name == "no CRS"

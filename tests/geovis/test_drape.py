@@ -257,13 +257,26 @@ def test_threads_agree_and_nowhere_is_transparent(tmp_path: Path) -> None:
     assert drape.sample(x[:0], y[:0], footprint[:0]).shape == (0, 4)
 
 
-@pytest.mark.parametrize(("values", "said"), [(10, True), (2, False), (200, False)])
-def test_classes_without_colors_are_told(tmp_path, values, said):
-    codes = np.arange(64 * 64, dtype=np.uint8).reshape(64, 64) % values
+@pytest.mark.parametrize(
+    ("values", "step", "said"), [(10, 1, True), (2, 1, False), (200, 1, False), (16, 17, False), (7, 2, True)]
+)
+def test_few_values_without_colors_are_classes(tmp_path, values, step, said):
+    """Not images in black and white, with many greys, or with few in equal steps from black to white."""
+    codes = (np.arange(64 * 64).reshape(64, 64) % values * step).astype(np.uint8)
     with rasterio.open(tmp_path / "classes.tif", "w", driver="GTiff", width=64, height=64, count=1, dtype="uint8",
                        crs="EPSG:32611", transform=Affine(10, 0, 5e5, 0, -10, 4e6)) as file:  # fmt: skip
         file.write(codes, 1)
     grid = Grid((64, 64), Affine(10, 0, 5e5, 0, -10, 4e6), CRS.from_epsg(32611))
     laid = Laid.open(Layer(tmp_path / "classes.tif"), grid)
-    assert any("Give it a colormap" in warning for warning in laid.warnings) == said
+    assert any("so they are drawn as classes" in warning for warning in laid.warnings) == said
+    x, y = grid.xy(np.tile(np.arange(64), 64), np.repeat(np.arange(64), 64))
+    colors = Drape.open(tmp_path / "classes.tif", grid).sample(x, y, np.full(len(x), 1.0))[:, :3]
+    if said:
+        assert laid.bands.classes == tuple(range(0, values * step, step))
+        of_class = np.array([np.median(colors[codes.ravel() == code], axis=0) for code in laid.bands.classes])
+        inside = np.abs(colors - of_class[np.searchsorted(laid.bands.classes, codes.ravel())]).max(1)
+        assert np.percentile(inside, 90) < 0.01  # (rounded to bytes)
+        assert len(np.unique(np.round(of_class, 2), axis=0)) == values
+    else:
+        assert (colors == colors[:, :1]).all() and laid.bands.classes == ()
     assert not Laid.open(Layer(tmp_path / "classes.tif", colormap="viridis"), grid).warnings

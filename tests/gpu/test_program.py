@@ -8,7 +8,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from orograph.gpu.device import Device
+from orograph.gpu.device import Device, source
 from orograph.gpu.program import Program, bindings
 
 DOUBLE = """
@@ -79,7 +79,7 @@ def test_binding_by_name(device: Device) -> None:
 def test_equal_groups_are_shared(device: Device) -> None:
     one, other = (
         Program(device, "patches", EDGES=0, STORED=0, MISSING=0),
-        Program(device, "temporal_antialiasing", COMPUTED=0, FRAGMENTS=1),
+        Program(device, "temporal_antialiasing", COMPUTED=0),
     )
     assert one.groups[0].layout is other.groups[0].layout  # the camera's
     assert one.groups[1].layout is not other.groups[1].layout
@@ -96,8 +96,18 @@ def test_every_shader_compiles_with_the_bindings_it_declares(device: Device, nam
         "FLAGS": 0, "RAYS": 1, "RAY_GROUP": {"shade": 2}.get(name, 0), "MISSING": 0, "EDGES": 1, "STORED": 1, "N": 8,
         "WORDS": 1024, "SIDE": 1 if name == "surface_rays" else 16, "BEAM": 16, "SPACING": 4, "COUNTED": 1,
         "BILINEAR": 0, "CONSTANT": 0, "FRACTAL": 1, "BLOCK": 16, "PARTS": 4, "PART": 0.01, "BRIGHT": 0.1, "PLAN": 0,
-        "BREAKS": 1, "THREADS": 64, "RUN": 1, "OUT_GROUP": 3, "COMPUTED": 1, "SLOPED": 1, "FRAGMENTS": 0,
+        "BREAKS": 1, "THREADS": 64, "RUN": 1, "OUT_GROUP": 3, "COMPUTED": 1, "SLOPED": 1,
     }  # fmt: skip
     program = Program(device, name, **constants)
     assert program.groups and program.layout and program.module
     assert all(group.bindings for group in program.groups)
+
+
+@pytest.mark.parametrize("computed", [0, 1])
+@pytest.mark.parametrize("sloped", [0, 1])
+def test_conditions_inside_others(computed: int, sloped: int) -> None:
+    """Without slopes no ray asks for one; of two ways to draw, a shader has one."""
+    text = source("surface_rays", {"COMPUTED": computed, "SLOPED": sloped})
+    assert "when:" not in text and "unless:" not in text
+    assert ("@compute" in text) == bool(computed) and text.count("fn fragment(") == 1
+    assert ("slope = slope_at(" in text) == bool(computed and sloped)

@@ -248,7 +248,7 @@ def test_a_finish_that_was_killed_at_its_very_end(target, whole, monkeypatch):
 
     bake(target, NAMES, OPTIONS, part=(1, 1))
     with monkeypatch.context() as patch:
-        patch.setattr(bake_parts, "clear", lambda folder: 1 / 0)
+        patch.setattr(bake_parts, "discard", lambda storage: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             bake(target, NAMES, OPTIONS, finish=True)
     assert (target / PARTIAL).exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from orograph.lighting.aperture_kernels import LightTables
 from orograph.lighting.field import LightField, light_caps
 from orograph.lighting.relief import Windows, _gradients
 
@@ -49,10 +50,10 @@ def looked_at():
 
 def lit(looked_at, order) -> np.ndarray:
     field, relief, points, width = looked_at
-    none = np.zeros((0, 10)), np.zeros((0, 6))
+    lights = LightTables(np.zeros((0, 10)), np.zeros((0, 6)), AMBIENT)
     out = np.zeros((len(order), 3), np.float32)
     light_caps(
-        field, relief, points[order], width[order], np.eye(2), 1.3, 1.0, *none, AMBIENT, BOUNCE, np.eye(2), out
+        field, relief, points[order], width[order], np.eye(2), 1.3, 1.0, lights, BOUNCE, np.eye(2), out
     )  # fmt: skip
     return out
 

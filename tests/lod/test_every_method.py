@@ -1,7 +1,7 @@
 """What every method owes, whatever its idea: its promise in hundreds of views, sound meshes, budgets, equal workers.
 
-All registered methods are asked; one that is added is, too. Those that make no triangles, and the one that needs a
-GPU, have tests of their own (``raycast``, ``hybrid``, ``cbt``).
+All registered methods are asked; one that is added is, too, as the page's own example shows. Those that make no
+triangles have tests of their own.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import plain
 import pytest
+import toy
 
 from orograph import verify
 from orograph.errors import UsageError
@@ -16,16 +17,12 @@ from orograph.lod.method import Goal
 from orograph.lod.registry import METHODS, method_of
 from orograph.store.memory import MemoryTerrain
 
-NO_MESH = ("raycast", "hybrid")
-ON_A_GPU = ("cbt",)
-MESHES = [name for name in METHODS if name not in (*NO_MESH, *ON_A_GPU)]
-
-SKIRTS = ("cdlod", "chunked-lod")
-"""Those that hide cracks, or leave them: their pages count them."""
+MESHES = [name for name in METHODS if method_of(name).info.kind != "rays"]
 
 UNSOUND = {"t_junctions", "overlaps", "crowded", "reversed", "flat", "bridged", "inner"}
 
 QUADTINS = ("quadtin", "hyperblock")
+"""Where samples are missing they promise nothing, and end within a sample of the rim."""
 
 LARGEST = 400
 """Samples a side of what is looked at of large terrains by methods that build much for it in memory."""
@@ -48,8 +45,7 @@ def judged(name, method, t, rng, views):
         selection = method.method.select(method.camera(view), Goal(tolerance=tolerance))
         mesh = selection.tessellation()
         report = verify.judge_mesh(mesh, t, view)
-        if name not in SKIRTS:
-            # (Where samples are missing a QuadTIN has no bound, and ends within a sample of the rim.)
+        if method.info.conforming:  # (the pages of the others count their cracks)
             rim = {"inner"} if name in QUADTINS and selection.bound is None else set()
             assert not (UNSOUND - rim) & set(report.defects), (name, view, tolerance, str(report))
         if selection.bound is not None:
@@ -121,7 +117,13 @@ def test_budgets_of_triangles_and_of_time(name):
             assert verify.judge_mesh(mesh, t, view).ok(selection.bound), name
 
 
-def test_methods_that_make_no_mesh_are_known():
-    assert set(NO_MESH) | set(ON_A_GPU) <= set(METHODS)
-    for name in NO_MESH:
-        assert method_of(name).info.kind == "rays"
+def test_the_method_of_the_page_owes_the_same(tmp_path):
+    """The example of docs/methods/adding.md, registered as the page says."""
+    with toy.added(tmp_path):
+        test_a_few_views_of_small_terrains(toy.NAME)
+        test_any_number_of_workers_makes_the_same_mesh(toy.NAME)
+        test_budgets_of_triangles_and_of_time(toy.NAME)
+        for stretch, seed in ((1.0, 1), (3.0, 2)):
+            rng = np.random.default_rng(seed)
+            t = plain.terrain(plain.rough(rng, (97, 130), gaps=0.1, amplitude=400.0), angle=30.0, stretch=stretch)
+            judged(toy.NAME, plain.refiner(toy.NAME, t), t, rng, 6)

@@ -11,16 +11,16 @@ import plain
 import pytest
 
 from orograph.errors import UsageError
-from orograph.lod import right_triangles
+from orograph.lod import budget
+from orograph.lod.budget import by_tolerance
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
+from orograph.lod.quadtin import QuadTin
 from orograph.lod.registry import chosen, method_of, names
-from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, RightTriangles
 from orograph.viewpoint import View
 
-MESHES = tuple(
-    name for name in names("triangles", "patches") if name not in ("seamless-patches", "cdlod")
-)  # (not on right triangles)
+MESHES = tuple(name for name in names("triangles", "patches") if issubclass(method_of(name), (RightTriangles, QuadTin)))
 FLAT = plain.terrain(np.zeros((9, 9), np.float32))
 VIEW = View((5e5, 4e6, 900.0), (5e5 + 100, 4e6 - 100, 0.0))
 
@@ -70,7 +70,7 @@ def test_a_budget_of_time_is_spent(seconds, monkeypatch):
     """A pass takes a microsecond a triangle, by a clock of its own: the first frame spends most of the time, and those
     of a flight all but a fifth of it, none more than there is."""
     now = [0.0]
-    monkeypatch.setattr(right_triangles, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    monkeypatch.setattr(budget, "time", SimpleNamespace(perf_counter=lambda: now[0]))
     method = plain.refiner(Powers, FLAT)
     refine = method.method._refine
 

@@ -16,14 +16,16 @@ from hypothesis import strategies as st
 from orograph import verify
 from orograph.errors import StoreError, UsageError
 from orograph.hierarchy import diamonds, triangles
+from orograph.lod.method import Resources
 from orograph.lod.patches.expand import expand
 from orograph.lod.patches.shape import MAY_MISS, STEPS
+from orograph.lod.registry import chosen
 from orograph.lod.triangle_patches import INSTANCE, TrianglePatches, patch_indices, patch_vertices
 from orograph.store.memory import MemoryTerrain
 from orograph.store.patches import KAPPA, SATURATION, patch_errors
 from orograph.store.terrain import tile_shape
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 SHAPES = [(33, 33), (65, 65), (50, 77), (129, 40), (34, 33), (18, 120)]
 
@@ -117,6 +119,15 @@ def test_new_points_are_middles_of_the_parents_edges():
 # ---- tables --------------------------------------------------------------------------------------------------------
 
 
+def below(at, n, depth):
+    """The diamonds so many levels below one."""
+    found = {at}
+    for _ in range(depth):
+        children = (diamonds.child(*one, k, n) for one in found for k in range(4))
+        found = {(int(r), int(c)) for r, c in children if r >= 0}
+    return found
+
+
 def brute_tables(t, legs):
     """P and saturated P′ of every patch diamond, by following the DAG's arrows one by one."""
     n, d = t.n, 2 * (legs.bit_length() - 1)
@@ -124,16 +135,7 @@ def brute_tables(t, legs):
     exact, saturated = {}, {}
     for level in range(2 * n - d - 1, -1, -1):
         for row, col in zip(*(v.tolist() for v in diamonds.of_level(n, level))):
-            here = {(row, col)}
-            for _ in range(d):
-                below = set()
-                for r, c in here:
-                    for k in range(4):
-                        q = tuple(int(v) for v in diamonds.child(r, c, k, n))
-                        if q[0] >= 0:
-                            below.add(q)
-                here = below
-            exact[row, col] = max(float(p.e[q]) for q in here)
+            exact[row, col] = max(float(p.e[q]) for q in below((row, col), n, d))
             children = [tuple(int(v) for v in diamonds.child(row, col, k, n)) for k in range(4)]
             deeper = [saturated[q] for q in children if q in saturated]
             saturated[row, col] = max([exact[row, col], *(SATURATION * v for v in deeper)])
@@ -625,3 +627,48 @@ def test_pages_that_are_used_stay_while_others_come():
                 break
             time.sleep(0.005)
         assert np.array_equal(made.instances, whole.patches(view, 4.0).instances)
+
+
+# ---- colours -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("shape", "legs"), [((129, 129), 4), ((100, 141), 8)])
+def test_colors_split_patches_that_are_large_enough_to_be_seen(shape, legs):
+    """No drawn patch has a triangle whose colours are off by more than γ, unless it is smaller than a pixel."""
+    from orograph.error.screen import to_camera
+    from orograph.geovis.color_errors import ColorErrors
+
+    t = plain.terrain(plain.rough(np.random.default_rng(5), shape))
+    colors, top = ColorErrors(t, jobs=1), t.levels - 1
+    tables = [colors(level, 0, rows, 0, cols) for level in range(t.levels) for rows, cols in [t.diamond_shape(level)]]
+
+    def error(row, col):
+        level = min(int(diamonds.octave(row, col)), top)
+        i, j = row >> level, col >> level
+        return float(tables[level][i, j]) if i < tables[level].shape[0] and j < tables[level].shape[1] else 0.0
+
+    spheres, counts = plain.Plain(t), {}
+    for gamma in (None, 12.0, 4.0):
+        text = f"triangle-patches,legs={legs},cull=no" + ("" if gamma is None else f",color-tolerance={gamma}")
+        method = chosen(text).make(t, Resources(color=colors))
+        for seed in range(3):
+            camera = Camera.over(t.grid, plain.random_view(np.random.default_rng(seed), t))
+            found = method.patches(camera, 64.0, geomorph=False)
+            counts[gamma] = counts.get(gamma, 0) + len(found.instances)
+            mesh = mesh_of(t, found.instances, legs)
+            assert verify.judge_mesh(mesh, t, camera.view).defects == {}
+            lens, ends = method._lens(camera, 64.0), {}
+            for patch in (triangle_of(one, legs) for one in found.instances if gamma is not None):
+                (x, y), (u, v) = triangles.left_end(*patch), triangles.right_end(*patch)
+                ends[(int(y + v) // 2, int(x + u) // 2)] = patch
+            for row, col in ends:
+                depth, octave = 2 * (legs.bit_length() - 1), int(diamonds.octave(row, col))
+                if octave < legs.bit_length() - 1:
+                    continue  # the samples themselves
+                worst = max(error(*one) for one in below((row, col), t.n, depth))
+                if worst > gamma and spheres.r[row, col] > 0:
+                    r, c = min(row, t.grid.rows - 1), min(col, t.grid.cols - 1)
+                    w = to_camera(lens, float(c), float(r), float(t.heights[r, c]))[2]
+                    radius = float(spheres.r[row, col]) * lens.stretch
+                    assert radius <= lens.texel * (w - radius) * (1 + 1e-6), (row, col)
+    assert counts[None] < counts[12.0] < counts[4.0]

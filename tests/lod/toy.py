@@ -16,7 +16,7 @@ NAME = "regular-grid"
 
 @contextmanager
 def added(folder):
-    """The method, registered while the block runs."""
+    """The method, registered while the block runs (in place of one that follows the page in a checkout)."""
     source = re.search(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert source is not None
     path = folder / "regular_grid.py"
@@ -26,7 +26,10 @@ def added(folder):
     module = importlib.util.module_from_spec(spec)
     sys.modules["regular_grid"] = module
     spec.loader.exec_module(module)
+    before = METHODS.pop(NAME, None)
     try:
         yield register(module.RegularGrid)
     finally:
         del METHODS[NAME], sys.modules["regular_grid"]
+        if before is not None:
+            METHODS[NAME] = before

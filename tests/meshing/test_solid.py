@@ -136,4 +136,4 @@ def test_a_surface_in_metres_by_the_command_line(tmp_path):
     assert (high - low)[:2] == pytest.approx((49 * 30, 39 * 30)) and 400 < low[2] < high[2] < 600
     for wrong, words in ((["--base", "3"], "applies to models to print"), (["--surface", "-o", "m.ply"], ".stl files")):
         ran = CliRunner().invoke(cli, [*run, *wrong], obj={"quiet": True})
-        assert ran.exit_code == 2 and words in ran.output
+        assert isinstance(ran.exception, UsageError) and words in str(ran.exception)

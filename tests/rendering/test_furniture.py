@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import orograph
 from orograph.geovis.keys import Legend, Scale
 from orograph.rendering.furniture import furnish as furniture
 from orograph.rendering.furniture import lettering
@@ -244,3 +245,12 @@ def test_a_long_legend_keeps_its_classes() -> None:
         words = [text[2] for piece, _ in layout.placed for text in piece.texts]
         assert "land cover" in words and all(str(k) in words for k in range(shown))
     assert any(word.startswith("and ") and word.endswith(" more") for word in words)
+
+
+def test_a_plan_stands_beside_a_legend_with_a_long_title() -> None:
+    x = np.linspace(0, 1, 60)
+    ground = orograph.terrain(np.zeros((60, 60), np.float32), spacing=10.0, progress=False)
+    data = orograph.Dataset(np.add.outer(x, x), name="potential temperature in kelvin")
+    views = [orograph.render(ground, "plan", size=(420, 400), data=one, furniture=True, samples=1).view
+             for one in (data, data.but(name="T"))]  # fmt: skip
+    assert views[0].pixel_metres > 1.03 * views[1].pixel_metres

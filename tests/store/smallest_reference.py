@@ -7,19 +7,20 @@ import struct
 import numpy as np
 from compact_reference import Stream, mask, table, wrapped
 
-BINS, SMALL = 5, 307
+BINS, GROUPS, LANES, LAG, SMALL = 5, 64, 16, 3, 307
+FIRST = (6144, -2048, *[0] * 9), [*[0] * 12, 128, 0, 128, 0, 0]
 
 
 def size(difference):
     return min(abs(wrapped(difference)), 4095)
 
 
-def cells_of(data, at, classes, groups):
+def cells_of(data, at, classes):
     """The table of each (class, group, bin), and where they end."""
     bits = [data[at + k // 8] >> k % 8 & 1 for k in range(8 * (len(data) - at))]
     read, cells = 0, {}
     for k in range(classes):
-        for group in range(groups):
+        for group in range(GROUPS):
             for bin_ in range(BINS):
                 before = cells[k, group - 1, bin_] if group else cells[k, group, bin_ - 1] if bin_ else 0
                 same, read = bits[read], read + 1
@@ -30,97 +31,102 @@ def cells_of(data, at, classes, groups):
     return cells, at + -(-read // 8)
 
 
-def continued(line):
-    left, right = (line[0] - line[1], line[-1] - line[-2]) if len(line) > 1 else (0, 0)
-    before = [wrapped(line[0] + k * left) for k in (2, 1)]
-    return before + line + [wrapped(line[-1] + k * right) for k in (1, 2)]
+def factors_of(row, weights, shares):
+    """The weights and shares of a row: the row two above the second one counts as the one above it."""
+    if row == 0:
+        return FIRST
+    if row == 1:
+        w, ww, nww, nw, ne, nee, nnww, nnw, _, nne, nnee = weights
+        weights = (w, ww, nww + nnww, nw + nnw, ne + nne, nee + nnee, 0, 0, 0, 0, 0)
+        shares = [0 if k in (5, 8, 9, 10) else share for k, share in enumerate(shares)]
+    return weights, shares
+
+
+def group_of(activity):
+    bits = activity.bit_length()
+    return min(4 * (bits - 7) + (activity >> (bits - 3)) % 4, GROUPS - 1) if bits >= 7 else 0
 
 
 def bin_of(activity, t):
     """(The bin, whether the difference is told with the other sign)."""
-    beyond, lean = t % 4096 - 2048, t - 2048
+    beyond, lean = t % 4096 - 2048, wrapped(t - 2048)
     if activity < SMALL:
         return min(abs(beyond) // 512, 3), beyond < 0
     return sum(abs(lean) // 16 > limit for limit in (activity / 2, activity, 2 * activity, 4 * activity)), lean < 0
 
 
-def value_of(stream, one):
-    depth, direct, freq = one
-    value = stream.symbol(0, freq)
-    if value >= direct:
-        value = stream.range(0, value - direct) + direct - 1
-    return (value << depth | (stream.bits(0, depth) if depth else 0)) % 2**32
+def foreseen(samples, sizes, row, col, weights, shares):
+    """(The prediction, the group and bin, whether the sign is reversed) of a sample; rows and columns begin at -2."""
+    (far, near, line), (further, above, left) = samples[row : row + 3], sizes[row : row + 3]
+    nww, nw, north, ne, nee = near[col : col + 5]
+    around = [line[col + 1], line[col], nww, nw, ne, nee, *far[col : col + 5]]
+    west, farther = around[:2]
+    t = wrapped(sum(w * (s - north) for w, s in zip(weights, around, strict=True)) + 2048)
+    said, guess = t >> 12, wrapped(north + (t >> 12))
+    signs = [above[col + k] for k in (2, 1, 3, 0, 4)] + [further[col + 2], size(north - nw), size(north - ne)]
+    signs += [size(north - far[col + 2]), size(ne - far[col + 3]), size(nw - far[col + 1]), size(ne - nee)]
+    signs += [left[col + 1], size(west - nw), size(west - farther), size(said), size(west - guess)]
+    activity = sum(s * share for s, share in zip(signs, shares, strict=True))
+    bin_, other = bin_of(activity, t)
+    return guess, (group_of(activity), bin_), other
+
+
+def values_of(stream, step):
+    """The values of the samples of a step: (lane, table) of each."""
+    found = [stream.symbol(lane, freq) for lane, (_, _, freq) in step]
+    ranges = [(k, lane, found[k] - one[1]) for k, (lane, one) in enumerate(step) if found[k] >= one[1]]
+    for k, lane, bits in ranges:
+        found[k] = step[k][1][1] - 1 + 2**bits + stream.bits(lane, min(bits, 16))
+    for k, lane, bits in ranges:
+        found[k] += stream.bits(lane, bits - 16) << 16 if bits > 16 else 0
+    for k, (lane, (depth, _, _)) in enumerate(step):
+        found[k] = (found[k] << depth | (stream.bits(lane, depth) if depth else 0)) % 2**32
+    return found
 
 
 def decoded(data, shape):
     """The samples, int32."""
-    rows = shape[0]
-    version, mode, kinds, shift, first, groups, count, parts = struct.unpack_from("<4Bi3B", data)
-    assert version == 2 and kinds in (1, 4) and parts in (1, 2)
-    at, classes = 11, []
+    rows, cols = shape
+    version, mode, kinds, count, first = struct.unpack_from("<4Bi", data)
+    assert version == 3 and kinds in (1, 4)
+    at, classes = 8, []
     for _ in range(1 if kinds == 1 else 3):
         classes.append((struct.unpack_from("<11h", data, at), list(data[at + 22 : at + 39])))
         at += 39
-    least = struct.unpack_from(f"<{groups - 1}H", data, at)
-    cells, at = cells_of(data, at + 2 * (groups - 1), len(classes), groups)
+    cells, at = cells_of(data, at, len(classes))
     tables = []
     for _ in range(count):
         one, at = table(data, at)
         tables.append(one)
     marks, at = mask(data, at, mode, shape) if mode else (np.zeros(shape, bool), at)
-    if parts == 1:
-        streams = [(first, data[at:], 0, rows)]
-    else:
-        second, words, one, other = struct.unpack_from("<i3I", data, at)
-        high, begin = -(-rows // 4) * 2, at + 16
-        assert high < rows
-        streams = [
-            (first, struct.pack("<I", one) + data[begin : begin + 2 * words], 0, high),
-            (second, struct.pack("<I", other) + data[begin + 2 * words :], high, rows),
-        ]
-    out = [
-        part_of(above, Stream(words, 1), marks[begin:end], kinds, shift, classes, least, cells, tables)
-        for above, words, begin, end in streams
-    ]
-    found = np.concatenate(out)
+    stream, period = Stream(data[at:], min(rows, LANES)), max((cols + 5) // 2 * 2, LAG * LANES)
+    samples, sizes = ([[value] * (cols + 4) for _ in range(rows + 2)] for value in (first, 0))
+    for step in range(-(-rows // LANES) * period + LAG * (LANES - 1)):
+        places = [(lane, *divmod(step - LAG * lane, period)) for lane in range(LANES) if step >= LAG * lane]
+        places = [(lane, band * LANES + lane, col) for lane, band, col in places if col < cols]
+        coded = []
+        for lane, row, col in places:
+            if row >= rows:
+                continue
+            line, part = samples[row + 2], 2 * (row % 2) + col % 2 - 1 if kinds == 4 else 0
+            if col == 0:
+                line[:2] = [samples[row + 1][2]] * 2
+            if part < 0 or marks[row, col]:
+                line[col + 2] = line[col + 1]
+            else:
+                guess, cell, other = foreseen(samples, sizes, row, col, *factors_of(row, *classes[part]))
+                coded.append((lane, row, col, guess, other, tables[cells[part, *cell]]))
+        values = values_of(stream, [(one[0], one[-1]) for one in coded])
+        for (_, row, col, guess, other, _), value in zip(coded, values, strict=True):
+            residual = value // 2 if value % 2 == 0 else -(value // 2) - 1
+            samples[row + 2][col + 2] = wrapped(guess - residual if other else guess + residual)
+            sizes[row + 2][col + 2] = min((value + 1) // 2, 4095)
+        for _, row, col in places:
+            if row < rows and col == cols - 1:
+                samples[row + 2][cols + 2 :] = [samples[row + 2][cols + 1]] * 2
+    assert not stream.words and all(state == 1 << 16 for state in stream.states)
+    found = np.array([line[2:-2] for line in samples[2:]], np.int32)
+    if kinds == 4:
+        found[::2, ::2] = 0
     found[marks] = -(2**31)
     return found
-
-
-def part_of(first, stream, marks, kinds, shift, classes, least, cells, tables):
-    """The samples of a part, the missing ones filled."""
-    rows, cols = marks.shape
-    samples, sizes = [[first] * (cols + 4)] * 2, [[0] * (cols + 4)] * 2
-    for row in range(rows):
-        (far, near), (further, above) = samples[-2:], sizes[-2:]
-        far = near if row == 1 else far
-        west, farther = (wrapped(near[k] + near[2] - far[2]) for k in (1, 0))
-        line, left = [], [0, 0]
-        for j in range(cols):
-            part = 2 * (row % 2) + j % 2 - 1 if kinds == 4 else 0
-            here, last = 0 if part < 0 else near[j + 2], 0
-            if part >= 0 and not marks[row, j]:
-                weights, shares = classes[part]
-                north, (nw, n, ne, nee) = near[j + 2], near[j + 1 : j + 5]
-                around = [west, farther, *near[j : j + 2], *near[j + 3 : j + 5], *far[j : j + 5]]
-                if row == 0:
-                    weights, shares = (6144, -2048, *[0] * 9), [*[0] * 12, 128, 0, 128, 0, 0]
-                t = wrapped(sum(w * (s - north) for w, s in zip(weights, around, strict=True)) + 2048)
-                said, guess = t >> 12, wrapped(north + (t >> 12))
-                signs = [above[j + k] for k in (2, 1, 3, 0, 4)] + [further[j + 2], size(n - nw), size(n - ne)]
-                signs += [size(n - far[j + 2]), size(ne - far[j + 3]), size(nw - far[j + 1]), size(ne - nee), left[-1]]
-                signs += [size(west - nw), size(west - farther), size(said), size(west - guess)]
-                activity = sum(s * share for s, share in zip(signs, shares, strict=True))
-                bin_, other = bin_of(activity, t)
-                group = sum(min(activity >> shift, 1023) >= limit for limit in least)
-                value = value_of(stream, tables[cells[part, group, bin_]])
-                residual = value // 2 if value % 2 == 0 else -(value // 2) - 1
-                here = wrapped(guess - residual if other else guess + residual)
-                last = min((value + 1) // 2, 4095)
-            line.append(here)
-            left.append(last)
-            farther, west = west, here
-        samples.append(continued(line))
-        sizes.append([*left, 0, 0])
-    assert not stream.words and stream.states == [1 << 16]
-    return np.array([line[2:-2] for line in samples[2:]], np.int32)

@@ -44,7 +44,7 @@ def numbers(shape, seed, step=0.1, missing=0.0):
 @BOTH
 @settings(deadline=None, max_examples=60)
 @given(
-    st.integers(1, 70), st.integers(1, 40), st.sampled_from([1e-6, 1e-3, 0.1, 5.0, 1e4]),
+    st.integers(1, 70), st.integers(1, 60), st.sampled_from([1e-6, 1e-3, 0.1, 5.0, 1e4]),
     st.sampled_from([0.0, 0.02, 0.6, 1.0]),
 )  # fmt: skip
 def test_any_numbers_come_back(codec, rows, cols, step, missing):
@@ -52,7 +52,7 @@ def test_any_numbers_come_back(codec, rows, cols, step, missing):
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.integers(1, 70), st.integers(1, 40), st.sampled_from([1e-6, 0.1, 5.0]), st.sampled_from([0.0, 0.2, 1.0]))
+@given(st.integers(1, 70), st.integers(1, 60), st.sampled_from([1e-6, 0.1, 5.0]), st.sampled_from([0.0, 0.2, 1.0]))
 def test_numbers_of_which_a_quarter_is_known_come_back(rows, cols, step, missing):
     whole = numbers((rows, cols), rows * 41 + cols, step, missing)
     whole[::2, ::2] = np.where(whole[::2, ::2] == MISSING, MISSING, 0)
@@ -108,7 +108,7 @@ def test_damaged_bytes_are_told_or_give_other_numbers(codec, missing):
             told += 1
     assert told > 1000
     for size in rng.integers(0, 3000, 300):
-        noise = bytes([1 + (codec is smallest), rng.integers(3), rng.choice([1, 4]), 0]) + rng.bytes(size)
+        noise = bytes([1 + 2 * (codec is smallest), rng.integers(3), rng.choice([1, 4]), 0]) + rng.bytes(size)
         with pytest.raises(ValueError, match="cannot be decoded"):
             codec.decompressed(noise, (64, 64))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -216,6 +217,23 @@ def test_windows_of_a_store_at_a_url(tmp_path):
     for _ in range(10):
         r, c = rng.integers(0, 230, 2)
         np.testing.assert_array_equal(there.read(0, r, r + 30, c, c + 30), here[r : r + 30, c : c + 30])
+
+
+def test_the_indices_of_several_shards_at_a_url_are_asked_for_at_once(tmp_path, monkeypatch):
+    how = {"codec": "compact", "max_error": 0.1, "errors": (), "shard": 64, "chunk": 16, "overwrite": True}
+    heights = rough((128, 128), 9)
+    here = store.build(source(heights), tmp_path / "s", **how).read(0, 0, 128, 0, 128)
+    store.build(source(heights), "memory://indices", **how)
+    with store.open("memory://indices") as there:
+        together, tail = threading.Barrier(4, timeout=20), type(there.storage).tail
+
+        def waiting(storage, key, length):
+            if "heights/0" in key:
+                together.wait()  # (asked for one after another they would wait for ever)
+            return tail(storage, key, length)
+
+        monkeypatch.setattr(type(there.storage), "tail", waiting)
+        np.testing.assert_array_equal(there.read(0, 60, 70, 60, 70), here[60:70, 60:70])
 
 
 def test_the_record_says_what_it_is(tmp_path):

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 import orograph
+from orograph.scene.parts import OPTIONS
+from orograph.store.given import READING
 
 SCRIPT = Path(__file__).with_name("script.py")
 SOURCE = Path(orograph.__file__).parents[1]
@@ -26,6 +28,19 @@ def test_the_script_uses_all_that_is_public():
     imported = {"Dem", "Grid", "Picture", "Terrain", "View"}
     of_results = {"Tessellation", "Tour", "Uncertainty"}
     assert set(dir(orograph)) == used | imported | of_results
+
+
+def test_checkers_know_the_options_that_there_are():
+    from orograph.scene.typed import SceneOptions
+    from orograph.store.typed import Reading
+
+    assert tuple(Reading.__annotations__) == READING
+    assert set(SceneOptions.__annotations__) == {*OPTIONS, *READING}
+    given = {name: getattr(kind, "__forward_arg__", kind) for name, kind in SceneOptions.__annotations__.items()}
+    for name, one in OPTIONS.items():
+        words = set(one.annotation.split(" | "))
+        if given[name] != "Any" and words <= {"bool", "int", "float", "str", "None"}:
+            assert words <= set(given[name].split(" | ")) | ({"int"} if "Amount" in given[name] else set()), name
 
 
 @pytest.mark.stress
@@ -45,7 +60,13 @@ def test_pyright(tmp_path):
     if pyright is None:
         pytest.skip("pyright is not installed (pip install pyright, or PYRIGHT=its path)")
     shutil.copy(SCRIPT, tmp_path)
-    settings = {"typeCheckingMode": "strict", "include": [SCRIPT.name], "extraPaths": [str(SOURCE)]}
+    settings = {
+        "typeCheckingMode": "strict",
+        "reportUnnecessaryTypeIgnoreComment": True,
+        "enableTypeIgnoreComments": False,
+        "include": [SCRIPT.name],
+        "extraPaths": [str(SOURCE)],
+    }
     (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings))
     ran = subprocess.run(
         [pyright, "--pythonpath", sys.executable, "--outputjson"], capture_output=True, text=True, cwd=tmp_path

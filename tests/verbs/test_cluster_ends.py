@@ -95,7 +95,7 @@ def killed_meanwhile(kill, rng, done):
 
 @WORKS
 def test_schedulers_that_are_killed(ground, tmp_path, what, monkeypatch):
-    monkeypatch.setattr(clusters, "SILENCE", 3.0)
+    monkeypatch.setattr(clusters, "SILENCE", 10.0)
     work(what, ground, tmp_path / "one")
     done, hear = [], clusters._Round._hear
 
@@ -114,8 +114,10 @@ def test_schedulers_that_are_killed(ground, tmp_path, what, monkeypatch):
                 try:
                     work(what, ground, target, address)
                     finished = True
-                except OrographError:
+                except OrographError as error:
                     if fell is None or not fell.is_set():  # nobody killed it
+                        if isinstance(error.__cause__, TimeoutError):  # a busy machine: it answers late
+                            continue
                         raise
                     kills, halfway = kills + 1, halfway + (len(done) > before)
         assert files(target) == files(tmp_path / "one")

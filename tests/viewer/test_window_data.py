@@ -73,10 +73,10 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     assert 0.05 < found.sigma < 1.2
     assert "warmth" in found.words and "±" in found.words
     panel.change(window, priority=Priority.parse("T-D-U+"))
+    coarse = window.session.settings.shown.painted[0]  # a thread paints it finely, and a frame takes it
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - before).mean() > 3
     assert window.session.settings.shown.painted[0].sign == "glyphs"
-    coarse = window.session.settings.shown.painted[0]  # a thread paints it finely, and a frame takes it
     hand.until(lambda: not window.session.settings.finer.coming)
     assert max(window.session.settings.shown.painted[0].over.shape) > max(coarse.over.shape)
     panel.change(window, time="1999")

@@ -306,10 +306,9 @@ def _report(terrain: StoredTerrain, seconds: float, as_json: bool, skipped: Sequ
         click.echo(json.dumps(result))
         return
     x, y = grid.spacing
-    crs = "no CRS" if grid.crs is None else grid.crs.name
     spacing = f"{x:.6g} m" if abs(x - y) < 1e-6 * x else f"{x:.6g} × {y:.6g} m"
     click.echo(
-        f"{terrain.url}: {megabytes(size)}, {grid.cols} × {grid.rows} samples at {spacing}, {crs}\n"
+        f"{terrain.url}: {megabytes(size)}, {grid.cols} × {grid.rows} samples at {spacing}, {grid.crs_name}\n"
         f"{terrain.levels} level{'s' if terrain.levels != 1 else ''}, side {terrain.side}; "
         + (f"heights {low:.1f} to {high:.1f} m, " if known else "no valid height, ")
         + f"{100 * terrain.valid_fraction:.4g} % valid\n"

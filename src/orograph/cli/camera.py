@@ -142,8 +142,7 @@ def check_camera(options: Mapping[str, Any]) -> None:
 
 def is_fitted(options: Mapping[str, Any]) -> bool:
     """Whether the camera that the options describe is as near as shows everything."""
-    given = any(options[name] is not None for name in ("view_path", "lonlat", "distance"))
-    return not given and options["projection"] != "plan"
+    return all(options[name] is None for name in ("view_path", "lonlat", "distance"))
 
 
 def camera_view(
@@ -177,7 +176,7 @@ def camera_view(
 
         insets = furniture.insets(size, terrain.attribution, options.get("layers") or (), keys)
     if options["projection"] == "plan":
-        return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
+        return camera.plan(terrain, size, azimuth=azimuth, insets=insets, also=also)
     if options["lonlat"] is not None:
         return camera.standing(terrain, size, options["lonlat"], options["look_at"], fov_y=given("fov", 45.0))
     return camera.around(

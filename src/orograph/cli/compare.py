@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 )
 @refining.method_option("Which method to compare; may be repeated.", multiple=True)
 @click.option(
-    "--methods", "every", type=click.Choice(["all"]), help="All methods, in addition to those of --method.  [default]"
+    "--methods",
+    "every",
+    metavar="all|NAME,NAME…",
+    help="All methods, or these, besides those of --method.  [default: all, without --method]",
 )
 @refining.goal_options
 @click.option("--size", type=Size(), help=f"The views' size{SIZES}.  [default: 1280x720, or the files']")
@@ -63,7 +66,7 @@ def command(
     """Measure methods side by side on a DEM (one file or many) or a store.
 
     For each: triangles, milliseconds to select them (the median), millions of triangles per second, errors in pixels as
-    the referee finds them, tiles read, and whether the tolerance is guaranteed; on a flight also the part of the mesh
+    the referee finds them, tiles read, and whether the tolerance is promised; on a flight also the part of the mesh
     that changes from frame to frame.
 
     A mesh is judged at every full-resolution sample in view, and on all of the surface between them. Rays are judged by
@@ -89,7 +92,7 @@ def command(
         check_folder(Path(json_file))
     refine = {name: options[name] for name in refining.REFINE}
     found = compare(
-        list(paths), views, flight=flight, judged=judged, methods=(*(["all"] * bool(every)), *method),
+        list(paths), views, flight=flight, judged=judged, methods=(*([every] if every else []), *method),
         size=size, picture=picture, dpi=dpi_of(size), max_memory=max_memory, jobs=jobs, progress=progress,
         **refine, **source_of(options, set(refining.REFINE)),
     )  # fmt: skip
@@ -105,8 +108,8 @@ def command(
     # Without a promise, the table says what is wrong with a mesh.
     if found.broken:
         raise OrographError(
-            f"{' and '.join(found.broken)} broke the guaranteed tolerance.",
-            remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
+            f"{' and '.join(found.broken)} broke the promised tolerance.",
+            remedy="This is a fault of the method: please report it, with the terrain and the views.",
         )
 
 

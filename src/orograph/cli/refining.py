@@ -52,7 +52,7 @@ def conservative_option(function: F) -> F:
     return click.option(
         "--conservative",
         is_flag=True,
-        help="Refuse a method that does not guarantee the tolerance for every sample in view.",
+        help="Refuse a method that does not promise the tolerance for every sample in view.",
     )(function)
 
 

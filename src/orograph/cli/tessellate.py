@@ -88,5 +88,5 @@ def _judge(report: Report, promised: float | None, choice: str, output: str, pro
         raise OrographError(
             "The mesh is not sound (see the report)." if report.defects else
             f"The mesh is off by {report.largest:.4g} pixels, but {choice} promised {promised:g}.",
-            path=output, remedy="This is a fault of Orograph: please report it, with the terrain and the view.",
+            path=output, remedy="This is a fault of the method: please report it, with the terrain and the view.",
         )  # fmt: skip

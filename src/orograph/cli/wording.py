@@ -8,6 +8,14 @@ import click
 
 from orograph.scene import wording
 
+SAID = {
+    "plan": "--projection plan", "map": "--projection plan", "perspective": "--projection perspective",
+    **dict.fromkeys(("graticule", "grid"), "--aids grid"), "points": "--data FILE,variable=NAME",
+    **dict.fromkeys(("track", "gpx"), "--line"), "time": "--sun DATE",
+    **dict.fromkeys(("contour", "lines"), "--contours"),
+}  # fmt: skip
+"""Options that people try, and what says it here."""
+
 _flags: dict[str, str] = {}
 """What the running verb calls its arguments."""
 
@@ -41,7 +49,8 @@ def lead(error: click.NoSuchOption) -> None:
     there = {flag for one in (error.ctx.command.params if error.ctx else ()) for flag in one.opts}
     name = error.option_name.lstrip("-").lower().replace("-", "_")
     meant = wording.flag("uncertainty" if name in ("error", "sigma") else wording.MEANT.get(name, name))
-    if meant in there:
+    meant = SAID.get(name, meant)
+    if meant.split()[0] in there:
         setattr(error, "possibilities", [meant])  # noqa: B010 (given to a new error it would have to look alike)
 
 

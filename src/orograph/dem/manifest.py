@@ -36,6 +36,8 @@ from orograph.dem.header import parsed_crs
 from orograph.dem.missing import Valid
 from orograph.dem.remote import is_remote
 from orograph.dem.source import Source
+from orograph.dem.whole.files import DAMAGED
+from orograph.dem.whole.tiff import cut_off
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, wkt_of
@@ -128,7 +130,7 @@ def opened(names: Sequence[str | os.PathLike[str]], options: Mapping[str, Any], 
 
     def one(line: Line) -> Source | ReadError:
         try:
-            return line.source(unusual) or _opened(line.path, options)
+            return line.source(unusual) or _opened(line.path, options, whole=len(lines) > 1)
         except ReadError as error:
             return error
 
@@ -197,7 +199,7 @@ def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str
     source = line.source(unusual, ask=True)
     before = asked(line.path) if source is None and is_remote(line.path) else None
     try:
-        source = source or _opened(line.path, options)
+        source = source or _opened(line.path, options, whole=True)
     except ReadError as error:
         return _row(None, {"path": _said(line.path, folder), "error": error.what}), error
     header = _header(source, unusual, folder, before)
@@ -225,10 +227,20 @@ def described(line: Line, options: Mapping[str, Any], folder: Path) -> tuple[str
     return _row(_footprint(grid), said), None
 
 
-def _opened(path: str, options: Mapping[str, Any]) -> Source:
-    """A file by its own name, without a manifest."""
+def _opened(path: str, options: Mapping[str, Any], whole: bool) -> Source:
+    """A file by its own name, without a manifest.
+
+    Args:
+        whole: raise ReadError if it was cut off. (Of a single file the first window that lacks samples is told.)
+    """
     know_state(path, None)
-    return Source.open(path, **options)
+    source = Source.open(path, **options)
+    if whole and Path(path).is_file():
+        with Path(path).open("rb") as file:
+            fault = cut_off(file)
+        if fault is not None:
+            raise ReadError(fault, path=path, remedy=DAMAGED)
+    return source
 
 
 def _state(said: Sequence[Any]) -> State | tuple[Any, ...]:

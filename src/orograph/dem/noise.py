@@ -101,12 +101,8 @@ def gullies(
     row0: int,
     col0: int,
     wavelength: float,
-    turn_cos: float,
-    turn_sin: float,
-    px: Floats,
-    py: Floats,
-    i0: int,
-    j0: int,
+    turn: tuple[float, float],
+    points: tuple[Floats, Floats, int, int],
     depth: float,
     gentle: float,
     steep: float,
@@ -118,13 +114,16 @@ def gullies(
         heights: (h + 2, w + 2), in units of the distance between its samples.
         row0, col0: global index of ``heights[1, 1]``.
         wavelength: of the furrows, in samples.
-        turn_cos, turn_sin: how the lattice of feature points is turned.
-        px, py, i0, j0: ``feature_points`` of all lattice cells the positions lie in, and one around them.
+        turn: cosine and sine of the angle by which the lattice of feature points is turned.
+        points: x, y, and the indices of the first: ``feature_points`` of all lattice cells the positions lie in, and
+            one around them.
         depth: of the furrows, per wavelength and slope.
         gentle: the slope at which hillsides are so gentle that furrows are half as deep.
         steep: the slope at which hillsides are so steep that furrows deepen only half as much.
         out: (h, w), overwritten: the surface with furrows.
     """
+    turn_cos, turn_sin = turn
+    px, py, i0, j0 = points
     for r in range(out.shape[0]):
         for c in range(out.shape[1]):
             h = heights[r + 1, c + 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 
 from orograph._named import answering
 from orograph.dem.raster import MAX_READ_BYTES, Dem
@@ -10,8 +11,10 @@ from orograph.dem.source import Source
 from orograph.errors import ReadError, UsageError
 from orograph.folders import Amount, bytes_of
 
+PART = "`orograph.terrain(path, bbox=(7, 45, 8, 46))` reads a part, of stores too; `orograph.export` writes it."
 
-@answering
+
+@partial(answering, elsewhere=dict.fromkeys(("bbox", "clip", "crs", "resolution"), PART))
 def read(
     path: str | os.PathLike[str],
     *,

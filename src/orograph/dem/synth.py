@@ -203,7 +203,8 @@ class Synth:
         py = np.empty_like(px)
         feature_points(i0, j0, self._salt + 31 * level, px, py)
         unit = self.spacing * (1 << level)
-        gullies(heights / unit, row0, col0, FURROW, cos, sin, px, py, i0, j0, 0.12 * self.roughness, 0.1, 0.9, out)
+        points, depth = (px, py, i0, j0), 0.12 * self.roughness
+        gullies(heights / unit, row0, col0, FURROW, (cos, sin), points, depth, 0.1, 0.9, out)
         return out * unit
 
     # -- the file -------------------------------------------------------------------------------------------------

@@ -30,6 +30,20 @@ def wkt_of(crs: CRS | None) -> str | None:
     return str(crs.srs) if re.match(r"[A-Z]+CRS\[", crs.srs) else str(crs.to_wkt())
 
 
+NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
+"""How names of CRSs begin that files give for want of one."""
+
+
+def name_of(crs: CRS) -> str | None:
+    """What a CRS is called; one without a name (in USGS DEMs: NAD27 / UTM zone 10N) as the registered CRS that it
+    equals; None: it equals none."""
+    name = str(crs.name or "").strip()
+    if name and not name.lower().startswith(NAMELESS):
+        return name
+    code = crs.to_authority()
+    return None if code is None else str(CRS.from_authority(*code).name)
+
+
 def compose(*maps: Affine) -> Affine:
     """The affine map that applies ``maps`` from the last to the first, as matrices are multiplied.
 
@@ -87,6 +101,11 @@ class Grid:
         # Kept, as cameras ask for them in every frame and affine takes its time.
         object.__setattr__(self, "samples", compose(self.transform, Affine.translation(0.5, 0.5)))
         object.__setattr__(self, "inverse", ~self.samples)
+
+    @property
+    def crs_name(self) -> str:
+        """What its CRS is called, for people."""
+        return "no CRS" if self.crs is None else name_of(self.crs) or str(self.crs.name)
 
     @property
     def rows(self) -> int:

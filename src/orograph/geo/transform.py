@@ -78,7 +78,10 @@ def place(grid: Grid, lon: float, lat: float) -> tuple[float, float]:
             remedy=f"Give the longitude first: {lat:g},{lon:g}.",
         )
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be transformed to the terrain's CRS.")
+        raise UsageError(
+            f"Longitude {lon:g}, latitude {lat:g} cannot be transformed to the terrain's CRS.",
+            remedy="Longitude comes first." if abs(lat) > 90 >= abs(lon) else "",
+        )
     return x, y
 
 

@@ -35,6 +35,9 @@ CUT = (2.0, 98.0)
 FEW = range(3, 33)
 """Different values of a band that has classes: an image of greys has more, one in black and white fewer."""
 
+WIDEST = 1 << 12
+"""Classes lie within so many of each other."""
+
 PROBE = 512
 """Side of the reduced window from which the percentiles are taken."""
 
@@ -82,7 +85,7 @@ class Bands:
         table: (n, 3) uint8, or (n, 4) with opacity, the colour map of one band's values, else None.
         nodata: the value that means "nothing here" besides what the file says, or None.
         span: the values that become black and white, or the ends of the table.
-        classes: how many different values one band of integers without colours has, if few: classes, not greys.
+        classes: the values of one band of integers without colours, if they are few: classes, not greys.
     """
 
     colors: tuple[int, ...]
@@ -91,7 +94,7 @@ class Bands:
     table: Bytes | None = None
     nodata: float | None = None
     span: tuple[float, float] = (0.0, 255.0)
-    classes: int = 0
+    classes: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, file: Any, layer: Layer) -> Bands:
@@ -141,9 +144,13 @@ class Bands:
         if given is not None and self.table is not None:
             return replace(self, span=given)
         values = _sampled(file, self, window)
-        greys = self.table is None and values.dtype.kind in "iu" and len(values) == 1
-        found = len(np.unique(values)) if greys else 0
-        return replace(self, span=given or _span(values), classes=found if found in FEW else 0)
+        if self.table is None and given is None and (codes := _codes(values)):
+            from orograph.geovis.tables import DISTINCT, Table
+
+            table = Table.of({code: DISTINCT[k % len(DISTINCT)] for k, code in enumerate(codes)})
+            assert table.span is not None
+            return replace(self, table=table.colors, span=table.span, classes=codes)
+        return replace(self, span=given or _span(values))
 
     def factors(self, file: Any) -> list[int]:
         """Pixels along the side of a texel of the file's overviews, finest first."""
@@ -322,6 +329,18 @@ def _sampled(file: Any, bands: Bands, window: ImageWindow) -> NDArray[Any]:
     else:
         values, valid = _probed(file, bands, area, tuple(min(PROBE, b - a) for a, b in area))
     return values[:, valid]
+
+
+def _codes(values: NDArray[Any]) -> tuple[int, ...]:
+    """The values of one band of integers if they seem to be classes: few, and no greys in equal steps."""
+    if values.dtype.kind not in "iu" or len(values) != 1:
+        return ()
+    found = np.unique(values)
+    if len(found) not in FEW or int(found[-1]) - int(found[0]) >= WIDEST:
+        return ()
+    steps = np.diff(found.astype(np.int64))
+    greys = steps.min() == steps.max() and steps[0] > 1 and steps.sum() > 128
+    return () if greys else tuple(int(v) for v in found)
 
 
 def _span(values: NDArray[Any]) -> tuple[float, float]:

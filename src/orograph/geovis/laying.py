@@ -84,8 +84,8 @@ class Laid:
             raise unreadable(location, error) from None
         if bands.classes:
             warnings.append(
-                f"{name} has {bands.classes} distinct values and no colours, so it may hold classes: it is drawn in "
-                "greys. Give it a colormap, or show it as data."
+                f"{name} has {len(bands.classes)} distinct values and no colours, so they are drawn as classes. With "
+                "colormap=grey they are greys."
             )
         return cls(layer, location, placement, lattice, area, bands, overviews, tuple(warnings))
 

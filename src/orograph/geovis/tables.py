@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 
+DISTINCT = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#555555", "#7f3c8d",
+            "#a5aa99", "#80ba5a", "#8c510a")  # fmt: skip
+"""Colours of classes without an order, at most twelve: Okabe & Ito's (2008), which colour-blind readers tell apart,
+then others."""
+
 ENTRIES, FINE = 1024, 65536
 """Of a table: of a map alone, and of one into which a norm is folded, whose steps may lie anywhere."""
 

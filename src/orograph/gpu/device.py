@@ -51,7 +51,7 @@ WANTED = (
 
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 _INCLUDE = re.compile(r"^//\s*include:\s*(\S+)\s*$", re.MULTILINE)
-_WHEN = re.compile(r"^ *//\s*when:\s*(\w+)\s*\n(.*?)^ *//\s*end: \1\s*$", re.MULTILINE | re.DOTALL)
+_WHEN = re.compile(r"^ *//\s*(when|unless):\s*(\w+)\s*\n(.*?)^ *//\s*end: \2\s*$", re.MULTILINE | re.DOTALL)
 
 
 class NoAdapterError(OrographError):
@@ -336,18 +336,21 @@ class Device:
 def source(name: str, constants: dict[str, int | float] | None = None) -> str:
     """The text of ``shaders/NAME.wgsl``: ``// include: OTHER.wgsl`` replaced by that file once, constants put in.
 
-    Lines between ``// when: NAME`` and ``// end: NAME`` are left out unless there is a constant of that name, not 0.
+    Lines between ``// when: NAME`` and ``// end: NAME`` are left out unless there is a constant of that name, not 0;
+    those between ``// unless: NAME`` and its end if there is one.
     """
     seen: set[str] = set()
     given = constants or {}
+
+    def chosen(text: str) -> str:
+        return _WHEN.sub(lambda m: chosen(m[3]) if (m[1] == "when") == bool(given.get(m[2])) else "", text)
 
     def load(file: str) -> str:
         if file in seen:
             return ""
         seen.add(file)
         text = files("orograph.gpu").joinpath("shaders", file).read_text(encoding="utf-8")
-        text = _WHEN.sub(lambda m: m.group(2) if given.get(m.group(1)) else "", text)
-        return _INCLUDE.sub(lambda m: load(m.group(1)), text)
+        return _INCLUDE.sub(lambda m: load(m.group(1)), chosen(text))
 
     text = load(f"{name}.wgsl")
     for key, value in given.items():

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,9 @@ from orograph.lighting.products import Product, compute
 from orograph.lighting.sun import Sun
 from orograph.lighting.sweep_lines import direction
 from orograph.parallel import map_ordered
+
+if TYPE_CHECKING:
+    from orograph.lighting.aperture_kernels import LightTables
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float]
@@ -84,15 +88,17 @@ class Lights:
     lamps: Sequence[Lamp] = ()
     ambient: Color = (0.0, 0.0, 0.0)
 
-    def tables(self, linear: Array) -> tuple[Array, Array, Array]:
-        """Suns (k, 10), lamps (m, 6) and ambient (3,), as ``aperture_kernels`` takes them."""
+    def tables(self, linear: Array) -> LightTables:
+        """The lights as kernels take them."""
+        from orograph.lighting.aperture_kernels import LightTables
+
         suns, lamps = np.zeros((len(self.suns), 10)), np.zeros((len(self.lamps), 6))
         for row, (sun, color) in zip(suns, self.suns):
             radius = math.radians(sun.diameter / 2)
             row[:] = *sun.direction, radius, math.cos(radius), math.sin(radius), cap_area(radius), *color
         for row, lamp in zip(lamps, self.lamps):
             row[:] = *(linear @ [lamp.col, lamp.row]), lamp.height, *lamp.color
-        return suns, lamps, np.array(self.ambient, np.float64)
+        return LightTables(suns, lamps, np.array(self.ambient, np.float64))
 
 
 def _caps(moments: Values, missing: NDArray[np.bool_]) -> Values:
@@ -193,8 +199,7 @@ def field(caps: Values) -> Values:
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class CapField:
+class CapField(NamedTuple):
     """Caps of visible sky on a grid of samples, which light is seen through between them.
 
     Attributes:
@@ -236,10 +241,7 @@ def light(
 
     def share(first: int) -> None:
         last = min(first + _SHARE, len(points))
-        light_hits(
-            points, gradient, caps.linear, caps.values, caps.scale, caps.row0, caps.col0, *tables, exact, first, last,
-            out,
-        )  # fmt: skip
+        light_hits(points, gradient, caps, tables, exact, first, last, out)
 
     for _ in map_ordered(share, range(0, len(points), _SHARE), jobs):
         pass

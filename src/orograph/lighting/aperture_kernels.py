@@ -6,7 +6,10 @@ in memory, since they are always wanted together. With cosines, angles are only 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.lighting.caps import exact_overlap, smooth_overlap
@@ -17,6 +20,14 @@ square to it."""
 
 X, Y, Z, LAMP_RED, LAMP_GREEN, LAMP_BLUE = range(6)
 """Columns of a table of lamps: place (metres east and north of sample (0, 0), height), irradiance at one metre."""
+
+
+class LightTables(NamedTuple):
+    """Suns (k, 10) and lamps (m, 6), see the columns above; ambient: (3,) irradiance of an open sky."""
+
+    suns: NDArray[np.float64]
+    lamps: NDArray[np.float64]
+    ambient: NDArray[np.float64]
 
 
 @kernel
@@ -37,12 +48,14 @@ def add_moments(slope, gx, gy, east, north, width, row0, col0, out):
 
 
 @inlined
-def illuminate(ce, cn, cu, rim, nx, ny, nz, px, py, pz, suns, lamps, ambient, exact, out, k):
-    """Set ``out[k]`` (3,) to the light on ground of normal n at p through one cap; ``rim``: the cosine of its radius.
+def illuminate(cap, rim, normal, place, lights, exact, out, k):
+    """Set ``out[k]`` (3,) to the light on ground at a place through one cap; ``rim``: the cosine of its radius.
 
     Each sun gives what its disc shares with the cap, from the middle of what they share, times the cosine there. Lamps
     are seen inside the cap and not outside. The sky gives the cap's own irradiance, less where suns cover it.
     """
+    (ce, cn, cu), (nx, ny, nz), (px, py, pz) = cap, normal, place
+    suns, lamps, ambient = lights
     red = green = blue = 0.0
     straight = nx * ce + ny * cn + nz * cu
     square = max(1.0 - rim * rim, 0.0)
@@ -92,18 +105,17 @@ def illuminate(ce, cn, cu, rim, nx, ny, nz, px, py, pz, suns, lamps, ambient, ex
 
 
 @kernel
-def light_hits(points, gradient, linear, field, scale, row0, col0, suns, lamps, ambient, exact, first, last, out):
+def light_hits(points, gradient, caps, lights, exact, first, last, out):
     """Light on hits [first, last) of a picture, or on any points of the ground.
 
     Args:
         points: (n, 3) sample coordinates (column, row, metres); NaN rows are passed over.
         gradient: (n, 2) rise per metre east and north.
-        linear: (2, 2) metres east and north per column and per row.
-        field: (rows, cols, 4) caps of samples 2^level = ``scale`` apart, the first at (row0, col0); NaN: open sky.
-        suns, lamps: (k, 10) and (m, 6) float64, see the columns above. ambient: (3,) irradiance of an open sky.
+        caps: ``aperture.CapField``; NaN: open sky. lights: ``LightTables``.
         exact: the closed form of the overlap, else the smoothstep.
         out: (n, 3) float32, irradiance.
     """
+    field, linear, scale, row0, col0 = caps
     rows, cols = field.shape[0], field.shape[1]
     for k in range(first, last):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
@@ -127,4 +139,4 @@ def light_hits(points, gradient, linear, field, scale, row0, col0, suns, lamps, 
         gx, gy = gradient[k, 0], gradient[k, 1]
         up = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
         px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
-        illuminate(ce, cn, cu, rim, -gx * up, -gy * up, up, px, py, z, suns, lamps, ambient, exact, out, k)
+        illuminate((ce, cn, cu), rim, (-gx * up, -gy * up, up), (px, py, z), lights, exact, out, k)

@@ -90,11 +90,11 @@ def make(
     index, count = part
     room = max_memory - BASE
     plan = text_of(plan_of(made, count)).encode()
-    _begin(storage, plan)
     # (In a folder of its own: another part on this machine may end first, and clear what it has swept.)
     here = storage if isinstance(storage, FolderStorage) else scratch(storage, plan, str(index).encode())
-    group(here)
     recipe = recipe_of(here, storage.named(), options, made, plan, shard, BASE + room // jobs)
+    _begin(storage, plan)
+    group(here)
     state = recipe.open()
     if here is not storage:
         state.made = guarded(partial_of(storage), PLAN, plan)

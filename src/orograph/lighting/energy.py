@@ -194,15 +194,16 @@ def _open(c: float, nz: float, t: float) -> float:
 
 @kernel
 def _add(
-    slope: Values, heights: Values, gx: Values, gy: Values, east: float, north: float, table: Values, low: float,
-    spacing: float, shine: bool, row0: int, col0: int, out: Values,
+    slope: Values, heights: Values, gx: Values, gy: Values, toward: tuple[float, float], table: Values,
+    layers: tuple[float, float], shine: bool, row0: int, col0: int, out: Values,
 ) -> None:  # fmt: skip
     """Add one azimuth's direct energy to ``out[0]`` and its part of the sky to ``out[1]``.
 
-    slope, heights, gx, gy: (rows, cols) of the window at (row0, col0) of out. table: (heights, altitudes, 3) from
-    ``low`` metres, ``spacing`` apart. shine: whether any sun stands in this azimuth.
+    slope, heights, gx, gy: (rows, cols) of the window at (row0, col0) of out. toward: the azimuth's unit vector,
+    east and north. table: (heights, altitudes, 3); layers: the first height and the next ones' distance, metres.
+    shine: whether any sun stands in this azimuth.
     """
-    layers, count = table.shape[0], table.shape[1]
+    (east, north), (low, spacing), most, count = toward, layers, table.shape[0], table.shape[1]
     for i in range(slope.shape[0]):
         for j in range(slope.shape[1]):
             g, h = np.float64(gx[i, j]), np.float64(gy[i, j])
@@ -217,8 +218,8 @@ def _add(
             x = (np.degrees(np.arctan(t)) - _LOWEST) / _FINE
             k = min(np.int64(x), count - 2)
             f = x - k
-            y = min(max((heights[i, j] - low) / spacing, 0.0), layers - 1.0)
-            m = min(np.int64(y), layers - 2)
+            y = min(max((heights[i, j] - low) / spacing, 0.0), most - 1.0)
+            m = min(np.int64(y), most - 2)
             u = y - m
             energy = 0.0
             for c in range(3):
@@ -245,8 +246,8 @@ def make(context: Context) -> Sweep:
     def add(out: Values, slopes: Values, gx: Values, gy: Values, row0: int, col0: int, index: int) -> None:
         heights = context.heights(row0, row0 + slopes.shape[0], col0, col0 + slopes.shape[1])
         _add(
-            slopes, np.ascontiguousarray(heights), gx, gy, *direction(fan[index]), table[index], float(layers[0]),
-            spacing, bool(shine[index]), row0, col0, out,
+            slopes, np.ascontiguousarray(heights), gx, gy, direction(fan[index]), table[index],
+            (float(layers[0]), spacing), bool(shine[index]), row0, col0, out,
         )  # fmt: skip
 
     def finish(canvas: Values, window: Window) -> Values:

@@ -176,9 +176,7 @@ def _look_up(windows, points, footprint, out):
 
 
 @leaf
-def light_caps(
-    field, means, points, width, to_world, stretch, height, suns, lamps, ambient, bounce, linear, out
-):  # fmt: skip
+def light_caps(field, means, points, width, to_world, stretch, height, lights, bounce, linear, out):
     """Light through the caps of a field on hits (n,) of a picture.
 
     The slope is that over the pixel's footprint, between two levels: the nearer of them alone would show where it
@@ -189,7 +187,7 @@ def light_caps(
         points: (n, 3) sample coordinates, true heights; NaN rows are passed over. width: (n,) footprint in samples.
         to_world: (2, 2) turns metres per sample into metres per metre; ``stretch`` multiplies slopes.
         height: what true heights are stretched by, for lamps.
-        suns, lamps, ambient: see ``aperture_kernels``. linear: (2, 2) metres east and north per column and row.
+        lights: ``LightTables``. linear: (2, 2) metres east and north per column and row.
         bounce: (3,) what ground gives in place of hidden sky.
         out: (n, 3) float32, irradiance.
     """
@@ -260,9 +258,8 @@ def light_caps(
         q = (to_world[1, 0] * across + to_world[1, 1] * down) * stretch
         up = 1.0 / np.sqrt(1.0 + p * p + q * q)
         px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
-        illuminate(
-            ce, cn, cu, rim, -p * up, -q * up, up, px, py, points[k, 2] * height, suns, lamps, ambient, False, out, k
-        )  # fmt: skip
+        normal, place = (-p * up, -q * up, up), (px, py, points[k, 2] * height)
+        illuminate((ce, cn, cu), rim, normal, place, lights, False, out, k)
         hidden = rim * rim  # 1 − sin² of the radius
         for m in range(3):
             out[k, m] += hidden * bounce[m]

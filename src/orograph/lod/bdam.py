@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.hierarchy import diamonds, triangles
-from orograph.lod.field import check_surface
+from orograph.lod.budget import by_tolerance
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import option
 from orograph.lod.patches.expand import heights_of
 from orograph.lod.patches.pager import Pager
 from orograph.lod.patches.shape import INSTANCE, STEPS, patch_indices, patch_vertices
-from orograph.lod.right_triangles import METRIC, RightTriangleOptions, by_tolerance
+from orograph.lod.right_triangles import METRIC, RightTriangleOptions
 from orograph.lod.selection import TinBatch, TinBatches
 from orograph.lod.tin_morphs import Morphs, Name, Separated, share_of
 from orograph.lod.triangle_patches import Patches, TrianglePatches
@@ -110,7 +110,6 @@ class Bdam(TrianglePatches):
 
     def _pages(self) -> Pager:
         self.legs = min(self.options.legs, 1 << self.terrain.n)
-        check_surface(self.terrain)
         progress, jobs = self.resources.progress, self.jobs
         self.tins: Tins = (
             self.terrain.derived("tins", legs=self.legs)

@@ -8,7 +8,7 @@ before it, so that a level has become the next one where that begins.
 
 *Ranges.* In the paper the user sets them, each twice the one before. Here they follow from the tolerance: a level ends
 where the next one's largest error on the terrain, at the distance where vertices begin to slide, equals the tolerance
-in pixels. Sliding vertices leave the samples, and nothing bounds their error: no guarantee. *Seams*: two levels meet
+in pixels. Sliding vertices leave the samples, and nothing bounds their error: no promise. *Seams*: two levels meet
 without one if vertices of the finer have all arrived there and none of the coarser has begun, which holds if a range is
 longer than the one before by 1.5 diagonals of the finer's squares. ``seams=closed`` lengthens ranges until they are.
 Metres, pixels.
@@ -75,7 +75,7 @@ class Cdlod(QuadtreePatches):
 
     info = MethodInfo(
         "cdlod", "instances of one grid, as fine as the distance asks; vertices slide into the next level",
-        "Strugar 2009", "patches", CdlodOptions, lambda options: False,
+        "Strugar 2009", "patches", CdlodOptions, lambda options: False, conforming=False,
     )  # fmt: skip
 
     def __init__(self, *args: Any, **given: Any) -> None:

@@ -5,7 +5,7 @@ chunk of the quadtree has its own mesh, simplified in advance to the error of it
 level (``store.chunked``). With D the distance from the eye to a chunk's box, its error covers ρ = error · K / D pixels;
 if ρ exceeds the tolerance τ, its four children are drawn instead. A chunk's vertices all move together between their
 places in its parent's mesh and in its own: morph = clamp(2ρ/τ − 1, 0, 1). When a parent is split its children look as
-it did. Skirts hide gaps between chunks. Errors of vertices are not a bound: no guarantee.
+it did. Skirts hide gaps between chunks. Errors of vertices are not a bound: no promise.
 
 Adjacent chunks are kept within two levels, since a skirt covers no more: where distance alone asks for more, the
 coarser one is split. Metres, pixels.
@@ -22,10 +22,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lod.field import check_surface
+from orograph.lod.budget import Pass, by_tolerance
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
-from orograph.lod.right_triangles import Pass, by_tolerance
 from orograph.lod.selection import CodedChunks, TinBatch, TinBatches
 from orograph.lod.squares import BlockHeights, Index, Squares
 from orograph.parallel import map_ordered
@@ -68,7 +67,7 @@ class Chosen:
 
     Attributes:
         names: of the chunks, and how far each has left its parent's mesh: 0 … 1.
-        triangles: of all, skirts included. skirts: of those. within, tolerance: as for a ``right_triangles.Mesh``.
+        triangles: of all, skirts included. skirts: of those. within, tolerance: as of ``budget.Coarsened``.
     """
 
     names: dict[Name, float]
@@ -95,12 +94,11 @@ class ChunkedLod(Method):
 
     info = MethodInfo(
         "chunked-lod", "a quadtree of ready meshes with skirts, as fine as the distance asks; vertices morph",
-        "Ulrich 2002", "batches", ChunkedLodOptions, lambda options: False,
+        "Ulrich 2002", "batches", ChunkedLodOptions, lambda options: False, conforming=False,
     )  # fmt: skip
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         self.chunks = self.terrain.derived("chunked", **_kind(self.options)._asdict())
         self.layout = self.chunks.layout
         self._heights = BlockHeights(self.terrain)

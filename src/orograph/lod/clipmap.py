@@ -5,7 +5,7 @@ in GPU Gems 2 (2005). Every level has a window of n × n samples around the eye,
 outside finer windows is drawn. Over the outer tenth of a ring heights blend into the next coarser one's, so that
 nothing pops; rings end only in even vertices, so that nothing cracks (``clipmap_mesh``). Heights are held in toroidal
 arrays, filled coarse first, within a budget per frame; a late level is left out (``clipmap_toroid``). The finest levels
-are left out if the eye is high, or the tolerance does not need them. Distance alone decides: no guarantee.
+are left out if the eye is high, or the tolerance does not need them. Distance alone decides: no promise.
 
 ``rings=promise`` chooses windows by the errors of the blocks they cover: outside of level l's window level l + 1 keeps
 the tolerance, and in its transition, where heights are off by both levels' errors at most, it keeps it with their sum.
@@ -25,15 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
+from orograph.lod.budget import Pass, by_tolerance
 from orograph.lod.clipmap_errors import Blocks, LevelErrors
 from orograph.lod.clipmap_holes import Limit, Rims
 from orograph.lod.clipmap_mesh import Ring, blended, triangles
 from orograph.lod.clipmap_toroid import Toroids
 from orograph.lod.clipmap_windows import NO_BLEND, around, as_printed, nested, whole
-from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
-from orograph.lod.right_triangles import Pass, by_tolerance
 from orograph.lod.selection import Blend, ClipRings
 from orograph.lod.squares import BlockHeights
 from orograph.raycast.select import in_frustum
@@ -61,7 +60,7 @@ class ClipmapOptions:
     n: int = option(255, "Samples along a side of a window.", choices=(63, 127, 255, 511))
     rings: str = option(
         "printed", "Windows of n × n samples around the eye (printed), or as large as the tolerance requires by the "
-                   "errors of blocks (promise), which guarantees the tolerance.", choices=("printed", "promise"),
+                   "errors of blocks (promise), which keeps the tolerance.", choices=("printed", "promise"),
     )  # fmt: skip
     blend: bool = option(True, "Heights blend into the next coarser ring's over the outer tenth of a ring.")
     update: float | None = option(
@@ -79,7 +78,7 @@ class Found:
 
     Attributes:
         stack, blends, seen: as of ``ClipRings``. n: samples along a side of windows as printed.
-        triangles: of all rings. within, tolerance: as of a ``right_triangles.Mesh``.
+        triangles: of all rings. within, tolerance: as of ``budget.Coarsened``.
     """
 
     stack: ClipStack
@@ -122,7 +121,6 @@ class Clipmap(Method):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         self.shape = self.terrain.grid.shape
         self.coarsest = max(self.terrain.n - 1, 0)
         self._heights = BlockHeights(self.terrain)

@@ -85,6 +85,7 @@ def about(name: str) -> str:
     info = method_of(name).info
     lines = [
         f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.", _promise(info),
+        *([] if info.conforming else ["Its meshes may have cracks."]),
         "It continues from the previous frame." if info.incremental else "Every frame starts from scratch.",
         f"Possible goals: {', '.join(info.goals)}.",
     ]  # fmt: skip
@@ -120,8 +121,8 @@ def _infos() -> list[MethodInfo]:
 
 def _promise(info: MethodInfo) -> str:
     if info.conservative(info.options()):
-        return "With the default options the tolerance is guaranteed for every sample in view."
-    return "With the default options the tolerance is not guaranteed."
+        return "With the default options the tolerance is promised for every sample in view."
+    return "With the default options the tolerance is not promised."
 
 
 def _filled(text: str, indent: str = "    ") -> str:

@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 
 from orograph.error import ErrorKind
 from orograph.errors import UsageError
+from orograph.lod.method import check_surface
 from orograph.lod.pages import BEYOND, PAGE_BYTES, SHIFT, SIDE, Pages, find
 from orograph.parallel import map_ordered
 from orograph.slots import Slots
 from orograph.store.diamond_table import DiamondTable
 from orograph.store.terrain import Terrain, level_shape
 
-__all__ = ["ColorErrors", "Field", "Pages", "Vertices", "check_surface", "find"]
+__all__ = ["ColorErrors", "Field", "Pages", "Vertices", "find"]
 
 ColorErrors = Callable[[int, int, int, int, int], NDArray[np.float32]]
 
@@ -227,15 +228,6 @@ class Field:
         i, j = divmod(page - int(self.pages.base[level]), int(self.pages.width[level]))
         place = self.pages.down[:, None] + self.pages.across >> 2
         self.pages.data[slot].reshape(-1, 4)[place] = self.vertices.page(level, i, j)
-
-
-def check_surface(terrain: Terrain) -> None:
-    """Raise UsageError if a raster is too small for a surface."""
-    rows, cols = terrain.grid.shape
-    if min(rows, cols) < 2:
-        raise UsageError(
-            f"{terrain.name} has {rows} × {cols} samples (rows × columns); a surface needs at least two of each."
-        )
 
 
 def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -130,8 +130,9 @@ class MethodInfo:
     Attributes:
         name: as on the command line. title: a one-line description.
         paper: the source, with its section. kind: of its selections. options: the dataclass of its options.
-        conservative: whether its bound is guaranteed with these options.
+        conservative: whether its bound is promised with these options.
         incremental: whether a frame continues from the previous one. goals: those that it supports.
+        conforming: whether its meshes have no T-junctions and no cracks.
     """
 
     name: str
@@ -142,6 +143,7 @@ class MethodInfo:
     conservative: Callable[[Any], bool]
     incremental: bool = False
     goals: tuple[GoalName, ...] = GOALS
+    conforming: bool = True
 
     def check_goal(self, goal: GoalName) -> None:
         """Raise UsageError if the method does not support such a goal."""
@@ -151,8 +153,17 @@ class MethodInfo:
             )
 
 
+def check_surface(terrain: Terrain) -> None:
+    """Raise UsageError if a raster is too small for a surface."""
+    rows, cols = terrain.grid.shape
+    if min(rows, cols) < 2:
+        raise UsageError(
+            f"{terrain.name} has {rows} × {cols} samples (rows × columns); a surface needs at least two of each."
+        )
+
+
 class Method(ABC):
-    """A way of selecting what to draw.
+    """A way of selecting what to draw. One terrain, many cameras: ``select`` is called by one thread at a time.
 
     Args:
         terrain: the terrain.
@@ -160,7 +171,7 @@ class Method(ABC):
         resources: memory, threads, progress.
 
     Raises:
-        UsageError: an option makes no sense.
+        UsageError: an option makes no sense, or the terrain has no surface.
     """
 
     info: ClassVar[MethodInfo]
@@ -170,6 +181,7 @@ class Method(ABC):
     def __init__(
         self, terrain: Terrain, options: Any = None, resources: Resources | None = None, **given: Any
     ) -> None:  # fmt: skip
+        check_surface(terrain)
         self.terrain = terrain
         self.options = make(self.info.options, given, self.info.name) if options is None else replace(options, **given)
         self.resources = Resources() if resources is None else resources
@@ -181,7 +193,7 @@ class Method(ABC):
 
     @property
     def conservative(self) -> bool:
-        """Whether the tolerance is guaranteed for every point of the full-resolution surface in view."""
+        """Whether the tolerance is promised for every point of the full-resolution surface in view."""
         return self.info.conservative(self.options)
 
     @abstractmethod

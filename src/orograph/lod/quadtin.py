@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import CameraParameters, camera_parameters
 from orograph.errors import UsageError
-from orograph.lod.field import check_surface
+from orograph.lod.budget import Pass, by_tolerance
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
 from orograph.lod.quadtin_colors import color_errors
 from orograph.lod.quadtin_pass import activate, leaves_of, strip_of
 from orograph.lod.quadtin_tree import Hierarchy, Resident
-from orograph.lod.right_triangles import Pass, by_tolerance
 from orograph.lod.selection import TriangleMesh
 from orograph.store.quadtin_grow import has_points
 from orograph.store.quadtin_layout import SPLITS, QuadTins
@@ -114,7 +113,6 @@ class QuadTin(Method):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         gamma = getattr(self.options, "color_tolerance", None)
         if gamma is not None and not hasattr(self.resources.color, "colors"):
             raise UsageError(

@@ -13,9 +13,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lod.field import check_surface
+from orograph.lod.budget import Pass, by_tolerance
 from orograph.lod.method import EVERYTHING, Goal, Method, Ready
-from orograph.lod.right_triangles import Pass, by_tolerance
 from orograph.lod.selection import PatchSet, Topology
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
@@ -28,7 +27,7 @@ class Pieces:
     Attributes:
         instances: (k,), where each piece lies. shapes: (k,) uint8, which of the topologies it is.
         patches: squares that they are parts of. triangles: of all pieces.
-        within, tolerance: as of a ``right_triangles.Mesh``.
+        within, tolerance: as of ``budget.Coarsened``.
     """
 
     instances: NDArray[Any]
@@ -57,7 +56,6 @@ class QuadtreePatches(Method):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         self._last = Pass()
 
     @abstractmethod

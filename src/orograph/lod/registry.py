@@ -69,7 +69,7 @@ class Choice:
 
     @property
     def conservative(self) -> bool:
-        """Whether its bound is guaranteed."""
+        """Whether its bound is promised."""
         return self.info.conservative(self.options)
 
     def __str__(self) -> str:
@@ -89,10 +89,10 @@ class Choice:
         return self.method(terrain, self.options, resources)
 
     def check_promise(self) -> None:
-        """Raise UsageError unless a tolerance is guaranteed with these options."""
+        """Raise UsageError unless a tolerance is promised with these options."""
         if not self.conservative:
             raise UsageError(
-                f"With {self} the tolerance is not guaranteed, which `conservative` requires.",
+                f"With {self} the tolerance is not promised, which `conservative` requires.",
                 remedy=f"See orograph methods {self.info.name}.",
             )
 

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import Metric, metric_of
 from orograph.errors import UsageError
+from orograph.lod.budget import by_tolerance
 from orograph.lod.criterion import NOTHING, Criterion, first_bits
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.restricted_quadtree_cells import Cells, begin, split_cells, weigh_cells, weigh_cells_alone
 from orograph.lod.restricted_quadtree_strip import CONFORMING, RESTRICTED, UNRESTRICTED, Path, write_strip
-from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes
 from orograph.parallel import for_each
 from orograph.viewpoint import Camera
 
@@ -55,7 +56,7 @@ class RestrictedQuadtreeOptions(MeshOptions):
     triangulation: str = option(
         "conforming", "How squares become triangles: conforming (four, more beside smaller ones), restricted (eight, "
                       "fewer beside larger ones), unrestricted (two, and squares ignore their neighbours: cracks, "
-                      "and no guarantee).",
+                      "and no promise).",
         choices=tuple(TRIANGULATIONS),
     )  # fmt: skip
     split_by: str = option(
@@ -82,7 +83,7 @@ class RestrictedQuadtreeOptions(MeshOptions):
 
     @property
     def conservative(self) -> bool:
-        """As ``MeshOptions.conservative``; unrestricted squares guarantee nothing."""
+        """As ``MeshOptions.conservative``; unrestricted squares promise nothing."""
         return self.triangulation != "unrestricted" and super(RestrictedQuadtreeOptions, self).conservative
 
 

@@ -43,7 +43,7 @@ class SeamlessPatchesOptions:
     )  # fmt: skip
     strips: str = option(
         "kept", "Whether strips keep the tolerance too: kept (edges allow for twice a level's error) or free (for "
-                "the error itself: where resolution changes, the error may be twice as large, without a guarantee).",
+                "the error itself: where resolution changes, the error may be twice as large, without a promise).",
         choices=("kept", "free"),
     )  # fmt: skip
 

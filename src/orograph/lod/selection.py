@@ -36,7 +36,7 @@ class Selection(ABC):
 
     Attributes:
         method: the name of the method that selected it.
-        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no guarantee.
+        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no promise.
         lacking: (w,) of ``WANTED``, largest error first: tiles that the method wanted and did not have.
         stats: what the method says of it, as JSON has it.
     """
@@ -60,10 +60,15 @@ class TriangleMesh(Selection):
     """A mesh of single triangles.
 
     Attributes:
-        mesh: vertices anywhere, triangles, and the strip where the method makes one.
+        mesh: vertices anywhere, triangles, and the strip where the method makes one. Its own ``stats`` are completed by
+            those of the selection.
     """
 
     mesh: Tessellation
+
+    def __post_init__(self) -> None:
+        for name, value in {"method": self.method, **self.stats}.items():
+            self.mesh.stats.setdefault(name, value)
 
     def tessellation(self) -> Tessellation:
         """The mesh."""

@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import ANISOTROPIC, CameraParameters
 from orograph.errors import UsageError
+from orograph.lod.budget import by_tolerance
 from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
-from orograph.lod.right_triangles import METRIC, Mesh, RightTriangleMeshes, RightTriangleOptions, by_tolerance
+from orograph.lod.right_triangles import METRIC, Mesh, RightTriangleMeshes, RightTriangleOptions
 from orograph.lod.smart_blocks import (
     ABSENT,
     INNER,

@@ -27,10 +27,11 @@ from numpy.typing import NDArray
 from orograph.error.screen import CameraParameters, Metric, metric_of
 from orograph.errors import UsageError
 from orograph.lod import work_sharing
+from orograph.lod.budget import by_tolerance
 from orograph.lod.criterion import Criterion
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
-from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes
 from orograph.lod.soar_join import lay_out, put
 from orograph.lod.soar_pass import Stack, Subtrees, frontier, refine_subtrees
 from orograph.parallel import Crew

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
 from orograph.lod.bisection import copy_triangle, halve, has_area, has_heights, squeezed
+from orograph.lod.budget import by_tolerance
 from orograph.lod.criterion import (
     DROP,
     SPLIT,
@@ -60,7 +61,7 @@ from orograph.lod.queues import (
     put_in,
     take_out,
 )
-from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes
 from orograph.viewpoint import Camera
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4

@@ -39,22 +39,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import ANISOTROPIC
+from orograph.lod.budget import COARSEST, FINEST, GROWTH, LEAP, PART, by_tolerance
 from orograph.lod.criterion import NOTHING, Criterion
 from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.pace import EASE, Deadline, Pace
 from orograph.lod.radix_heap import AFTER, BEFORE, LISTS, WHERE, WORK, advance
-from orograph.lod.right_triangles import (
-    COARSEST,
-    FINEST,
-    GROWTH,
-    LEAP,
-    PART,
-    Mesh,
-    MeshOptions,
-    RightTriangleMeshes,
-    by_tolerance,
-)
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes
 from orograph.lod.threshold_spheres_pass import put_out, update
 from orograph.lod.threshold_spheres_trees import (
     DONE,

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from orograph.errors import UsageError
+from orograph.lod.budget import by_tolerance
 from orograph.lod.criterion import (
     NEAR,
     NOTHING,
@@ -44,7 +45,7 @@ from orograph.lod.queues import (
     check_size,
     is_ordered,
 )
-from orograph.lod.right_triangles import EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.right_triangles import EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes
 from orograph.lod.top_down_pass import (
     DONE,
     FULL,

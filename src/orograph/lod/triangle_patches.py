@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import Frustum
 from orograph.errors import UsageError
-from orograph.lod.field import check_surface
+from orograph.lod.budget import by_tolerance
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import option
 from orograph.lod.patches.expand import expand
@@ -50,9 +50,9 @@ from orograph.lod.patches.selection import (
 )
 from orograph.lod.patches.shape import ALL_LEGS, INSTANCE, patch_indices, patch_vertices
 from orograph.lod.patches.tables import PatchTerrain, cell_size
-from orograph.lod.right_triangles import METRIC, RightTriangleOptions, RightTriangles, by_tolerance
+from orograph.lod.right_triangles import METRIC, MeshOptions, RightTriangles
 from orograph.lod.selection import WANTED, PatchSet, Topology
-from orograph.store.patches import KAPPA, LEGS
+from orograph.store.patches import KAPPA, LEGS, MemoryPatches, patch_colors
 from orograph.store.terrain import tile_shape
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
@@ -97,7 +97,7 @@ class Patches:
             pixels: float32 (t,), the errors that patches out of them take away.
         stats: patches, triangles, split, nodes, blocked (diamonds that wait for tiles), pixels (the largest bound of a
             patch's error).
-        within, tolerance: as of a ``right_triangles.Mesh``.
+        within, tolerance: as of ``budget.Coarsened``.
     """
 
     instances: NDArray[Any]
@@ -132,7 +132,7 @@ class Patches:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrianglePatchesOptions(RightTriangleOptions):
+class TrianglePatchesOptions(MeshOptions):
     """Options of ``triangle-patches``. See ``RightTriangleOptions``."""
 
     metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic"))
@@ -177,11 +177,16 @@ class TrianglePatches(RightTriangles):
 
     def _pages(self) -> Pager:
         self.legs: int = min(self.options.legs, 1 << self.terrain.n)
-        check_surface(self.terrain)
         ground: Any = PatchTerrain(
             self.terrain, self.options.error, self.legs, jobs=self.jobs, progress=self.resources.progress
         )
-        return Pager(ground, self.error, max_memory=self.resources.max_memory, jobs=self.jobs)
+        color = None
+        if self.color_tolerance < math.inf:
+            found = patch_colors(
+                self.terrain, self.resources.color, self.legs, jobs=self.jobs, progress=self.resources.progress
+            )
+            color = MemoryPatches(self.terrain, found).read
+        return Pager(ground, self.error, color=color, max_memory=self.resources.max_memory, jobs=self.jobs)
 
     @classmethod
     def needs(cls, options: Any) -> tuple[Need, ...]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +40,8 @@ LINES = 100_000
 """Lines of text formatted at once."""
 
 
-def mesh_format(path: str | os.PathLike[str]) -> str:
-    """The ending of a mesh file, in lower case.
+def mesh_format(path: str | os.PathLike[str], more: Sequence[str] = ()) -> str:
+    """The ending of a mesh file, in lower case; ``more``: other endings that messages name.
 
     Raises:
         UsageError: meshes cannot be written with this ending, or its writer is not installed.
@@ -52,10 +53,11 @@ def mesh_format(path: str | os.PathLike[str]) -> str:
             remedy="Make it from the whole terrain: `orograph.tin(dem, output=path)`.",
         )  # fmt: skip
     if ending not in FORMATS:
+        *others, last = [*FORMATS, *more]
         raise UsageError(
             f"Meshes cannot be written as {ending or 'a file without ending'}.",
             path=path,
-            remedy=f"Use {', '.join(FORMATS[:-1])} or {FORMATS[-1]}; for a TIN also .stl or .3mf, to print.",
+            remedy=f"Use {', '.join(others)} or {last}.",
         )
     if ending == ".glb":
         _trimesh(path)

@@ -11,7 +11,7 @@ import os
 import textwrap
 from collections.abc import Iterable, Mapping
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, Unpack, cast
 
 from orograph.errors import UsageError
 from orograph.geovis.layers import layers_of
@@ -22,20 +22,22 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.panels import draw_panels
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
-from orograph.scene.camera import NO_INSETS, view_of, whole
+from orograph.scene.camera import NO_INSETS, plan, view_of, whole
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
+from orograph.scene.typed import SceneOptions
 from orograph.scene.wording import MEANT
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
+from orograph.store.typed import Reading
 from orograph.viewpoint import View
 
 AROUND = "view=orograph.camera.around(terrain, size, azimuth=225, pitch=30, distance=None)"
 STANDING = "view=orograph.camera.standing(terrain, size, (lon, lat, height), (lon, lat))"
 CAMERA = {
-    **dict.fromkeys(("azimuth", "pitch", "distance", "from_"), AROUND),
+    **dict.fromkeys(("azimuth", "pitch", "distance", "from", "from_"), AROUND),
     **dict.fromkeys(("lonlat", "look_at"), STANDING),
     "projection": "view=orograph.camera.plan(terrain, size)",
     **dict.fromkeys(("eye", "target", "fov", "fov_y", "up", "camera"), "view=orograph.View(eye, target, fov_y=30)"),
@@ -55,7 +57,7 @@ def render(
     conservative: bool = False,
     each: str | None = None,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: Unpack[SceneOptions],
 ) -> Picture:
     """Draw a relief picture.
 
@@ -70,14 +72,13 @@ def render(
         size: (width, height) in pixels if no view is given; a view has its own size. Default 1280 × 720.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU if
             there is none). Default "cpu".
-        conservative: refuse a ``method`` that does not guarantee the tolerance for every sample in view.
+        conservative: refuse a ``method`` that does not promise the tolerance for every sample in view.
         each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
             the relief), "data" (one for each, with scales of their own), or "member", "band" or "time" of the first
             data, all or some: "member=1-6", "time=T12".
         progress: gets progress reports and warnings. Default: long work has a bar in terminals and notebooks, warnings
             are Python's; False: silent.
-        options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,
-            ``transform``, ``crs``, ``resolution``…
+        options: see below.
 
     Returns:
         a ``Picture``: ``save(path)``, ``pixels`` (height, width, 3) uint8, ``depth`` (height, width) float32 metres.
@@ -87,33 +88,36 @@ def render(
         UsageError: an option is unknown or makes no sense, or the picture does not fit into memory.
         NothingInViewError: the picture would be empty.
     """
-    reading = {name: options.pop(name) for name in READING if name in options}
+    chosen = cast("dict[str, Any]", options)
+    reading = {name: chosen.pop(name) for name in READING if name in chosen}
     heard = reporting(progress)
-    check_names(options, "render", inspect.signature(render).parameters)
+    check_names(chosen, "render", inspect.signature(render).parameters)
     if backend not in BACKENDS:
         raise UsageError(f"There is no backend {backend!r}; the backends are {', '.join(BACKENDS)}.")
     if conservative:
-        check_promise(options.get("method", "auto"), backend)
-    check_options(options)
-    max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
+        check_promise(chosen.get("method", "auto"), backend)
+    check_options(chosen)
+    max_memory, jobs = OPTIONS["max_memory"].worded(chosen.get("max_memory")), chosen.get("jobs")
     size = size_of(size)
     check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets
 
-    layers = layers_of(options.get("layers"))
-    beside = options.get("furniture") and each is None  # (panels have none of their own)
+    layers = layers_of(chosen.get("layers"))
+    beside = chosen.get("furniture") and each is None  # (panels have none of their own)
     free = insets(size, terrain.attribution, layers) if beside else NO_INSETS
-    stretch = options.get("exaggeration", 1.0)
-    automatic, view = view is None, view_of(view, terrain, size, exaggeration=stretch, insets=free)
+    stretch = chosen.get("exaggeration", 1.0)
+    flat = isinstance(view, str) and view == "plan"
+    automatic, view = view is None or flat, view_of(view, terrain, size, exaggeration=stretch, insets=free)
     if each is not None:
-        return draw_panels(terrain, view, each, options, backend=backend, progress=heard)
-    scene = Scene.of(terrain, view, **options)
+        return draw_panels(terrain, view, each, chosen, backend=backend, progress=heard)
+    scene = Scene.of(terrain, view, **chosen)
     if automatic:
         from orograph.rendering.standing import with_room
 
         free = insets(size, terrain.attribution, layers, scene.keys) if beside else NO_INSETS
-        scene = with_room(scene, partial(whole, terrain, size, exaggeration=stretch, insets=free))
+        again = partial(plan, terrain, size) if flat else partial(whole, terrain, size, exaggeration=stretch)
+        scene = with_room(scene, partial(again, insets=free))
     return draw(scene, heard, backend=backend)
 
 
@@ -146,15 +150,22 @@ def _document() -> None:
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=one.default, annotation=one.annotation)
         for name, one in OPTIONS.items()
     ]
+    kinds = Reading.__annotations__
+    more += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kinds[name].__forward_arg__)
+        for name in READING
+    ]
     setattr(render, "__signature__", own.replace(parameters=[*before, *more]))  # noqa: B010
     if render.__doc__ is not None:  # (there is none with -OO)
+        texts = {name: _text(one) for name, one in OPTIONS.items()}
+        texts[", ".join(READING)] = "how the terrain is read, as for ``orograph.terrain``."
         told = "".join(
             textwrap.fill(
-                f"{name}: {_text(one)}", 120, initial_indent=" " * 8, subsequent_indent=" " * 12, break_on_hyphens=False
+                f"{name}: {text}", 120, initial_indent=" " * 8, subsequent_indent=" " * 12, break_on_hyphens=False
             ) + "\n"
-            for name, one in OPTIONS.items()
+            for name, text in texts.items()
         )  # fmt: skip
-        render.__doc__ = render.__doc__.replace("        options: see below; and how", told + "        reading: how")
+        render.__doc__ = render.__doc__.replace("        options: see below.\n", told)
 
 
 def _text(one: Described) -> str:

@@ -165,16 +165,16 @@ def _picture(terrain: Terrain, view: View, panel: Panel, exaggeration: float, jo
 
 
 def caption(triangles: int, bound: float | None, aimed: float | None, largest: float) -> tuple[tuple[str, ...], bool]:
-    """Text about a mesh, and whether it is an alarm: its size, then the error and the guarantee.
+    """Text about a mesh, and whether it is an alarm: its size, then the error and the promise.
 
     Args:
-        bound: guaranteed pixels; None: none. aimed: pixels requested or reached, if known.
+        bound: promised pixels; None: none. aimed: pixels requested or reached, if known.
         largest: pixels, by the referee.
     """
     first = f"{triangles:,} triangles"
     reached = f"largest error {largest:.2f} px" if math.isfinite(largest) else "unbounded error"
     if bound is None:
-        return (first, f"{reached} · no guarantee"), aimed is not None and largest > aimed
+        return (first, f"{reached} · no promise"), aimed is not None and largest > aimed
     if largest <= bound * (1 + 1e-9):
-        return (first, f"{reached} · within the guaranteed {bound:.3g} px"), False
-    return (first, f"{reached} · guaranteed {bound:.3g} px"), True
+        return (first, f"{reached} · within the promised {bound:.3g} px"), False
+    return (first, f"{reached} · promised {bound:.3g} px"), True

@@ -206,14 +206,14 @@ def view_of(
         UsageError: it is none of these, or the size is not (width, height). ReadError: the file cannot be read.
     """
     size = size_of(size)
-    if given is None:
+    if given is None or (isinstance(given, str) and given == "perspective"):
         return whole(terrain, size, exaggeration=exaggeration, insets=insets)
     if isinstance(given, View):
         return given
     if isinstance(given, str) and given == "plan":
         return plan(terrain, size, insets=insets)
     if isinstance(given, str) and not given.lower().endswith(".json") and not Path(given).exists():
-        remedy = 'A view is "plan" (a map), the path of a VIEW.json, or made by orograph.camera.'
+        remedy = 'A view is "plan" (a map), "perspective", the path of a VIEW.json, or made by orograph.camera.'
         if Path(given).suffix.lower() in PICTURES:
             remedy = f"Save pictures through the result: `picture.save({given!r})`. {remedy}"
         raise UsageError(f"There is no view {given!r}.", remedy=remedy)
@@ -336,11 +336,15 @@ def standing(
 
 
 @takes_terrain
-def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
+def plan(
+    terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS,
+    also: Array | None = None,
+) -> View:  # fmt: skip
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:
         azimuth: the side at the bottom of the picture, degrees clockwise from north; 180 has north up.
+        also: further positions to show, as for ``whole``.
 
     Raises:
         UsageError: the azimuth is not an angle, or an inset is not in [0, 0.5). NothingInViewError: no sample is valid.
@@ -348,7 +352,7 @@ def plan(terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets:
     if not math.isfinite(azimuth):
         raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     size = size_of(size)
-    points = outline(terrain)
+    points = joined(outline(terrain), also)
     up = direction(azimuth, 0.0)
     right = np.array([up[1], -up[0], 0.0])
     across, along = points @ right, points @ up

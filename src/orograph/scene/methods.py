@@ -56,7 +56,7 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
 
 
 def check_promise(method: str, backend: Backend) -> None:
-    """Raise UsageError unless a scene's method guarantees its tolerance."""
+    """Raise UsageError unless a scene's method promises its tolerance."""
     if method != "auto":
         chosen(method, backend).check_promise()
 

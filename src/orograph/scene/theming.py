@@ -92,7 +92,8 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     found = [read(one) for one in pairs(inside)]
     standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
-    usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
+    covered = any(not one.cased for one in flat)  # lines leave the ground its colours
+    usual = ({} if priority.terrain else _lines()) | (_ground() if covered or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
     if flat:
         made |= _cased(made, terrain)
@@ -115,11 +116,11 @@ def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things
 
     key = things.legend
     if key.scales:
-        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),))
+        return things.but(shows=(Variable(key.scales[0].label, key.scales[0].unit),), which=None)
     one = dataset if not isinstance(dataset, tuple) else dataset[0]
     classes = tuple(name for name, _ in key.classes)
     alike = one.name or one.variable or ("class" if len(classes) > 1 else "".join(classes))
-    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),))
+    return things.but(shows=(Variable(alike.replace("_", " "), "", classes),), which=None)
 
 
 def _read(

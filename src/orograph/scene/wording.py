@@ -53,6 +53,7 @@ MEANT = {
     **dict.fromkeys(("engine", "algorithm"), "method"),
     **dict.fromkeys(("contour", "isolines"), "contours"),
     **dict.fromkeys(("verbose", "quiet"), "progress"),
+    **dict.fromkeys(("cellsize", "cell_size", "pixel_size"), "spacing"), **dict.fromkeys(("points", "markers"), "data"),
     "camera": "view",
 }  # fmt: skip
 """Names of options in other tools, and here."""

@@ -179,6 +179,10 @@ class ShardedArray:
     def _fetch(self, spots: Sequence[Spot]) -> list[tuple[bytes | None, int]]:
         """The encoded chunks, None for those that are all fill value, and what their checksums must be."""
         side = self.spec.shard // self.spec.chunk
+        shards = [s for s in {(i // side, j // side) for i, j in spots} if s not in self._indices]
+        if self.storage.remote and len(shards) > 1:  # all at once: each is waited for
+            with ThreadPoolExecutor(min(len(shards), BULK)) as pool:
+                list(pool.map(self._index, sorted(shards)))
         places = []
         for i, j in spots:
             index = self._index((i // side, j // side))

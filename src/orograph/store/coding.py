@@ -74,8 +74,10 @@ class Packing:
 
     def heights(self, numbers: Numbers) -> Heights:
         """The heights of numbers."""
-        found = np.multiply(numbers, self.step).astype(np.float32)
-        found[numbers == MISSING] = np.nan
+        found = np.empty(numbers.shape, np.float32)
+        np.multiply(numbers, self.step, out=found, dtype=np.float64, casting="same_kind")
+        if numbers.size and numbers.min() == MISSING:
+            found[numbers == MISSING] = np.nan
         return found
 
     def attributes(self) -> dict[str, Any]:

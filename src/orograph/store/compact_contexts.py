@@ -41,6 +41,16 @@ def _log2(value):
     return whole + f * (1.43807 + f * (-0.67477 + f * (0.31700 + f * -0.08030)))
 
 
+SMALL_COUNTS = np.array([0.0] + [count * _log2(float(count)) for count in range(1, 4096)])
+"""Counts times their logarithms."""
+
+
+@shared
+def _entropy(count):
+    """A count times its logarithm."""
+    return SMALL_COUNTS[count] if count < SMALL_COUNTS.size else count * _log2(float(count))
+
+
 @kernel
 def activity_of(values, shift, found):
     """The activity of every sample, as decoders find it."""
@@ -54,14 +64,15 @@ def activity_of(values, shift, found):
 @kernel
 def shift_of(values):
     """By how much activities are shifted: nearly all are below ``LEVELS`` then."""
-    sizes, size = np.zeros(34, np.int64), values.size
+    bits, size = 0, values.size
     flat = values.reshape(size)
-    for k in range(size):
-        sizes[length(np.int64(flat[k]))] += 1
-    bits, seen = 0, sizes[0]
-    while seen < size - size // 32:
+    while bits < 32:
+        larger = 0
+        for k in range(size):
+            larger += flat[k] >> np.uint32(bits) != 0
+        if larger <= size // 32:
+            break
         bits += 1
-        seen += sizes[bits]
     return min(max(bits + 3 - 8, 0), 12)
 
 
@@ -82,9 +93,9 @@ def cost_of(counts, more, share):
         count = counts[k] + share * more[k]
         if count:
             total += count
-            bits -= count * _log2(float(count))
+            bits -= _entropy(count)
             kinds += 1
-    return bits + total * _log2(float(total)) + 16 + ENTRY * kinds if total else 0.0
+    return bits + _entropy(total) + 16 + ENTRY * kinds if total else 0.0
 
 
 @kernel

@@ -34,7 +34,7 @@ from orograph.store.compact_decode import (
     predicted,
 )
 
-SAMPLED = 64  # rows that weights are fitted to
+SAMPLED = 32  # rows that weights are fitted to
 RARE = 8  # values that one in 2^8 exceeds are ranges
 OFFSETS = np.array(
     [(0, -1), (0, -2), (-1, -2), (-1, -1), (-1, 1), (-1, 2), (-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2)], np.int64
@@ -67,8 +67,11 @@ def _sums(numbers, matrix, right):
             for k in range(NEIGHBOURS):
                 part = share * d[k]
                 right[k] += part * sought
-                for m in range(NEIGHBOURS):
+                for m in range(k + 1):
                     matrix[k, m] += part * d[m]
+    for k in range(NEIGHBOURS):
+        for m in range(k):
+            matrix[m, k] = matrix[k, m]
     return used
 
 
@@ -147,21 +150,28 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
     for c in range(number):
         depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
         direct[c] = DIRECT
+    large, many = np.empty(size, np.int64), 0  # where values are that are ranges in any case
     for k in range(size):
-        found[of[k], symbol_of(np.int64(flat[k]) >> depths[of[k]], DIRECT)] += 1
+        c = of[k]
+        value = np.int64(flat[k]) >> depths[c]
+        if value < DIRECT:
+            found[c, value] += 1
+        else:
+            large[many] = k
+            many += 1
     for c in range(number):
-        beyond, s = found[c, DIRECT:].sum(), DIRECT  # from here on ranges are as good
+        beyond, s = counts[c] - found[c, :DIRECT].sum(), DIRECT  # from here on ranges are as good
         while s > 0 and beyond + found[c, s - 1] <= counts[c] >> rare:
             s -= 1
             beyond += found[c, s]
         direct[c] = s
-        for s in range(direct[c], SYMBOLS):
-            found[c, s] = 0
-    for k in range(size):
-        c = of[k]
-        value = np.int64(flat[k]) >> depths[c]
-        if value >= direct[c]:
-            found[c, symbol_of(value, direct[c])] += 1
+        ranges = np.zeros(SYMBOLS, np.int64)
+        for value in range(s, DIRECT):
+            ranges[symbol_of(value, s)] += found[c, value]
+        found[c, s:] = ranges[s:]
+    for k in range(many):
+        c = of[large[k]]
+        found[c, symbol_of(np.int64(flat[large[k]]) >> depths[c], direct[c])] += 1
     for c in range(number):
         for s in range(SYMBOLS):
             if found[c, s]:
@@ -234,23 +244,42 @@ def _write_run(out, at, run):
 
 
 @inlined
-def push(x, p, words, frequency, below):
-    """(The state before a symbol is read, the word before.)"""
-    if x >= frequency << (32 - BITS):
-        p -= 1
-        words[p] = np.uint16(x & 0xFFFF)
-        x >>= 16
-    return (x // frequency << BITS) + below + x % frequency, p
+def push(x, p, words, both, inverse, at):
+    """(The state before a symbol is read, the word before.) One word before the first is written, but does not count.
+
+    A product with the inverse is a division: the half keeps it off whole numbers by more than its rounding error.
+
+    Args:
+        both, inverse: from ``ready_to_push``. at: which symbol of which table.
+    """
+    frequency, below = both[np.uint64(at)] & 0xFFFF, both[np.uint64(at)] >> 16
+    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)  # (no branch: whether a word is due cannot be foreseen)
+    full = x >= frequency << (32 - BITS)
+    x, p = x >> 16 if full else x, p - full
+    return np.int64((x + 0.5) * inverse[np.uint64(at)]) * (TOTAL - frequency) + below + x, p
 
 
 @inlined
 def push_plain(x, p, words, bits, value):
     """(The state before so many plain bits are read, the word before.)"""
-    if x >= np.int64(1) << (32 - bits):
-        p -= 1
-        words[p] = np.uint16(x & 0xFFFF)
-        x >>= 16
+    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)
+    full = x >= np.int64(1) << (32 - bits)
+    x, p = x >> 16 if full else x, p - full
     return x << bits | value, p
+
+
+@kernel
+def ready_to_push(found):
+    """Of each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
+    both, inverse = np.zeros(found.size, np.int64), np.ones(found.size)
+    for c in range(found.shape[0]):
+        below = np.int64(0)
+        for s in range(SYMBOLS):
+            if found[c, s]:
+                both[c * SYMBOLS + s] = found[c, s] | below << 16
+                inverse[c * SYMBOLS + s] = 1.0 / found[c, s]
+                below += found[c, s]
+    return both, inverse
 
 
 @kernel
@@ -258,10 +287,7 @@ def _stream(values, contexts, depths, direct, found, words, states):
     """Write the words from the end, in the opposite order of reading; where they begin."""
     rows, size = values.shape
     width, p = size // LANES, np.int64(words.size)
-    below = np.zeros(found.shape, np.int64)
-    for c in range(found.shape[0]):
-        for s in range(1, SYMBOLS):
-            below[c, s] = below[c, s - 1] + found[c, s - 1]
+    both, inverse = ready_to_push(found)
     states[:] = LEAST
     for row in range(rows - 1, -1, -1):
         for i in range(width - 1, -1, -1):
@@ -285,7 +311,7 @@ def _stream(values, contexts, depths, direct, found, words, states):
                 col = LANES * i + lane
                 c = contexts[row, col]
                 s = symbol_of(np.int64(values[row, col]) >> depths[c], direct[c])
-                states[lane], p = push(states[lane], p, words, found[c, s], below[c, s])
+                states[lane], p = push(states[lane], p, words, both, inverse, c * SYMBOLS + s)
     return p
 
 
@@ -322,7 +348,7 @@ def encode(numbers):
     codes = np.zeros((contexts, SYMBOLS), np.int64)
     found = np.zeros((contexts, SYMBOLS), np.int64)
     sizes = decided_tables(values, activity, contexts, RARE, depths, direct, found, codes)
-    words, states = np.empty(WORDS * values.size, np.uint16), np.empty(LANES, np.int64)
+    words, states = np.empty(WORDS * values.size + 1, np.uint16), np.empty(LANES, np.int64)
     p = _stream(values, activity, depths, direct, found, words, states)
     head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)
     mode, at = 0, HEADER

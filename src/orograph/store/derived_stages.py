@@ -85,7 +85,7 @@ class PatchStage(TerrainStage[Heights]):
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: ErrorKind) -> None:
         super().__init__(terrain, writer)
         self.kind, self.number = kind, KINDS.index(kind)
-        self.making = PatchErrors(terrain, kind, LEGS)
+        self.making = PatchErrors(terrain, terrain.derived("diamonds", error=kind), LEGS)
 
     def tasks(self) -> list[Spot]:
         return self.making.tasks()

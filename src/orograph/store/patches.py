@@ -19,8 +19,8 @@ memory it is computed on first use. Metres, float32.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.array_spec import ArraySpec
 from orograph.store.derived import At, Attributes, Derived, Nodes
-from orograph.store.diamond_table import DiamondTable, check_kind
+from orograph.store.diamond_table import check_kind
 from orograph.store.diamonds import blank_top, place
 from orograph.store.terrain import Heights, Shape, Terrain, TileTable, diamond_shape, level_count
 
@@ -84,16 +84,40 @@ def patch_errors(
         terrain: the ground. kind: of error. legs: L.
         jobs: threads (default: all processors). progress: gets reports on blocks.
     """
-    making = PatchErrors(terrain, kind, legs)
-
-    def one(spot: tuple[int, int]) -> None:
-        making.take(spot, making.block(spot))
-
-    tasks = making.tasks()
-    with progress.task("Errors of patches", len(tasks)) as task:
-        for _ in map_ordered(one, tasks, jobs):
-            task.advance()
+    making = PatchErrors(terrain, terrain.derived("diamonds", error=kind), legs)
+    making.take_all(jobs, progress)
     return making.finished()
+
+
+class Table(Protocol):
+    """Values of diamonds (``diamond_table``)."""
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Any]:
+        """The values of entries, and something else."""
+
+
+class ColorTable(NamedTuple):
+    """Colour errors as a table of diamonds."""
+
+    color: Callable[[int, int, int, int, int], Heights]
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, None]:
+        """See ``Table``."""
+        return self.color(level, row0, row1, col0, col1), None
+
+
+def patch_colors(
+    terrain: Terrain, color: Callable[[int, int, int, int, int], Heights], legs: int, *, jobs: int | None = None,
+    progress: Progress = SILENT,
+) -> list[Heights]:  # fmt: skip
+    """Colour errors of all patch diamonds, ΔE, in the layout of ``diamond_table``: the largest of their triangles.
+
+    Args:
+        color: colour errors of diamonds (``lod.field``). terrain, legs, jobs, progress: as for ``patch_errors``.
+    """
+    making = PatchErrors(terrain, ColorTable(color), legs)
+    making.take_all(jobs, progress)
+    return making.placed(making.P)
 
 
 class PatchErrors:
@@ -101,12 +125,11 @@ class PatchErrors:
     rest.
 
     Args:
-        terrain, kind, legs: as for ``patch_errors``.
+        terrain, legs: as for ``patch_errors``. table: the errors.
     """
 
-    def __init__(self, terrain: Terrain, kind: ErrorKind, legs: int) -> None:
-        self.terrain, self.q = terrain, legs.bit_length() - 1
-        self.table: DiamondTable = terrain.derived("diamonds", error=kind)
+    def __init__(self, terrain: Terrain, table: Table, legs: int) -> None:
+        self.terrain, self.table, self.q = terrain, table, legs.bit_length() - 1
         self.spread = terrain.height_range[1] - terrain.height_range[0]
         self.size = max(BLOCK, 1024 >> self.q)
         self.P = {k: np.zeros(octave_shape(terrain, k), np.float32) for k in range(self.q, terrain.n)}
@@ -128,23 +151,38 @@ class PatchErrors:
         k, (i, j) = spot[0], self._begin(spot)
         self.P[k][i : i + found.shape[0], j : j + found.shape[1]] = found
 
+    def take_all(self, jobs: int | None, progress: Progress) -> None:
+        """Make all blocks, in this process."""
+
+        def one(spot: tuple[int, int]) -> None:
+            self.take(spot, self.block(spot))
+
+        tasks = self.tasks()
+        with progress.task("Errors of patches", len(tasks)) as task:
+            for _ in map_ordered(one, tasks, jobs):
+                task.advance()
+
     def finished(self) -> list[Heights]:
-        """An array for each level, once all blocks are there."""
+        """P′, an array for each level, once all blocks are there."""
+        last: Heights | None = None
+        signed = {}
+        for k, P in self.P.items():
+            saturate(P, last)
+            last = P
+            mixed = np.isinf(octave_window(self.terrain, self.table, k, (0, 0), P.shape))
+            signed[k] = np.where(mixed, -np.maximum(P, NOTHING), P)
+        return self.placed(signed)
+
+    def placed(self, octaves: dict[int, Heights]) -> list[Heights]:
+        """Values by octave as arrays by level, in the layout of ``diamond_table``."""
         top = self.terrain.levels - 1
         result = [np.zeros((0, 0), np.float32) for _ in range(top)]
         result.append(blank_top(self.terrain.grid.shape, np.float32, 0))
-        last: Heights | None = None
-        for k in range(self.q, self.terrain.n):
-            P = self.P[k]
-            saturate(P, last)
-            last = P
-            rows, cols = P.shape
-            mixed = np.isinf(octave_window(self.terrain, self.table, k, (0, 0), (rows, cols)))
-            signed = np.where(mixed, -np.maximum(P, NOTHING), P)
+        for k, values in octaves.items():
             if k < top:
-                result[k] = signed
+                result[k] = values
             else:
-                place(result[top], signed, k, 0, 0, top)
+                place(result[top], values, k, 0, 0, top)
         return result
 
     def _blocks(self, k: int) -> Shape:
@@ -165,7 +203,7 @@ def octave_shape(terrain: Terrain, k: int) -> Shape:
     return ((rows - 1) >> (k - level)) + 1, ((cols - 1) >> (k - level)) + 1
 
 
-def octave_window(terrain: Terrain, table: DiamondTable, k: int, begin: Shape, end: Shape) -> Heights:
+def octave_window(terrain: Terrain, table: Table, k: int, begin: Shape, end: Shape) -> Heights:
     """The errors of an octave's entries ``[begin, end)``."""
     level = min(k, terrain.levels - 1)
     s = k - level
@@ -175,7 +213,7 @@ def octave_window(terrain: Terrain, table: DiamondTable, k: int, begin: Shape, e
 
 
 def _block(
-    terrain: Terrain, table: DiamondTable, k: int, q: int, begin: Shape, end: Shape, spread: float
+    terrain: Terrain, table: Table, k: int, q: int, begin: Shape, end: Shape, spread: float
 ) -> Heights:  # fmt: skip
     """P of the patch diamonds ``[begin, end)`` of an octave."""
     shapes = [octave_shape(terrain, j) for j in range(k - q, k + 1)]

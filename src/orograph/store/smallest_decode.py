@@ -1,17 +1,33 @@
 """The kernels that decode chunks of the codec *smallest* (``smallest``; docs/codec.md has the format).
 
-A sample's table hangs on the sample before it, so samples are decoded one by one. All that the two rows above say is
-worked out beforehand, row by row, with vector instructions. The two parts of a chunk, its upper and its lower rows,
-share nothing but weights and tables, and are decoded in turn. Tables, runs of missing samples and plain bits are those
-of *compact*; as there, nothing that is read out of a chunk becomes an index before it is checked.
+A sample's table hangs on the sample before it, so no row can be decoded faster than sample by sample. Sixteen rows are
+decoded side by side instead (``smallest_rows``), in the lanes of vectors: a step decodes a sample of each. Tables, runs
+of missing samples and plain bits are those of *compact*; as there, nothing that is read out of a chunk becomes an index
+before it is checked, and the words are copied to where a block of steps more than there are may be read.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from orograph._lanes import LANES32, least, most, some, where
+from orograph._lanes32 import (
+    count_of,
+    float_bits,
+    gather32,
+    lane,
+    least_unsigned,
+    load32,
+    marked,
+    marked_before,
+    shifted_in,
+    shifted_right,
+    spread32,
+    store32,
+)
 from orograph._numba import inlined, kernel
 from orograph.store.codec_head import (
     BITS,
@@ -19,268 +35,382 @@ from orograph.store.codec_head import (
     DIRECT,
     LEAST,
     MASK,
-    NEIGHBOURS,
+    MISSING,
     STREAM,
     TABLES,
     TOTAL,
     UNKNOWN,
-    mark_missing,
     read_mask,
     read_tables,
     read_weights,
     read_words,
-    u16,
     u32,
 )
-from orograph.store.compact_decode import (
-    next_symbol,
-    plain_bits,
-    predicted,
-    ranged,
+from orograph.store.smallest_rows import (
+    BINS,
+    CAP,
+    CLASS,
+    CLASSES,
+    GROUPS,
+    HEADER,
+    LAG,
+    OCTAVE,
+    SETS,
+    SIGNS,
+    SMALL,
+    VERSION,
+    WEIGHTS,
+    begin_of,
+    class_of,
+    own_factors,
+    period_of,
+    steps_of,
 )
 
-VERSION = 2
-PARTS = 2  # at most: of a chunk, each decoded by itself
-CLASSES = 4  # at most: of samples, by the parity of row and column
-SIGNS = 17  # what makes an activity
-ABOVE = 12  # of these are known before the row is decoded
-STEPS = 1024  # of activity
-BINS = 5  # of what a prediction says besides itself
-GROUPS = 32  # of activity, at most
-SETS = 48  # tables, at most
-CAP = 4095  # of each sign
-FIRST_ROW = 128  # share of the two signs that a first row has, in 1/256
-SMALL = 307  # of activity, in 1/256: where a prediction lies between two numbers tells something
-HEADER = 11
-CLASS = 2 * NEIGHBOURS + SIGNS  # bytes of a class
-WORDS = 5  # that one sample takes at most
+MARKS = np.uint16  # a bit of each lane
+BLOCK = 64  # steps between two looks at whether the words have run out
+PAST = 5  # steps that are looked back at
+WORDS = 4  # that one sample takes at most
+FACTORS = WEIGHTS + SIGNS + 1  # of a lane: weights, shares, and where its class begins among the cells
+LOWEST = (127 + OCTAVE - 1) * 4  # quarter octaves below the first group, as the bits of a float count them
+
+Flat = NDArray[np.int32]
+
+
+class Tables(NamedTuple):
+    """Frequencies, offsets and symbols (``read_tables``); of each table the bits below symbols and the number of
+    values; where the table of each cell begins. All are flat, int32."""
+
+    entries: Flat
+    depths: Flat
+    direct: Flat
+    cells: Flat
+
+
+class Front(NamedTuple):
+    """What steps leave to those after them.
+
+    Each of the first five holds ``BLOCK + PAST`` steps of sixteen lanes, flat: the sample two to the right in the row
+    above; the same two rows above; the error of the former; its distance from the sample to its left, and above it.
+    ``edges`` are rows that the first lane continues from: (4, period), the samples of the last and the last but one
+    lane, and their errors. ``last``, flat: W, WW, the error at W, and the states.
+    """
+
+    above: Flat
+    beyond: Flat
+    errors: Flat
+    across: Flat
+    down: Flat
+    edges: Flat
+    last: Flat
 
 
 @inlined
-def size_of(difference):
-    """The absolute value of a difference of two samples, in 0 to ``CAP``."""
-    wrapped = np.int32(difference)
-    return np.int32(min(np.uint32(wrapped if wrapped >= 0 else -wrapped), np.uint32(CAP)))
-
-
-@kernel
-def signs_above(shares, far, near, further, above, out):
-    """What the rows above give to the activities of a row.
-
-    Args:
-        shares: (SIGNS,) int32, of the signs, in 1/256.
-        far, near: (n + 4,) int32, the samples of the row two above and of the one above.
-        further, above: (n + 4,) int32, the values of these rows, at most ``CAP``, 0 at both ends.
-        out: (n,) int32.
-    """
-    s0, s1, s2, s3, s4, s5 = shares[0], shares[1], shares[2], shares[3], shares[4], shares[5]
-    s6, s7, s8, s9, s10, s11 = shares[6], shares[7], shares[8], shares[9], shares[10], shares[11]
-    for j in range(out.size):
-        total = s0 * above[j + 2] + s1 * above[j + 1] + s2 * above[j + 3] + s3 * above[j] + s4 * above[j + 4]
-        total += s5 * further[j + 2]
-        total += s6 * size_of(near[j + 2] - near[j + 1]) + s7 * size_of(near[j + 2] - near[j + 3])
-        total += s8 * size_of(near[j + 2] - far[j + 2]) + s9 * size_of(near[j + 3] - far[j + 3])
-        total += s10 * size_of(near[j + 1] - far[j + 1]) + s11 * size_of(near[j + 3] - near[j + 4])
-        out[j] = np.int32(total)
+def _size(difference):
+    """Absolute values of differences, at most ``CAP``."""
+    return least_unsigned(most(difference, 0 - difference), CAP)
 
 
 @inlined
-def judged(t, signs, side, c, north, west, farther, northwest, last):
-    """(The prediction of a sample, its activity, whether what is left is told with the other sign, its bin).
-
-    Args:
-        t: the weighted sum, in 1/4096, with the half that rounds it. signs: from ``signs_above``.
-        side: a part's of ``_row``, by which the other signs count. c: the column's parity.
-        last: the size of what was left of the sample before, at most ``CAP``.
-    """
-    said = np.int32(t >> np.int32(12))
-    guess = np.int32(north + said)
-    activity = np.int64(signs) + side[c, 2] * last + side[c, 3] * size_of(west - northwest)
-    activity += side[c, 4] * size_of(west - farther) + side[c, 5] * size_of(said) + side[c, 6] * size_of(west - guess)
-    beyond = np.int64(t & 4095) - 2048
-    lean = np.int64(np.int32(t)) - 2048
-    far = abs(lean) >> 4
-    if activity < SMALL:
-        return guess, activity, beyond < 0, min(abs(beyond) >> 9, 3)
-    steps = np.int64(2 * far > activity) + np.int64(far > activity)
-    return guess, activity, lean < 0, steps + np.int64(far > 2 * activity) + np.int64(far > 4 * activity)
+def _refilled(states, p, words):
+    """(The states, those below ``LEAST`` with a word each; the next word.)"""
+    short = shifted_right(states, 16) == 0
+    more = gather32(words, marked_before(short) + p)
+    return where(short, (states << 16) | more, states), p + count_of(short)
 
 
 @inlined
-def weighed(base, w0, west, w1, farther):
-    """What the rows above and the two samples before give for a prediction, in 1/4096."""
-    return np.int32(np.int32(base + np.int32(w1 * farther)) + np.int32(w0 * west))
+def _plain_bits(states, p, words, bits):
+    """(The states after so many plain bits of each lane, at most 16; the next word; the bits.)"""
+    found = states & ((spread32(1) << bits) - 1)
+    states, p = _refilled(shifted_right(states, bits), p, words)
+    return states, p, found
 
 
 @inlined
-def _sample(state, p, words, table, depths, direct, places, c, groups, shift, side, skip, base, sign, north, northwest,
-            west, farther, last):  # fmt: skip
-    """Decode a sample; (the state, the next word, the sample, the size of what was left of it)."""
-    if skip:
-        return state, p, north if skip == 1 else np.int32(0), np.int64(0)
-    t = weighed(base, side[c, 0], west, side[c, 1], farther)
-    said, activity, other, bin_ = judged(t, sign, side, c, north, west, farther, northwest, last)
-    group = np.uint64(groups[np.uint64(min(activity >> shift, STEPS - 1))])
-    begin = np.int64(places[c, group * np.uint64(BINS) + np.uint64(bin_)])
-    state, p, value = next_symbol(state, p, words, table, begin)
-    if value >= DIRECT:
-        state, p, value = ranged(state, p, words, value, direct[begin >> BITS])
-    depth = depths[begin >> BITS]
-    if depth:
-        state, p, low = plain_bits(state, p, words, depth)
-        value = value << depth | low
-    residual = np.int32(np.int32(np.uint32(value) >> np.uint32(1)) ^ -np.int32(value & 1))
-    turned = -np.int32(other)  # (no branch: which sign it is cannot be foreseen)
-    here = np.int32(said + ((residual ^ turned) - turned))
-    return state, p, here, min(((value & 0xFFFFFFFF) + 1) >> 1, np.int64(CAP))
+def _times(factors, at, k, values):
+    """Values times the factor k of each lane."""
+    return load32(factors, at + np.uint64(k * LANES32)) * values
+
+
+@inlined
+def _ago(o, steps):
+    """Where the lanes of an earlier step lie."""
+    return o - np.uint64(steps * LANES32)
+
+
+@inlined
+def _predicted(factors, at, front, o, nee, nnee):
+    """What the two rows above give for the predictions, in 1/4096."""
+    above, beyond = front.above, front.beyond
+    o1, o2, o3, o4 = (
+        o - np.uint64(LANES32),
+        o - np.uint64(2 * LANES32),
+        o - np.uint64(3 * LANES32),
+        o - np.uint64(4 * LANES32),
+    )
+    near = _times(factors, at, 2, load32(above, o4)) + _times(factors, at, 3, load32(above, o3))
+    near += _times(factors, at, 4, load32(above, o1)) + _times(factors, at, 5, nee)
+    near += _times(factors, at, 11, load32(above, o2))
+    far = _times(factors, at, 6, load32(beyond, o4)) + _times(factors, at, 7, load32(beyond, o3))
+    far += _times(factors, at, 8, load32(beyond, o2)) + _times(factors, at, 9, load32(beyond, o1))
+    return near + far + _times(factors, at, 10, nnee) + 2048
+
+
+@inlined
+def _active(factors, at, front, o, e_nee, e_nn, across):
+    """What the rows above give for the activities, in 1/256."""
+    errors, down = front.errors, front.down
+    o1, o2, o3, o4 = (
+        o - np.uint64(LANES32),
+        o - np.uint64(2 * LANES32),
+        o - np.uint64(3 * LANES32),
+        o - np.uint64(4 * LANES32),
+    )
+    of_errors = _times(factors, at, 12, load32(errors, o2)) + _times(factors, at, 13, load32(errors, o3))
+    of_errors += _times(factors, at, 14, load32(errors, o1)) + _times(factors, at, 15, load32(errors, o4))
+    of_errors += _times(factors, at, 16, e_nee) + _times(factors, at, 17, e_nn)
+    slopes = _times(factors, at, 18, load32(front.across, o2)) + _times(factors, at, 19, load32(front.across, o1))
+    slopes += _times(factors, at, 20, load32(down, o2)) + _times(factors, at, 21, load32(down, o1))
+    return of_errors + slopes + _times(factors, at, 22, load32(down, o3)) + _times(factors, at, 23, across)
+
+
+@inlined
+def _cell(active, t):
+    """(The cell within a lane's class, and -1 where the sign is reversed, else 0.)"""
+    beyond = (t & (TOTAL - 1)) - TOTAL // 2
+    lean = t - TOTAL // 2
+    far = shifted_right(most(lean, 0 - lean), 4)
+    steps = where(far + far > active, 1, 0) + where(far > active, 1, 0)
+    steps += where(far > active + active, 1, 0) + where(far > (active << 2), 1, 0)
+    small = active < SMALL
+    bin_ = where(small, least(most(beyond, 0 - beyond) >> 9, 3), steps)
+    group = least(most((float_bits(active) >> 21) - LOWEST, 0), GROUPS - 1)
+    return group * BINS + bin_, where(small, beyond, lean) >> 31
+
+
+@inlined
+def _values(states, p, words, tables, deep, cells, coded):
+    """(The states after a value of each lane that is coded, the next word, the values.)"""
+    begins = gather32(tables.cells, cells)
+    entries = gather32(tables.entries, begins + (states & (TOTAL - 1)))
+    after = (shifted_right(entries, 20) + 1) * shifted_right(states, BITS) + (shifted_right(entries, 8) & (TOTAL - 1))
+    states, p = _refilled(where(coded, after, states), p, words)
+    values = entries & 255
+    ranges = (values >= DIRECT) & coded
+    if some(ranges):
+        bits = where(ranges, values - DIRECT, 0)
+        states, p, found = _plain_bits(states, p, words, least(bits, 16))
+        if some(bits > 16):
+            states, p, high = _plain_bits(states, p, words, most(bits - 16, 0))
+            found = found | (high << 16)
+        first = gather32(tables.direct, shifted_right(begins, BITS)) - 1
+        values = where(ranges, (spread32(1) << bits) + found + first, values)
+    if deep:
+        depths = where(coded, gather32(tables.depths, shifted_right(begins, BITS)), 0)
+        states, p, low = _plain_bits(states, p, words, depths)
+        values = (values << depths) | low
+    return states, p, values
 
 
 @kernel
-def _row(
-    states, at, words, table, depths, direct, places, groups, shift, side, skips, bases, signs, near, line, values
-):
-    """Decode a row of the first part.
+def _decode_block(count, step, period, p, words, tables, deep, factors, coded, starts, front, out):
+    """Decode a block of steps; the next word.
 
     Args:
-        states, at: (PARTS,) int64, of each part the state and the next word, which go on. words: (PARTS, …) uint16.
-        places: (2, GROUPS * BINS) int32, where the table begins, by column parity. groups: (STEPS,) uint8.
-        side: (PARTS, 2, 9) int32, by column parity: weights of W and WW, shares of the last signs; and what stands for
-            W and WW left of the row.
-        skips: (PARTS, n) uint8, 1 missing, 2 not coded. bases, signs: (PARTS, n) int32, what the rows above give.
-        near: (PARTS, n + 4) int32, the row above. line, values: (PARTS, n + 4) int32, become samples and sizes of what
-            is left.
+        count: of steps, at most ``BLOCK``. step: the first. p: the next word of ``words``.
+        deep: whether any table has bits below its symbols.
+        factors: flat, of even and odd steps, ``FACTORS`` of sixteen lanes each.
+        coded, starts: (steps,) uint16, the lanes that have a sample then, and those that are two before a row.
+        out: flat, becomes the samples of each step of the block.
     """
-    state, p, some, left = states[0], at[0], words[0], side[0]
-    west, farther, last = left[0, 7], left[0, 8], np.int64(0)
-    for j in range(skips.shape[1]):
-        state, p, here, last = _sample(
-            state, p, some, table, depths, direct, places, np.uint64(j & 1), groups, shift, left, skips[0, j],
-            bases[0, j], signs[0, j], near[0, j + 2], near[0, j + 1], west, farther, last,
-        )  # fmt: skip
-        values[0, j + 2], line[0, j + 2] = np.int32(last), here
-        farther, west = west, here
-    states[0], at[0] = state, p
+    last, edges, above, beyond, errors = front.last, front.edges, front.above, front.beyond, front.errors
+    west, farther, error, states = (
+        load32(last, 0),
+        load32(last, LANES32),
+        load32(last, 2 * LANES32),
+        load32(last, 3 * LANES32),
+    )
+    here = step % period  # the column of the first lane
+    behind = (step - LAG * (LANES32 - 1)) % period  # and of the last one
+    for k in range(count):
+        o, at = np.uint64((k + PAST) * LANES32), np.uint64(((step + k) & 1) * (FACTORS * LANES32))
+        ahead = np.uint64(here + 2 if here + 2 < period else here + 2 - period)
+        north, northwest = load32(above, _ago(o, 2)), load32(above, _ago(o, 3))
+        nee, nnee = shifted_in(edges[0, ahead], west), shifted_in(edges[1, ahead], northwest)
+        e_nee = shifted_in(edges[2, ahead], error)
+        e_nn = shifted_in(edges[3, np.uint64(here)], load32(errors, _ago(o, 5)))
+        across = _size(nee - load32(above, _ago(o, 1)))
+        store32(above, o, nee)
+        store32(beyond, o, nnee)
+        store32(errors, o, e_nee)
+        store32(front.across, o, across)
+        store32(front.down, o, _size(nee - nnee))
+        t = _predicted(factors, at, front, o, nee, nnee)
+        active = _active(factors, at, front, o, e_nee, e_nn, across) + _times(factors, at, 24, error)
+        active += _times(factors, at, 25, _size(west - northwest)) + _times(factors, at, 26, _size(west - farther))
+        t = t + _times(factors, at, 1, farther) + _times(factors, at, 0, west)
+        said = t >> BITS
+        guess = north + said
+        active += _times(factors, at, 27, _size(said)) + _times(factors, at, 28, _size(west - guess))
+        cells, turned = _cell(active, t)
+        mine = marked(coded[np.uint64(step + k)])
+        cells += load32(factors, at + np.uint64((FACTORS - 1) * LANES32))
+        states, p, values = _values(states, p, words, tables, deep, cells, mine)
+        half, odd = shifted_right(values, 1), values & 1
+        found = guess + (((half ^ (0 - odd)) ^ turned) - turned)
+        farther, left = west, west
+        west = where(mine, found, where(marked(starts[np.uint64(step + k)]), nee, left))
+        error = where(mine, least_unsigned(half + odd, CAP), 0)
+        store32(out, np.uint64(k * LANES32), west)
+        later = np.uint64(behind + LAG if behind + LAG < period else behind + LAG - period)
+        edges[0, np.uint64(behind)], edges[1, later] = lane(west, LANES32 - 1), lane(west, LANES32 - 2)
+        edges[2, np.uint64(behind)], edges[3, later] = lane(error, LANES32 - 1), lane(error, LANES32 - 2)
+        here = here + 1 if here + 1 < period else 0
+        behind = behind + 1 if behind + 1 < period else 0
+    store32(last, 0, west)
+    store32(last, LANES32, farther)
+    store32(last, 2 * LANES32, error)
+    store32(last, 3 * LANES32, states)
+    return p
 
 
 @kernel
-def _rows(
-    states, at, words, table, depths, direct, places, groups, shift, side, skips, bases, signs, near, line, values
-):
-    """Decode a row of either part, sample by sample in turn: while one waits for itself, the other goes on.
-
-    Args: as of ``_row``.
-    """
-    state0, p0, words0, side0 = states[0], at[0], words[0], side[0]
-    state1, p1, words1, side1 = states[1], at[1], words[1], side[1]
-    west0, farther0, last0 = side0[0, 7], side0[0, 8], np.int64(0)
-    west1, farther1, last1 = side1[0, 7], side1[0, 8], np.int64(0)
-    for j in range(skips.shape[1]):
-        c = np.uint64(j & 1)
-        state0, p0, here0, last0 = _sample(
-            state0, p0, words0, table, depths, direct, places, c, groups, shift, side0, skips[0, j],
-            bases[0, j], signs[0, j], near[0, j + 2], near[0, j + 1], west0, farther0, last0,
-        )  # fmt: skip
-        state1, p1, here1, last1 = _sample(
-            state1, p1, words1, table, depths, direct, places, c, groups, shift, side1, skips[1, j],
-            bases[1, j], signs[1, j], near[1, j + 2], near[1, j + 1], west1, farther1, last1,
-        )  # fmt: skip
-        values[0, j + 2], line[0, j + 2] = np.int32(last0), here0
-        values[1, j + 2], line[1, j + 2] = np.int32(last1), here1
-        farther0, west0 = west0, here0
-        farther1, west1 = west1, here1
-    states[0], at[0], states[1], at[1] = state0, p0, state1, p1
+def _put_factors(band, classes, weights, shares, factors):
+    """Fill in the factors of all lanes, for rows of the first band of sixteen, or of others."""
+    own_weights, own_shares = np.empty(WEIGHTS, np.int32), np.empty(SIGNS, np.int32)
+    for parity in range(2):
+        for i in range(LANES32):
+            k = class_of(i, parity + i, classes)  # (the step and the lane tell the parity of the column)
+            own_factors(band * LANES32 + i, weights[k], shares[k], own_weights, own_shares)
+            at = parity * FACTORS * LANES32 + i
+            for m in range(WEIGHTS):
+                factors[at + m * LANES32] = own_weights[m]
+            for m in range(SIGNS):
+                factors[at + (WEIGHTS + m) * LANES32] = own_shares[m]
+            factors[at + (FACTORS - 1) * LANES32] = k * GROUPS * BINS
 
 
 @kernel
-def first_rows(rows):
-    """How many rows the first of two parts has."""
-    return 2 * ((rows + 3) // 4)
-
-
-@kernel
-def continued(line, cols):
-    """Put two samples beside both ends of a row: on the line through the last two."""
-    left = np.int64(line[2]) - line[3] if cols > 1 else 0
-    right = np.int64(line[cols + 1]) - line[cols] if cols > 1 else 0
-    for k in range(1, 3):
-        line[2 - k] = np.int32(line[2] + k * left)
-        line[cols + 1 + k] = np.int32(line[cols + 1] + k * right)
-
-
-@kernel
-def class_of(row, classes):
-    """The first of the two classes of a row."""
-    return 2 * (row & 1) if classes == CLASSES else 0
-
-
-@kernel
-def prepared(row, classes, weights, shares, lines, sizes, halves, side, bases, signs):
-    """Work out what the rows above give for a row.
-
-    Args:
-        weights: (CLASSES, NEIGHBOURS + 1) int32. shares: (CLASSES, SIGNS) int32.
-        lines, sizes: (3, n + 4) int32, the samples, and the values of rows, modulo 3.
-        halves: (2, n) int32, scratch. side, bases, signs: a part's of ``_row``; become the row's.
-    """
-    near, far = lines[(row + 2) % 3], lines[(row + 1) % 3]
-    if row == 1:  # (above the first row there is nothing that tells anything)
-        far = near
-    first = class_of(row, classes)
-    slope = np.int32(near[2] - far[2])
-    side[0, 7], side[0, 8] = np.int32(near[1] + slope), np.int32(near[0] + slope)
-    for c in range(2):
-        k = first + c if classes == CLASSES else 0
-        side[c, 0], side[c, 1] = weights[k, 0], weights[k, 1]
-        side[c, 2:7] = shares[k, ABOVE:]
-        if row == 0:
-            side[c, 0], side[c, 1], side[c, 2:7] = 3 * TOTAL // 2, -TOTAL // 2, 0
-            side[c, 2], side[c, 4] = FIRST_ROW, FIRST_ROW
-        if c and classes == 1:
-            break
-        if row:
-            predicted(weights[k], far, near, halves[0] if c else bases)
+def _mark_steps(marks, rows, cols, classes, coded, starts):
+    """Fill in which lanes have a sample in each step, and which are two before a row."""
+    for row in range(rows):
+        begin, bit = begin_of(row, cols), MARKS(1 << row % LANES32)
+        if begin >= 2:
+            starts[begin - 2] |= bit
+        every = 2 if classes == CLASSES and row & 1 == 0 else 1
+        if marks.size:
+            for col in range(every - 1, cols, every):
+                coded[begin + col] |= bit if marks[row, col] == 0 else MARKS(0)
         else:
-            bases[:] = np.int32(2048 - (np.int64(near[2]) << 12))
-        signs_above(shares[k], far, near, sizes[(row + 1) % 3], sizes[(row + 2) % 3], halves[1] if c else signs)
-        if c:
-            for j in range(1, bases.size, 2):
-                signs[j] = halves[1, j]
-                if row:
-                    bases[j] = halves[0, j]
+            for col in range(every - 1, cols, every):
+                coded[begin + col] |= bit
 
 
 @kernel
-def _map(data, at, classes, groups, tables, places):
-    """Read which table each class, group and bin has; where that ends, or -1."""
+def _read_cells(data, at, classes, tables, cells):
+    """Read where the table of each class, group and bin begins; where that ends, or -1."""
     bit, last = at * 8, data.size * 8
-    for k in range(classes):
-        for g in range(groups):
-            for b in range(BINS):
-                if bit + 1 > last:
-                    return -1
-                same = data[bit >> 3] >> (bit & 7) & 1
-                bit += 1
-                if same:
-                    found = places[k, (g - 1) * BINS + b] if g else (places[k, b - 1] if b else np.int32(0))
-                else:
-                    if bit + 6 > last:
-                        return -1
-                    value = np.int64(0)
-                    for i in range(6):
-                        value |= np.int64(data[(bit + i) >> 3] >> ((bit + i) & 7) & 1) << i
-                    bit += 6
-                    if value >= tables:
-                        return -1
-                    found = np.int32(value * TOTAL)
-                places[k, g * BINS + b] = found
+    for cell in range(classes * GROUPS * BINS):
+        if bit + 1 > last:
+            return -1
+        same = data[bit >> 3] >> (bit & 7) & 1
+        bit += 1
+        if same:
+            inner = cell % (GROUPS * BINS)
+            cells[cell] = cells[cell - BINS] if inner >= BINS else (cells[cell - 1] if inner else 0)
+            continue
+        if bit + 6 > last:
+            return -1
+        value = np.int64(0)
+        for k in range(6):
+            value |= np.int64(data[(bit + k) >> 3] >> ((bit + k) & 7) & 1) << k
+        bit += 6
+        if value >= tables:
+            return -1
+        cells[cell] = value * TOTAL
     return (bit + 7) >> 3
+
+
+@kernel
+def _begun(period, first):
+    """The front before the first step, with a value above the first row; factors; and samples of a block."""
+    size, line = (BLOCK + PAST) * LANES32, 64 // 4
+    count = 5 * size + 4 * LANES32 + 2 * FACTORS * LANES32 + BLOCK * LANES32
+    room = np.zeros(count + line, np.int32)
+    at = -(room.ctypes.data // 4) % line  # vectors that straddle cache lines take twice as long to load
+    above, beyond, errors = room[at : at + size], room[at + size : at + 2 * size], room[at + 2 * size : at + 3 * size]
+    across, down = room[at + 3 * size : at + 4 * size], room[at + 4 * size : at + 5 * size]
+    at += 5 * size
+    last, factors = room[at : at + 4 * LANES32], room[at + 4 * LANES32 : at + (4 + 2 * FACTORS) * LANES32]
+    at += (4 + 2 * FACTORS) * LANES32
+    edges = np.zeros((4, period), np.int32)
+    above[:], beyond[:], edges[:2], last[: 2 * LANES32] = first, first, first, first
+    return Front(above, beyond, errors, across, down, edges, last), factors, room[at : at + BLOCK * LANES32]
+
+
+@kernel
+def _decode_steps(words, count, tables, classes, weights, shares, marks, first, states, out):
+    """Decode all steps; whether the words end where they must.
+
+    Args:
+        words: uint16, ``count`` of them and zeros after them. states: (lanes,) of the rows that there are.
+        marks: (rows, cols) int32, where samples are missing, or without rows. out: becomes the chunk.
+    """
+    rows, cols = out.shape
+    period, steps = period_of(cols), steps_of(rows, cols)
+    coded, starts = np.zeros(steps, MARKS), np.zeros(steps, MARKS)
+    _mark_steps(marks, rows, cols, classes, coded, starts)
+    front, factors, block = _begun(period, first)
+    front.last[3 * LANES32 :] = LEAST
+    front.last[3 * LANES32 : 3 * LANES32 + states.size] = states
+    deep, p, step = tables.depths.any(), np.int64(0), np.int64(0)
+    while step < steps:
+        if step == 0 or step == period:
+            _put_factors(step // period, classes, weights, shares, factors)
+        size = min(BLOCK, (period if step < period else steps) - step)
+        p = _decode_block(size, step, period, p, words, tables, deep, factors, coded, starts, front, block)
+        if p > count:
+            return False
+        _put_samples(block, size, step, out)
+        for part in (front.above, front.beyond, front.errors, front.across, front.down):
+            for k in range(PAST * LANES32):
+                part[k] = part[size * LANES32 + k]
+        step += size
+    return p == count and (front.last[3 * LANES32 :] == LEAST).all()
+
+
+@kernel
+def _put_samples(block, size, step, out):
+    """Put the samples of a block of steps in their rows."""
+    rows, cols = out.shape
+    period = period_of(cols)
+    for i in range(LANES32):
+        since, k = step - LAG * i, max(LAG * i - step, 0)
+        while k < size:  # (a block may see the end of a row and the beginning of another)
+            row, col = (since + k) // period * LANES32 + i, (since + k) % period
+            here = np.uint64(k * LANES32 + i)
+            if row < rows:
+                line = out[row, col : min(col + size - k, cols)]
+                for m in range(line.size):
+                    line[np.uint64(m)] = block[here + np.uint64(m * LANES32)]
+            k += min(size - k, period - col)
+
+
+@kernel
+def _clear(marks, classes, out):
+    """Put what stands for nothing where samples are missing, or hold nothing."""
+    for row in range(out.shape[0]):
+        if classes == CLASSES and row & 1 == 0:
+            out[row, ::2] = 0
+        if marks.size:
+            for col in range(out.shape[1]):
+                out[row, col] = MISSING if marks[row, col] else out[row, col]
 
 
 @kernel
 def decode(data, out):
     """Decode a chunk.
-
-    (One function, though long: what the head says is checked where it is read, and the rows need all of it.)
 
     Args:
         data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
@@ -291,96 +421,46 @@ def decode(data, out):
     rows, cols = out.shape
     if data.size < HEADER:
         return CUT_OFF
-    mode, classes, shift = np.int64(data[1]), np.int64(data[2]), np.int64(data[3])
+    mode, classes, number = np.int64(data[1]), np.int64(data[2]), np.int64(data[3])
     if data[0] != VERSION or mode > 2 or (classes != 1 and classes != CLASSES):
         return UNKNOWN
-    first, groups, tables = np.int32(u32(data, 4)), np.int64(data[8]), np.int64(data[9])
-    parts, high = np.int64(data[10]), rows
-    if shift > 15 or groups < 1 or groups > GROUPS or tables < 1 or tables > SETS or parts < 1 or parts > PARTS:
+    if number < 1 or number > SETS:
         return TABLES
-    if parts == PARTS:
-        high = first_rows(rows)
-        if high >= rows:
-            return TABLES
-    at: Any = HEADER
-    coded = classes - (classes == CLASSES)
-    if at + coded * CLASS + 2 * (groups - 1) > data.size:
+    first, skipped, at = np.int32(u32(data, 4)), 1 if classes == CLASSES else 0, np.int64(HEADER)
+    if at + (classes - skipped) * CLASS > data.size:
         return CUT_OFF
-    weights, shares = np.zeros((CLASSES, NEIGHBOURS + 1), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
-    for k in range(classes - coded, classes):
+    weights, shares = np.zeros((CLASSES, WEIGHTS), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
+    for k in range(skipped, classes):
         at = read_weights(data, at, weights[k])
         shares[k] = data[at : at + SIGNS]
         at += SIGNS
-    group_of = np.zeros(STEPS, np.uint8)
-    for _ in range(groups - 1):
-        for step in range(u16(data, at), STEPS):
-            group_of[step] += 1
-        at += 2
-    places = np.zeros((CLASSES, GROUPS * BINS), np.int32)
-    at = _map(data, at, coded, groups, tables, places[classes - coded :])
+    cells = np.zeros(CLASSES * GROUPS * BINS, np.int32)
+    at = _read_cells(data, at, classes - skipped, number, cells[skipped * GROUPS * BINS :])
     if at < 0:
         return TABLES
-    if classes == 1:
-        places[1] = places[0]
-    table = np.empty(tables * TOTAL, np.uint32)
-    depths, direct = np.zeros(SETS, np.int64), np.zeros(SETS, np.int64)
-    at = read_tables(data, at, tables, table, depths, direct)
+    entries = np.empty(number * TOTAL, np.uint32)
+    depths, direct = np.zeros(number, np.int64), np.zeros(number, np.int64)
+    at = read_tables(data, at, number, entries, depths, direct)
     if at < 0:
         return TABLES
+    tables = Tables(entries.view(np.int32), depths.astype(np.int32), direct.astype(np.int32), cells)
     marks = np.empty((rows if mode else 0, cols), np.int32)
     if mode:
         at = read_mask(data, at, mode, marks)
         if at < 0:
             return MASK
-    if at + 12 * parts - 8 > data.size:
+    states = np.empty(min(rows, LANES32), np.int32)
+    if at + 4 * states.size > data.size:
         return CUT_OFF
-    above, count = np.full(PARTS, first, np.int32), np.zeros(PARTS, np.int64)
-    if parts == PARTS:
-        above[1], count[0] = np.int32(u32(data, at)), u32(data, at + 4)
-        at += 8
-    states, nexts = np.full(PARTS, LEAST, np.int64), np.zeros(PARTS, np.int64)
-    for k in range(parts):
-        states[k] = u32(data, at)
+    for k in range(states.size):
+        states[k] = np.int32(u32(data, at))
         at += 4
-    count[parts - 1] = (data.size - at) // 2 - (count[0] if parts == PARTS else 0)
-    if count[parts - 1] < 0:
-        return STREAM
-    words = np.zeros((parts, count.max() + WORDS * cols + 1), np.uint16)
-    for k in range(parts):
-        at = read_words(data, at, words[k, : count[k]])
-    lines, sizes = np.empty((PARTS, 3, cols + 4), np.int32), np.zeros((PARTS, 3, cols + 4), np.int32)
-    side, halves = np.zeros((PARTS, 2, 9), np.int32), np.empty((2, cols), np.int32)
-    bases, signs = np.empty((PARTS, cols), np.int32), np.empty((PARTS, cols), np.int32)
-    skips = np.zeros((PARTS, cols), np.uint8)
-    for k in range(PARTS):
-        lines[k] = above[k]
-    for row in range(high):
-        both = parts == PARTS and high + row < rows
-        for k in range(1 + both):
-            prepared(row, classes, weights, shares, lines[k], sizes[k], halves, side[k], bases[k], signs[k])
-            if mode:
-                for col in range(cols):
-                    skips[k, col] = marks[k * high + row, col] != 0
-            elif classes == CLASSES:
-                skips[k] = 0
-            if classes == CLASSES and row % 2 == 0:
-                skips[k, ::2] = 2
-        c, line, near = class_of(row, classes), lines[:, row % 3], lines[:, (row + 2) % 3]
-        if both:
-            _rows(states, nexts, words, table, depths, direct, places[c : c + 2], group_of, shift, side, skips, bases,
-                  signs, near, line, sizes[:, row % 3])  # fmt: skip
-        else:
-            _row(states, nexts, words, table, depths, direct, places[c : c + 2], group_of, shift, side, skips, bases,
-                 signs, near, line, sizes[:, row % 3])  # fmt: skip
-        for k in range(1 + both):
-            if nexts[k] > count[k]:
-                return STREAM
-            out[k * high + row] = line[k, 2 : cols + 2]
-            continued(line[k], cols)
+    count = (data.size - at) // 2
+    words = np.zeros(count + (WORDS * BLOCK + 1) * LANES32, np.uint16)
+    at = read_words(data, at, words[:count])
     if at != data.size:
         return STREAM
-    for k in range(parts):
-        if nexts[k] != count[k] or states[k] != LEAST:
-            return STREAM
-    mark_missing(marks, out)
+    if not _decode_steps(words, count, tables, classes, weights, shares, marks, first, states, out):
+        return STREAM
+    _clear(marks, classes, out)
     return 0

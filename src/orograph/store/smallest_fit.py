@@ -14,7 +14,7 @@ from orograph.store.codec_head import (
     TOTAL,
 )
 from orograph.store.compact_encode import OFFSETS
-from orograph.store.smallest_decode import SIGNS
+from orograph.store.smallest_rows import SIGNS
 
 SAMPLED = 4096  # samples of a class that are looked at, about
 SWEEPS = 40

@@ -72,7 +72,6 @@ def worst(w, shift, least, m, candidates, t):
     left_x, left_y, left = np.float64(x0), y0, (x2 - x0) / max(y2 - y0, one)
     right_x, right_y, slope = np.float64(x0), y0, (x1 - x0) / max(y1 - y0, one)
     turn, last = min(y1, y2), max(y1, y2) - (y1 != y2)  # a lone corner is left out
-    lattice = 1.0 / w.step
     i = (y0 + (turn > y0) + w.step - 1) >> shift
     while i < rows:
         y = min(i << shift, w.height)
@@ -84,15 +83,13 @@ def worst(w, shift, least, m, candidates, t):
                 right_x, right_y, slope = np.float64(x1), y1, (x2 - x1) / max(y2 - y1, one)
             else:
                 left_x, left_y, left = np.float64(x2), y2, (x1 - x2) / (y1 - y2)
-        low = left_x + left * (y - left_y) - FUZZ
-        high = right_x + slope * (y - right_y) + FUZZ
+        low = left_x + left * (y - left_y)
+        high = np.int64(right_x + slope * (y - right_y) + FUZZ)
         plane = z0 + down * (y - y0) - right * x0
-        j = min(np.int64(np.ceil(max(low, 0.0) * lattice)), cols - 1)
-        while j < cols:
-            x = min(j << shift, w.width)
-            if x > high:
-                break
-            off = abs(plane + right * x - candidates[i, j])
+        j = min((np.int64(low + (1.0 - FUZZ)) + w.step - 1) >> shift, cols - 1)
+        end = high >> shift if high < w.width else cols - 1
+        while j <= end:
+            off = abs(plane + right * min(j << shift, w.width) - candidates[i, j])
             if off > largest:
                 largest, at_i, at_j = off, i, j
             j += 1

@@ -15,8 +15,7 @@ from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
 from orograph.folders import Amount, bytes_of
-from orograph.lod.field import check_surface
-from orograph.lod.method import Goal, Resources
+from orograph.lod.method import Goal, Resources, check_surface
 from orograph.lod.needs import kinds_of
 from orograph.lod.registry import METHODS, Choice
 from orograph.output import check_folder
@@ -66,7 +65,7 @@ class Comparison(dict[str, Measurement]):
 
     @property
     def broken(self) -> list[str]:
-        """Methods that broke their promise: a fault of Orograph."""
+        """Methods that broke their promise: a fault of theirs."""
         return [name for name, m in self.items() if m.kept is False]
 
     def rows(self) -> list[list[str]]:
@@ -135,7 +134,7 @@ def compare(
             referee judges, evenly spread; None: 12.
         methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
         tolerance: pixels; None: 1, unless ``triangles`` (at most this many) are the goal.
-        conservative: refuse methods that do not guarantee the tolerance.
+        conservative: refuse methods that do not promise the tolerance.
         drape: the image whose colours a method's color-tolerance looks at.
         exaggeration: how heights are stretched on the screen.
         size: of the views, pixels; None: their own; of the default views, 1280 × 720.
@@ -197,12 +196,15 @@ def compare(
 
 
 def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: Progress) -> list[Choice]:
-    """The methods to measure, each once; for "all", those that can reach the goal.
+    """The methods to measure, each once, also of a list of names; for "all", those that can reach the goal.
 
     Raises:
         UsageError: one that is given cannot, or is refused.
     """
     found: dict[str, Choice] = {}
+    given = [
+        name for text in given for name in (text.split(",") if {*text.split(",")} <= {*METHODS, "all"} else [text])
+    ]
     for name in METHODS if not given or "all" in given else ():
         choice = choice_of(name, conservative)
         if goal.name in choice.info.goals:

@@ -31,7 +31,7 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
     """The method that a text describes, NAME[,key=value…].
 
     Raises:
-        UsageError: there is no such method; or, with ``conservative``, its options do not guarantee the tolerance.
+        UsageError: there is no such method; or, with ``conservative``, its options do not promise the tolerance.
     """
     from orograph.lod.registry import chosen
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from orograph.geo.grid import name_of
+
 if TYPE_CHECKING:
     from orograph.store.layers import LayerRecord
 
@@ -104,16 +106,9 @@ def _crs_line(facts: Mapping[str, Any]) -> str:
         return "none" if facts["_georeferenced"] else "none: the file does not say where it lies"
     text = facts["crs"]
     if len(text) < 40:
-        return f"{text} ({_name(crs, text)})"
+        return f"{text} ({name_of(crs)})"
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
-    return f"{crs.name}" + (f", {method}" if method and method != "unknown" else "") + " (no code)"
-
-
-def _name(crs: Any, code: str) -> str:
-    """A CRS's name; the name behind its code if a file omits it."""
-    if crs.name.lower() not in ("unnamed", "unknown", ""):
-        return str(crs.name)
-    return str(type(crs).from_user_input(code).name)
+    return f"{name_of(crs) or crs.name}" + (f", {method}" if method and method != "unknown" else "") + " (no code)"
 
 
 def _degrees(facts: Mapping[str, Any]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
+from orograph.store.terrain import Terrain
 from orograph.touring import Tour
 from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
@@ -32,7 +33,7 @@ from orograph.verbs.ways import WAY, check_tour, chosen, said_of, tour_of
 def movie(
     terrain: Any,
     output: str | os.PathLike[str],
-    tour: Tour | str | os.PathLike[str] | None = None,
+    tour: Tour | Mapping[str, Any] | str | os.PathLike[str] | None = None,
     *,
     size: Size | None = None,
     fps: float | None = None,
@@ -55,13 +56,13 @@ def movie(
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options.
         output: the film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.
-        tour: the key frames (``orograph.tour``), or their file; None: the tour that ``options`` describe as for
-            ``orograph.tour`` (orbit, turntable, still, plan, around, line, points…), or an orbit.
+        tour: the key frames (``orograph.tour``), their JSON, or its file; None: the tour that ``options`` describe as
+            for ``orograph.tour`` (orbit, turntable, still, plan, around, line, points…), or an orbit.
         size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames per second; None: the tour's.
         begin, end: the part of the tour to film, seconds; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
         overwrite: redraw existing pictures; otherwise an interrupted film is continued.
-        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not guarantee the tolerance.
+        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not promise the tolerance.
         progress: gets progress reports; False: silent.
         workers: draw in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
@@ -107,7 +108,7 @@ def movie(
         again = partial(tour_of, ground, way_size, way, (sun.azimuth, sun.altitude), stretch, furniture)
         keys = again()
     else:
-        keys = without(tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs), options)
+        keys = without(_tour_of(tour, ground), options)
     view = keys.keys[0].view
     pixels = size or (view.width, view.height)
     check_movie(path, pixels, crf)
@@ -125,6 +126,16 @@ def movie(
         shoot_by(by, film, path, pixels, backend=backend, crf=crf, overwrite=overwrite, jobs=jobs,
                  max_memory=max_memory, progress=heard)  # fmt: skip
     return Path(path)
+
+
+def _tour_of(given: Tour | Mapping[str, Any] | str | os.PathLike[str], ground: Terrain) -> Tour:
+    if isinstance(given, Tour):
+        return given
+    if isinstance(given, Mapping):
+        return Tour.from_dict(given, crs=ground.grid.crs)
+    if isinstance(given, str | os.PathLike):
+        return Tour.load(os.fspath(given), crs=ground.grid.crs)
+    raise UsageError(f"A tour is made by orograph.tour, or is its file, not {type(given).__name__}.")
 
 
 def without(tour: Tour, options: Iterable[str]) -> Tour:

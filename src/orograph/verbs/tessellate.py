@@ -36,7 +36,7 @@ class Triangulated:
 
     Attributes:
         choice: the method. terrain, view: what was triangulated, and for which camera.
-        stats: what the method says of the selection. bound: the guaranteed error in pixels; None: there is none.
+        stats: what the method says of the selection. bound: the promised error in pixels; None: there is none.
         report: the referee's report, if requested.
     """
 
@@ -76,7 +76,7 @@ def tessellate(
         method: the method that makes the triangles: NAME[,key=value…] (``orograph.methods()``).
         tolerance: how far the mesh may be off on the screen, pixels; None: 1, unless another goal is given.
         triangles: instead: the maximum number of triangles. seconds: instead: the best mesh that this time allows.
-        conservative: refuse a method that does not guarantee the tolerance.
+        conservative: refuse a method that does not promise the tolerance.
         drape: the image whose colours a method's color-tolerance looks at; None: the tint of heights.
         exaggeration: how heights are stretched on the screen. size: (width, height) if no view is given.
         check: let the referee measure the mesh against every sample in view; its report is ``stats["report"]``.
@@ -84,7 +84,7 @@ def tessellate(
         max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Returns:
-        the mesh; ``stats`` has the method's statistics, and ``bound``: the guaranteed error in pixels, or None.
+        the mesh; ``stats`` has the method's statistics, and ``bound``: the promised error in pixels, or None.
 
     Raises:
         UsageError: an option makes no sense, or the method makes no triangles. ReadError, StoreError: the terrain

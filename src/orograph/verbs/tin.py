@@ -85,7 +85,7 @@ def tin(
         check_origin(origin, None if how is not None else output)
     if output is not None:
         if how is None and not surface:
-            mesh_format(output)
+            mesh_format(output, MODELS)
         check_folder(Path(output))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="tin", **reading)
     lines = [] if breaklines is None else lines_of(ground, breaklines)

@@ -3,6 +3,7 @@ line."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,8 @@ def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
     way = {**dict.fromkeys(WAY), **flags, "points": (), **options}
     if way["around"] is not None:
         way["around"] = numbers(way["around"], "around")
+    if way["line"] is not None and not isinstance(way["line"], str | os.PathLike):
+        way["points"], way["line"] = way["line"], None  # (places, not a file of them)
     way["points"] = tuple(numbers(point, "points") for point in way["points"])
     return way
 

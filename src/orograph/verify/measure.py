@@ -99,7 +99,7 @@ class Measurement:
 
     @property
     def kept(self) -> bool | None:
-        """Whether the guarantee holds; None if there is none, or nothing was judged."""
+        """Whether the promise holds; None if there is none, or nothing was judged."""
         if not self.conservative or self.tolerance is None or not self.judged:
             return None
         bound = self.tolerance * (1 + ROUNDING)

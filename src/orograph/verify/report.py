@@ -1,4 +1,4 @@
-"""The referee's report: numbers, where the worst of each is, and whether the guarantee holds."""
+"""The referee's report: numbers, where the worst of each is, and whether the promise holds."""
 
 from __future__ import annotations
 

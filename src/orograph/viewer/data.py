@@ -241,7 +241,7 @@ class ShownData:
         return tuple(found)
 
     def of_thing(self, number: int) -> tuple[Found, ...]:
-        """The value of a standing thing, by its number."""
+        """The value of a standing thing, by its number, and its standard deviation where it is known."""
         if self.things is None or not 0 <= number < len(self.things) or not np.isfinite(self.things.values[number]):
             return ()
         which = int(self.things.shown[number])
@@ -249,7 +249,8 @@ class ShownData:
             return ()
         name, unit, classes = self.things.shows[which]
         value = float(self.things.values[number])
-        return (Found(name, classes[int(value)] if classes else value, None, unit),)
+        doubt = float("nan") if self.things.sigma is None else float(self.things.sigma[number])
+        return (Found(name, classes[int(value)] if classes else value, None if math.isnan(doubt) else doubt, unit),)
 
 
 def _clock(time: str) -> str:

@@ -8,7 +8,7 @@ printed one), and replaces the widget if the extra ``notebook`` or a GPU is miss
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack, cast
 
 from orograph.cards import png
 from orograph.errors import OrographError
@@ -18,6 +18,7 @@ from orograph.rendering.picture import Picture
 from orograph.scene.methods import check_promise
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
+from orograph.scene.typed import SceneOptions
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
@@ -55,7 +56,7 @@ def view(
     gpu_memory: Amount = 256 << 20,
     conservative: bool = False,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: Unpack[SceneOptions],
 ) -> Widget | Still:
     """Explore a terrain in a cell; a still picture if that is impossible.
 
@@ -65,7 +66,7 @@ def view(
         size: of the cell's picture, pixels.
         panels: whether panels are shown initially (Tab toggles them).
         gpu_memory: bytes of GPU memory for tiles.
-        conservative: refuse a ``method`` that does not guarantee the tolerance.
+        conservative: refuse a ``method`` that does not promise the tolerance.
         progress: gets progress reports on reading the terrain; False: silent.
         options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 
@@ -75,11 +76,12 @@ def view(
     from orograph.viewer.session import Session
 
     size, gpu_memory = size_of(size), bytes_of(gpu_memory, "gpu_memory")
-    reading = {name: options.pop(name) for name in READING if name in options}
+    chosen = cast("dict[str, Any]", options)
+    reading = {name: chosen.pop(name) for name in READING if name in chosen}
     if conservative:
-        check_promise(options.get("method", "auto"), "gpu")
+        check_promise(chosen.get("method", "auto"), "gpu")
     terrain = opened(terrain, progress, called="view", **reading)
-    session = Session(terrain, camera, size=size, **options)
+    session = Session(terrain, camera, size=size, **chosen)
     session.settings.panels = panels
     scene = session.scene()
     try:

@@ -173,6 +173,18 @@ def test_a_window_plays_them_within_a_span(ground: orograph.Terrain) -> None:
     assert chosen.limits == (START + 6 * HOUR, START + 30 * HOUR) and chosen.play(0.0) == iso(6)
 
 
+def test_a_thing_tells_its_value_and_its_uncertainty(ground: orograph.Terrain) -> None:
+    doubtful = table(ground, [iso(h) for h in range(4)], sigma=[0.1, 0.5, 0.2, 0.4])
+    bars = Dataset(doubtful, variable="value", style="bars", uncertainty="sigma", unit="t", name="load")
+    window = ShownData((bars, bars.but(uncertainty=None, source=table(ground, [0, 1, 2]))), Priority(True, True, True))
+    scene = Scene.of(ground, orograph.camera.whole(ground, (60, 40)), data=window.data, priority="T+D+U+")
+    window.things = scene.theme.things
+    assert window.things is not None
+    told = [found.words for number in range(len(window.things)) for found in window.of_thing(number)]
+    assert told == ["load 1 ± 0.1 t", "load 2 ± 0.5 t", "load 3 ± 0.2 t", "load 4 ± 0.4 t",
+                    "load 1 t", "load 2 t", "load 3 t"]  # fmt: skip
+
+
 def test_exports_have_those_of_the_time(ground: orograph.Terrain, tmp_path: Path) -> None:
     data = Dataset(table(ground, [iso(h) for h in (0, 20, 30, 90)]), variable="value", time="2020-01-01T20..2020-01-02")
     orograph.export(ground, tmp_path / "some.csv", data=data)

@@ -22,6 +22,7 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shape_kernels import crossed, fill, stroke
 from orograph.geovis.data.shape_painting import shown_shapes
 from orograph.geovis.data.shapes import cut_line, cut_ring, read_shapes
+from orograph.scene.theming import themed
 
 UTM = "EPSG:32630"
 PLACE = Affine(100, 0, 500_000, 0, -100, 5_600_000)
@@ -397,3 +398,11 @@ def test_pictures_have_shapes_their_legend_and_their_words():
     assert np.abs(picture.pixels[int(at[1]), int(at[0])].astype(int) - wanted).max() <= 3
     assert "Rain, 0 to 10 mm" in picture.facts["description"]
     assert "2 polygons" in picture.facts["description"]
+
+
+def test_lines_leave_the_ground_its_colours_and_polygons_do_not():
+    ground = terrain_of()
+    ring = [[500_500, 5_599_500], [503_000, 5_599_500], [503_000, 5_598_000], [500_500, 5_599_500]]
+    for kind, shape in (("LineString", ring[:3]), ("Polygon", [ring])):
+        made = themed({"data": Dataset(collection(feature(kind, shape)))}, ground, (200, 150))
+        assert ("colormap" in made.options) == (kind == "Polygon")

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plain
 import pytest
+import rasterio
+from affine import Affine
+from pyproj import CRS
 
+from orograph.dem.raster import Dem
+from orograph.geo.grid import Grid
+from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device
 from orograph.lod.method import Goal
 from orograph.lod.registry import chosen
@@ -19,6 +26,7 @@ from orograph.rendering.gpu.surface.clipmap import BLOCK, HeldRings, blocks_of, 
 from orograph.scene.camera import whole
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
+from orograph.store import terrain as in_memory
 from orograph.viewpoint import Camera, View
 
 MOST = 1 << 28
@@ -129,3 +137,27 @@ def test_what_splits_along_missing_ground_or_does_not_fit_is_drawn_as_triangles(
     t = plain.terrain(plain.rough(np.random.default_rng(5), (200, 200), gaps=0.01))
     selection = chosen("clipmap,n=63").make(t).select(Camera.over(t.grid, whole(t, (99, 66)), 1.0), Goal(0.0))
     assert isinstance(ready_of(t.grid.shape, MOST)(selection, None), TriangleMesh)
+
+
+def test_a_layer_over_rings_blends_as_it_does_without_them(device: Device, tmp_path: Path) -> None:
+    """On a plane rings change nothing but where triangles end: the colours may not show where that is."""
+    rows, cols = np.mgrid[:600, :533]
+    grid = Grid((600, 533), Affine(30.0, 0.0, 5e5, 0.0, -30.0, 4e6), CRS.from_epsg(32632))
+    t = in_memory(Dem((0.1 * rows + 0.07 * cols).astype(np.float32), grid))
+    colors = np.random.default_rng(2).integers(20, 230, (3, 150, 133), np.uint8).repeat(8, 1).repeat(8, 2)
+    path, transform = tmp_path / "layer.tif", Affine(15.0, 0.0, 5e5, 0.0, -15.0, 4e6)
+    with rasterio.open(
+        path, "w", driver="GTiff", count=3, width=colors.shape[2], height=colors.shape[1], dtype="uint8",
+        transform=transform, crs="EPSG:32632", tiled=True,
+    ) as file:  # fmt: skip
+        file.write(colors)
+    view = low(t, 300, 200)
+    how: dict[str, Any] = {"layers": (Layer(str(path)),), "light": "none", "samples": 1, "tolerance": 0.0}
+    rings = draw(Scene.of(t, view, method="clipmap,n=63", **how), device=device)
+    other = draw(Scene.of(t, view, method="chunked-lod", **how), device=device)
+    selection = chosen("clipmap,n=63").make(t).select(Camera.over(grid, view, 1.0), Goal(0.0))
+    assert len(selection.stack) > 3
+    there = np.isfinite(rings.depth)
+    assert np.array_equal(there, np.isfinite(other.depth)) and there.mean() > 0.2
+    off = np.abs(rings.pixels.astype(int) - other.pixels).max(-1)[there]
+    assert rings.pixels[there].std(axis=0).max() > 10 and (off > 2).mean() < 2e-3

@@ -77,6 +77,22 @@ def first_directory(file: IO[bytes]) -> tuple[TiffFile, Directory] | None:
         return None
 
 
+def cut_off(file: IO[bytes]) -> str | None:
+    """What is wrong with a TIFF that ends before its first raster does, by its directory alone: a download that ended
+    early. (Where samples are not compressed, some writers leave out what fills up the last block.)"""
+    found = first_directory(file)
+    if found is None:
+        return None
+    tiff, first = found
+    at, size = tiff.blocks(first)
+    lacks = int((at + size).max(initial=0)) - tiff.size
+    high = [int(n) for tag in (_LENGTH, _TILE_LENGTH, _STRIP_ROWS) for n in tiff.numbers(first, tag)[:1]]
+    if tiff.plain(first) and len(high) == 2 and 0 < high[1] < high[0]:
+        lacks -= int(size[int(at.argmax())]) * (-high[0] % high[1]) // high[1] if at.size else 0
+    return f"It ends {lacks:,} bytes before the end of its last block." if lacks > 0 else None
+
+
+_LENGTH, _TILE_LENGTH, _STRIP_ROWS = 257, 323, 278
 _LERC = 34887
 _FLOATS = 3
 TURNED = "Rewrite it from its source in LERC's byte order (gdal_translate -co ENDIANNESS=LITTLE)."

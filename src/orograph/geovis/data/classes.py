@@ -21,7 +21,7 @@ from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.attribute_table import Named
 from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import DISTINCT
+from orograph.geovis.tables import DISTINCT
 
 MOST = 64
 """Maximum classes of a picture: more do not fit into a legend."""

@@ -16,6 +16,7 @@ from PIL import ImageColor
 from orograph.errors import UsageError
 from orograph.geovis.color import color_table, linear_to_srgb, srgb_to_linear
 from orograph.geovis.data.dataset import Breaks
+from orograph.geovis.tables import DISTINCT
 
 Colors = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -31,11 +32,6 @@ MOST_NAMED = 12
 
 JENKS_SAMPLES = 4096
 """Values that natural breaks are found among, evenly from all that are sorted."""
-
-DISTINCT = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#555555", "#7f3c8d",
-            "#a5aa99", "#80ba5a", "#8c510a")  # fmt: skip
-"""Colours of classes without an order, at most twelve: Okabe & Ito's (2008), which colour-blind readers tell apart,
-then others."""
 
 PALE = (0.86, 0.86, 0.86)
 """Linear grey: what nothing is known of, in a value-suppressing palette."""
@@ -149,11 +145,10 @@ def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[flo
 
 
 def doubted(sigma: NDArray[Any]) -> tuple[float, float]:
-    """The default ends of a scale of uncertainty: 0, and a percentile of the standard deviations; 1 where all are 0."""
+    """The ends of a scale of uncertainties: 0 and the 98th percentile (1 if all are 0 or unknown)."""
     known = sigma[np.isfinite(sigma)]
-    high = float(np.percentile(known, PERCENTILES[1])) if len(known) else 0.0
-    high = high or float(known.max(initial=0.0))
-    return (0.0, high or 1.0)
+    high = float(np.percentile(known, PERCENTILES[1]) or known.max()) if len(known) else 0.0
+    return 0.0, high or 1.0
 
 
 def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:

@@ -96,7 +96,8 @@ class Things:
     Attributes:
         kind: (n,) of ``Kind``. x, y: (n,) in the terrain's CRS. lift: (n,) metres of the picture above the ground.
         radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
-        values: (n,), what they show, NaN of parts that show none. legend: what it means.
+        values: (n,), what they show, NaN of parts that show none. sigma: (n,) standard deviations, NaN where unknown;
+            None: unknown of all. legend: what it means.
         ends: (n, 4): the height of the foot, or of the one end, NaN where it is on the ground; of tubes, walls,
             shadows, columns, panels and sections x, y and height of the other end (of the last three of the upper
             one), else NaN; None: all stand on the ground.
@@ -119,6 +120,7 @@ class Things:
     marks: tuple[Mark, ...] = ()
     shows: tuple[Variable, ...] = ()
     which: NDArray[np.int64] | None = None
+    sigma: Array | None = None
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -150,6 +152,7 @@ class Things:
         legends = [one.legend for one in several]
         upright = [np.full((len(one), 4), np.nan) if one.ends is None else one.ends for one in several]
         through = [np.zeros(len(one)) if one.hidden is None else one.hidden for one in several]
+        doubts = [np.full(len(one), np.nan) if one.sigma is None else one.sigma for one in several]
         begins = np.cumsum([0, *(len(one.shows) for one in several)])
         which = [np.where(one.shown < 0, -1, one.shown + begin) for one, begin in zip(several, begins)]
         return cls(
@@ -157,6 +160,7 @@ class Things:
             shows=tuple(name for one in several for name in one.shows),
             which=np.concatenate(which),
             hidden=np.concatenate(through) if any(one.hidden is not None for one in several) else None,
+            sigma=np.concatenate(doubts) if any(one.sigma is not None for one in several) else None,
             ends=np.concatenate(upright) if any(one.ends is not None for one in several) else None,
             marks=tuple(mark for one in several for mark in one.marks),
             legend=Legend(
@@ -222,7 +226,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     main = Things(
         np.full(len(values), KINDS[style], np.int8), x, y, lift, radius, height, rgb, values,
         key_of(dataset, points.name, values, scale, unit, note, sign, doubt, points.classes), ends,
-        None if ends is None or not dataset.through else np.full(len(values), dataset.through),
+        None if ends is None or not dataset.through else np.full(len(values), dataset.through), sigma=sigma,
     )  # fmt: skip
     if sign != "errorbars" or sigma is None:
         return main

@@ -55,7 +55,7 @@ fn left_out(pixel: vec2<f32>) -> bool {
   return BREAKS == 1u && breaks[u32(pixel.y) * u32(camera.size.x) + u32(pixel.x)] == 0u;
 }
 
-// when: FRAGMENTS
+// unless: COMPUTED
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> Pixel {
   if (left_out(at.xy)) {
@@ -77,7 +77,7 @@ fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
   }
   return Sloped(stored_depth(hit.t), marked(hit), slope_at(way, hit));
 }
-// end: FRAGMENTS
+// end: COMPUTED
 
 // when: COMPUTED
 // A compute shader casts the rays, and fragments copy what it found.

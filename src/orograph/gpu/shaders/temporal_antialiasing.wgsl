@@ -142,12 +142,12 @@ fn mean_of(position: vec2<f32>) -> Mean {
   return Mean(vec4<f32>(mix(max(mean, vec3<f32>(0.0)), now, share), count), depth_now);
 }
 
-// when: FRAGMENTS
+// unless: COMPUTED
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   return mean_of(position.xy);
 }
-// end: FRAGMENTS
+// end: COMPUTED
 
 // when: COMPUTED
 @group(1) @binding(6) var onto: texture_storage_2d<rgba16float, write>;

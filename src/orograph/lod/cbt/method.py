@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.hierarchy.bits import floor_log2
+from orograph.lod.budget import by_tolerance
 from orograph.lod.cbt.judging import LACKING, judge_each
 from orograph.lod.cbt.pool import Pool, Slots
 from orograph.lod.criterion import DROP, NOTHING, SPLIT, Criterion
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
-from orograph.lod.right_triangles import Mesh, RightTriangleMeshes, RightTriangleOptions, by_tolerance
+from orograph.lod.right_triangles import Mesh, RightTriangleMeshes, RightTriangleOptions
 from orograph.viewpoint import Camera
 
 METRICS = ("anisotropic", "isotropic")

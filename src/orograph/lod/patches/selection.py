@@ -24,19 +24,23 @@ from orograph.error.screen import (
     ISOTROPIC_PUBLISHED,
     CameraParameters,
     Frustum,
+    color_exceeds,
     outside,
     plane_of,
     sphere_bound,
     to_camera,
 )
 from orograph.hierarchy.kernels import diamonds, triangles
-from orograph.lod.criterion import look_up
+from orograph.lod.criterion import color_error, look_up
 from orograph.lod.criterion import place_of as place_of_diamond
 from orograph.lod.pages import BEYOND
 
 PATCHES, NODES, TOUCHED, SPLIT, ABSENT, BLOCKED = range(6)
 """Counts: patches put out; diamonds looked at; tiles wanted; diamonds split; pages that were not there; diamonds that
 wait for tiles."""
+
+LEAST = 1e-30
+"""Pixels by which tiles count at least that only colours ask for; 0 is a tile that nothing asks for."""
 
 DONE, GROW = 0, 1
 """What the kernel returns: all is done; an array was too small."""
@@ -191,18 +195,18 @@ def has_no_ground(pages, row, col):
 
 
 @inlined
-def error_in_view(pages, bounds, key, level, z, e, r, inside):
-    """(whether a diamond is in view, its bound in pixels, its bits of planes).
+def error_in_view(pages, bounds, key, level, z, e, r, c, inside):
+    """(whether a diamond is in view, its bound in pixels, whether its colours ask for a split, its bits of planes).
 
     Args:
-        e: its error, negative if ground and missing ground share it.
+        e: its error, negative if ground and missing ground share it. c: its colour error.
     """
     camera = bounds.camera
     col, row = place_of_diamond(pages, key)
     if bounds.cull:
         out, inside = outside(camera, col, row, z, r * (1.0 + 1e-9), inside)
         if out:
-            return False, 0.0, inside
+            return False, 0.0, False, inside
     x, y, w = to_camera(camera, col, row, z)
     seen = True
     if bounds.aside:
@@ -218,7 +222,7 @@ def error_in_view(pages, bounds, key, level, z, e, r, inside):
         if bounds.plan == 0.0 and edge < np.inf:
             hole = sphere_bound(camera, ISOTROPIC if seen else ISOTROPIC_PUBLISHED, x, y, w, edge, r)
         pixels = max(pixels, hole)
-    return True, pixels, inside
+    return True, pixels, color_exceeds(camera, np.float64(color_error(c)), w, r), inside
 
 
 @inlined
@@ -327,14 +331,16 @@ def select_patches(pages, bounds, n, q, tiles, front, instances, counts):
         shape = diamonds.kind(row, col)
         level = 2 * (n - 1 - k) + shape
         # 1. Is it in view, and how large is its error?
-        slot, z32, e32, r32, _ = look_up(pages, keys[at], k)
+        slot, z32, e32, r32, c32 = look_up(pages, keys[at], k)
         known = slot >= 0
         if slot == BEYOND or (known and r32 < 0.0):
             continue  # nothing to draw
         z, e, r = np.float64(z32), np.float64(e32), np.float64(r32)
-        flags, pixels, inside = np.int64(1), 0.0, front.masks[at]
+        flags, pixels, colored, inside = np.int64(1), 0.0, False, front.masks[at]
         if known:
-            seen, pixels, inside = error_in_view(pages, bounds, keys[at], level, z, e, r * camera.stretch, inside)
+            seen, pixels, colored, inside = error_in_view(
+                pages, bounds, keys[at], level, z, e, r * camera.stretch, c32, inside
+            )
             if not seen:
                 continue
             flags = np.int64(1 if e < 0.0 else 0)
@@ -343,19 +349,20 @@ def select_patches(pages, bounds, n, q, tiles, front, instances, counts):
             counts[ABSENT] += 1
         # 2. Is it split, really and ideally?
         may, might, ripe = parents_split(pages, front, at, row, col, n)
-        might = might and ripe and known and pixels > bounds.split_at
+        might = might and ripe and known and (pixels > bounds.split_at or colored)
         may = may and might
         L = np.int64(1) << k  # (of its children, whichever kind it is)
         born = 0
         if might:
-            born, there = bear(tiles, front, edge, counts, row, col, L, k - q, np.float32(min(pixels, 1e30)), n)
+            born, there = bear(
+                tiles, front, edge, counts, row, col, L, k - q, np.float32(min(max(pixels, LEAST), 1e30)), n
+            )
             may = may and there
             counts[SPLIT if may else BLOCKED] += 1
         # 3. Its children, or what split parents left of it.
-        morph = 1.0
-        if pixels < bounds.whole_at:
-            morph = (pixels - bounds.split_at) / (bounds.whole_at - bounds.split_at)
-        rest = pixels if pixels < bounds.whole_at else 0.0
+        morph, rest = 1.0, 0.0
+        if pixels < bounds.whole_at and not colored:
+            morph, rest = (pixels - bounds.split_at) / (bounds.whole_at - bounds.split_at), pixels
         for child in range(born):
             x, y, omega = front.kids[child, 0], front.kids[child, 1], front.kids[child, 2]
             if level + 1 < finest:

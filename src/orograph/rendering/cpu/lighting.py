@@ -207,7 +207,7 @@ class Apertures:
         out = np.zeros((len(hits.t), 3), np.float32)
         light_caps(
             field.windows, relief.windows, hits.points, hits.width, ground.to_world, x * self.strength, x,
-            *self.tables, self.shine.bounce, ground.linear, out,
+            self.tables, self.shine.bounce, ground.linear, out,
         )  # fmt: skip
         if not self.scene.lighting.shadows:
             gradient = relief.gradient(hits.points, hits.width)

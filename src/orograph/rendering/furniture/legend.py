@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid
+from orograph.geo.grid import NAMELESS, Grid, name_of
+from orograph.geovis.basemaps import PREFIX
 from orograph.geovis.color import Tint, linear_to_srgb
 from orograph.geovis.keys import Legend, Scale, written_unit
 from orograph.geovis.layers import Layer
@@ -34,9 +35,6 @@ CONVERGENCE = 3.0
 
 MOST_SCALES, MOST_CLASSES = 3, 12
 """Maximum entries of a legend."""
-
-NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
-"""Prefixes of CRS names that are placeholders."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +102,7 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     dry = shown["ground"] - shown["water"]
     scales = [scale for key in scene.keys for scale in key.scales]
     swatches = [entry for key in scene.keys for entry in key.entries]
-    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
+    for layer in [one for one in reversed(visible(scene.data.layers)) if not one.path.startswith(PREFIX)]:
         explained = explain(layer, scene.terrain.grid)
         if isinstance(explained, Scale):
             scales.append(explained)
@@ -126,16 +124,17 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
 
 
 def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
-    """The legend of a layer's values over a terrain: a scale, or a swatch for each class."""
+    """The legend of a layer's values over a terrain: a scale, or a swatch for each class; [] for an image."""
     from orograph.dem.handles import HANDLES
     from orograph.geovis.laying import Laid
 
     laid = Laid.open(layer.content, grid)
     table, (low, high) = laid.bands.table, laid.bands.span
-    assert table is not None
-    if isinstance(layer.colormap, Table) and layer.colormap.classes:
+    if table is None:
+        return []
+    if laid.bands.classes or (isinstance(layer.colormap, Table) and layer.colormap.classes):
         there = np.flatnonzero(table[:, 3]) if table.shape[1] == 4 else np.arange(len(table))
-        return [(f"{layer.title} {round(low + k)}", table[k, :3]) for k in there[:MOST_CLASSES]]
+        return [(layer.title, None), *((str(round(low + k)), table[k, :3]) for k in there[:MOST_CLASSES])]
     with HANDLES.borrow(laid.location) as file:
         unit = (file.units[layer.band - 1] or "").strip()
     beyond = layer.range is None and getattr(layer.colormap, "span", None) is None  # (the ends are percentiles)
@@ -149,10 +148,9 @@ def _crs_name(crs: Any) -> str | None:
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
     if method and crs.is_projected:
         method += _center(crs)
-    for name in (crs.name, method):
-        if name and not name.strip().lower().startswith(NAMELESS):
-            return str(name)
-    return None
+    if method.lower().startswith(NAMELESS):
+        method = ""
+    return name_of(crs) or method or None
 
 
 def _center(crs: Any) -> str:

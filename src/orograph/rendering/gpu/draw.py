@@ -208,7 +208,10 @@ def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
             f"The ground is coarser than requested: the tree has room for {slots:,} triangles (more: its option "
             f"slots={2 * slots})."
         )
-    elif scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
+    elif (
+        scene.surface.tolerance is not None and stats.error_px is not None
+        and stats.error_px > scene.surface.tolerance * (1 + 1e-6)
+    ):  # fmt: skip
         off = (
             f"up to {stats.error_px:.2g} pixels off"
             if stats.error_px < np.inf

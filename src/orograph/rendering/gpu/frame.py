@@ -43,7 +43,8 @@ class FrameStats:
     """Statistics of a frame.
 
     Attributes:
-        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles present.
+        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles present;
+            None: the method promises none.
         select_ms: selection. submit_ms: Python time until the frame is submitted, during which the GPU waits. cpu_ms:
             all of the frame's Python time, including work after submission (prefetching), but not the driver's work on
             submission (software drivers do all of it then).
@@ -59,7 +60,7 @@ class FrameStats:
 
     patches: int
     triangles: int
-    error_px: float
+    error_px: float | None
     select_ms: float
     cpu_ms: float
     tiles_loaded: int

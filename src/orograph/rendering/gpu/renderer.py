@@ -19,6 +19,7 @@ import numpy as np
 
 from orograph.gpu.device import Device
 from orograph.gpu.recording import write
+from orograph.lod.selection import TriangleMesh
 from orograph.memo import Memo
 from orograph.rendering.gpu.camera import CAMERA, camera_of
 from orograph.rendering.gpu.frame import PLAIN, FrameChoice, FrameStats, Overlay
@@ -303,15 +304,15 @@ class Renderer(Reading):
 
     def _told(self, scene: Scene, chosen: FrameChoice, to_submit: float, after: float) -> FrameStats:
         """Statistics of a frame: seconds of Python until it was submitted, and after that."""
-        patches, mesh, rays = chosen.ground.patches, chosen.ground.mesh, chosen.ground.rays
+        patches, rays = chosen.ground.patches, chosen.ground.rays
         there, bound = chosen.ground.drawn, patches.stats["pixels"]
         triangles = there * self.method.legs**2
-        if mesh is not None:
-            triangles, bound = len(mesh.triangles), scene.surface.tolerance or 1.0
+        if isinstance(chosen.ground.selection, TriangleMesh):
+            triangles, bound = len(chosen.ground.selection.mesh.triangles), chosen.ground.selection.bound
         elif rays is not None:
             bound = max(rays.bound, bound) if there else rays.bound
         elif isinstance(chosen.ground.resident, Resident):
-            triangles, bound = chosen.ground.resident.triangles, scene.surface.tolerance or 1.0
+            triangles, bound = chosen.ground.resident.triangles, chosen.ground.resident.bound
         elif chosen.ground.resident is not None:
             counts, bound = self._ground.growing.counts, chosen.ground.resident.reached
             triangles = patches.stats["triangles"] if counts is None else counts.triangles

@@ -31,11 +31,12 @@ STEPS, FAR = 3, 1.5
 
 
 @leaf
-def blended(h00, h10, h01, h11, a00, a10, a01, a11, b00, b10, b01, b11, f, g):
+def blended(h, a, b, f, g):
     """Height at (f, g), 0 to 1, in a cell: of heights h, slopes a along columns and b along rows at its corners.
 
     (The first digit of a name counts columns, the second rows.)
     """
+    (h00, h10, h01, h11), (a00, a10, a01, a11), (b00, b10, b01, b11) = h, a, b
     p, q = 1.0 - f, 1.0 - g
     f1, g1 = f * f * (3.0 - 2.0 * f), g * g * (3.0 - 2.0 * g)
     f0, g0 = 1.0 - f1, 1.0 - g1
@@ -79,7 +80,7 @@ def _cell(pool, base, rows, cols, x, y):
     a01, b01 = _slope(pool, base, rows, cols, i + 1, j)
     a11, b11 = _slope(pool, base, rows, cols, i + 1, j + 1)
     f, g = min(max(x - j, 0.0), 1.0), min(max(y - i, 0.0), 1.0)
-    height = blended(h00, h10, h01, h11, a00, a10, a01, a11, b00, b10, b01, b11, f, g)
+    height = blended((h00, h10, h01, h11), (a00, a10, a01, a11), (b00, b10, b01, b11), f, g)
     across = (1.0 - g) * ((1.0 - f) * a00 + f * a10) + g * ((1.0 - f) * a01 + f * a11)
     down = (1.0 - g) * ((1.0 - f) * b00 + f * b10) + g * ((1.0 - f) * b01 + f * b11)
     return height, across, down

@@ -56,15 +56,10 @@ def draw(window: Window) -> None:
         if imgui.small_button(f" {slot} "):
             session.recall_view(slot)
         imgui.end_disabled()
-    imgui.text_disabled(_crs(window))
+    imgui.text_disabled(window.session.terrain.grid.crs_name)
 
 
 def _row(x: float, y: float):  # type: ignore[no-untyped-def]
     import numpy as np
 
     return np.array([[x, y]])
-
-
-def _crs(window: Window) -> str:
-    crs = window.session.terrain.grid.crs
-    return "no CRS" if crs is None else str(crs.name)

@@ -47,7 +47,7 @@ def _mesh(window: Window) -> list[tuple[str, str]]:
     if mesh is None:
         return []
     stats = mesh.stats
-    found = [(str(stats.get("method", "mesh")), f"{stats.get('refine_ms', 0.0):.1f} ms")]
+    found = [(str(stats["method"]), f"{stats['refine_ms']:.1f} ms")]
     if "splits" in stats and "merges" in stats:
         counts = (f"{stats[name]:,}".replace(",", " ") for name in ("splits", "merges"))
         found.append(("split, merged", ", ".join(counts)))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -140,12 +141,18 @@ class Selected:
                 self._method = (str(choice), memory, scene.budget.jobs), method
             camera = Camera.over(self.terrain.grid, view.whole, scene.surface.exaggeration)
             wanted = tolerance if choice.info.kind == "rays" else scene.surface.tolerance
+            began = time.perf_counter()
             selection = method.select(camera, goal_of(wanted, scene.surface.triangles))
+            took = round((time.perf_counter() - began) * 1e3, 3)
             ready = self.own.get(type(selection))
             if ready is not None:
-                return ready(selection, lambda tolerance: method.select(camera, Goal(tolerance)))
-            mesh = selection.tessellation()
-            return TriangleMesh(method=selection.method, bound=selection.bound, stats=mesh.stats, mesh=mesh)
+                found = ready(selection, lambda tolerance: method.select(camera, Goal(tolerance)))
+            else:
+                mesh = selection.tessellation()
+                found = TriangleMesh(method=selection.method, bound=selection.bound, stats=selection.stats, mesh=mesh)
+            if isinstance(found, TriangleMesh):
+                found.mesh.stats.setdefault("refine_ms", took)
+            return found
 
 
 def _grown(choice: Choice) -> Choice:

@@ -252,7 +252,6 @@ class RayPass:
         return Program(
             self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=int(surface == "bilinear"),
             CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(self._computes),
-            FRAGMENTS=int(not self._computes),
         )  # fmt: skip
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:

@@ -72,7 +72,7 @@ class TemporalAntialiasing:
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
         computes = device.computes
-        self._program = Program(device, "temporal_antialiasing", COMPUTED=int(computes), FRAGMENTS=int(not computes))
+        self._program = Program(device, "temporal_antialiasing", COMPUTED=int(computes))
         self._pipeline = (
             self._program.compute("compute") if computes else self._program.draw([{"format": LIGHT}, {"format": FAR}])
         )

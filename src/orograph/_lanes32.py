@@ -1,0 +1,158 @@
+"""Sixteen int32 side by side inside kernels (``_lanes``): what only they need. Arithmetic wraps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+
+from orograph._lanes import INTS32, LANES32, MARKS32, SCALARS, VECTORS, _at, _joined, _spread, operation
+
+_WORDS, _MARKS = VECTORS["int32"], VECTORS["mark32"]
+
+
+@operation
+def spread32(typing: Any, value: Any) -> Any:
+    """The same integer in all lanes."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _spread(builder, context.cast(builder, args[0], sig.args[0], SCALARS["int32"]), LANES32)
+
+    return INTS32(types.unliteral(value)), lowered
+
+
+def _address(context: Any, builder: Any, array: Any, index: Any, sig: Any) -> Any:
+    data = context.make_array(sig.args[0])(context, builder, array).data
+    return builder.gep(data, [context.cast(builder, index, sig.args[1], types.int64)])
+
+
+@operation
+def load32(typing: Any, array: Any, index: Any) -> Any:
+    """Sixteen elements of a flat int32 array from ``index`` on."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _address(context, builder, args[0], args[1], sig)
+        return builder.load(builder.bitcast(place, _WORDS.as_pointer()), align=4)
+
+    return INTS32(array, index), lowered
+
+
+@operation
+def store32(typing: Any, array: Any, index: Any, values: Any) -> Any:
+    """Write sixteen numbers into a flat int32 array from ``index`` on."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _address(context, builder, args[0], args[1], sig)
+        builder.store(args[2], builder.bitcast(place, _WORDS.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, index, values), lowered
+
+
+@operation
+def gather32(typing: Any, array: Any, index: Any) -> Any:
+    """Elements of a flat array of integers of at most 32 bits; indices are not negative."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        element = data.type.pointee
+        found = ir.Constant(ir.VectorType(element, LANES32), ir.Undefined)
+        for k in range(LANES32):
+            at = builder.zext(builder.extract_element(args[1], _at(k)), ir.IntType(64))
+            one = builder.load(builder.gep(data, [at]), align=element.width // 8)
+            found = builder.insert_element(found, one, _at(k))
+        if element.width == 32:
+            return found
+        return (builder.sext if array.dtype.signed else builder.zext)(found, _WORDS)
+
+    return INTS32(array, index), lowered
+
+
+@operation
+def shifted_in(typing: Any, first: Any, values: Any) -> Any:
+    """A number for the first lane, and for each other one the number of the lane before."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        order = ir.Constant(_WORDS, [0, *range(LANES32 - 1)])
+        moved = builder.shuffle_vector(args[1], args[1], order)
+        return builder.insert_element(moved, context.cast(builder, args[0], sig.args[0], types.int32), _at(0))
+
+    return INTS32(types.unliteral(first), values), lowered
+
+
+@operation
+def lane(typing: Any, values: Any, index: Any) -> Any:
+    """The number of one lane."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.extract_element(args[0], context.cast(builder, args[1], sig.args[1], types.int32))
+
+    return types.int32(values, types.unliteral(index)), lowered
+
+
+@operation
+def shifted_right(typing: Any, values: Any, bits: Any) -> Any:
+    """Lanes as unsigned numbers, shifted to the right by so many bits (below 32)."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.lshr(args[0], _joined(context, builder, INTS32, args[1], sig.args[1]))
+
+    return INTS32(values, types.unliteral(bits)), lowered
+
+
+@operation
+def marked(typing: Any, bits: Any) -> Any:
+    """The lanes that the bits of an integer name, the lowest first."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.bitcast(context.cast(builder, args[0], sig.args[0], types.uint16), _MARKS)
+
+    return MARKS32(types.unliteral(bits)), lowered
+
+
+@operation
+def count_of(typing: Any, marks: Any) -> Any:
+    """How many lanes are marked."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], ir.IntType(LANES32))
+        return builder.zext(builder.ctpop(bits), ir.IntType(64))
+
+    return types.int64(marks), lowered
+
+
+@operation
+def marked_before(typing: Any, marks: Any) -> Any:
+    """How many lanes before each are marked."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.zext(builder.bitcast(args[0], ir.IntType(LANES32)), ir.IntType(32))
+        before = ir.Constant(_WORDS, [(1 << k) - 1 for k in range(LANES32)])
+        count = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_WORDS, [_WORDS]), f"llvm.ctpop.v{LANES32}i32"
+        )
+        return builder.call(count, [builder.and_(_spread(builder, bits, LANES32), before)])
+
+    return INTS32(marks), lowered
+
+
+@operation
+def float_bits(typing: Any, values: Any) -> Any:
+    """The bits of each as a float32 number."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.bitcast(builder.sitofp(args[0], ir.VectorType(ir.FloatType(), LANES32)), _WORDS)
+
+    return INTS32(values), lowered
+
+
+@operation
+def least_unsigned(typing: Any, values: Any, most: Any) -> Any:
+    """The smaller of two as unsigned numbers, lane by lane."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        limit = _joined(context, builder, INTS32, args[1], sig.args[1])
+        return builder.select(builder.icmp_unsigned("<", args[0], limit), args[0], limit)
+
+    return INTS32(values, types.unliteral(most)), lowered

@@ -1,0 +1,71 @@
+"""What coder and decoder of *smallest* agree on: the order of samples, and what lies around them (docs/codec.md).
+
+Sixteen rows are decoded side by side, each three samples behind the one above it, so that all that a sample is
+predicted from is known before it. A row that ends makes room for the sixteenth after it.
+"""
+
+from __future__ import annotations
+
+from orograph._lanes import LANES32
+from orograph._numba import kernel, shared
+from orograph.store.codec_head import NEIGHBOURS
+
+VERSION = 3
+LAG = 3  # samples that a row is behind the one above it
+CLASSES = 4  # at most: of samples, by the parity of row and column
+SIGNS = 17  # what makes an activity
+WEIGHTS = NEIGHBOURS + 1
+GROUPS = 64  # of activity: four per octave
+OCTAVE = 7  # bits of the least activity that is not in the first group
+BINS = 5  # of what a prediction says besides itself
+SETS = 48  # tables, at most
+CAP = 4095  # of each sign
+SMALL = 307  # of activity, in 1/256: where a prediction lies between two numbers tells something
+HEADER = 8
+CLASS = 2 * NEIGHBOURS + SIGNS  # bytes of a class
+
+
+@shared
+def period_of(cols):
+    """Steps from the first sample of a row to that of the sixteenth after it: an even number."""
+    return max((cols + 5) // 2 * 2, LAG * LANES32)
+
+
+@shared
+def steps_of(rows, cols):
+    """Steps in which a chunk is decoded: in each one sample of every row whose turn it is."""
+    return -(-rows // LANES32) * period_of(cols) + LAG * (LANES32 - 1)
+
+
+@shared
+def begin_of(row, cols):
+    """The step of a row's first sample."""
+    return row // LANES32 * period_of(cols) + row % LANES32 * LAG
+
+
+@shared
+def class_of(row, col, classes):
+    """The class of a sample."""
+    return 2 * (row & 1) + (col & 1) if classes == CLASSES else 0
+
+
+@kernel
+def own_factors(row, weights, shares, own_weights, own_shares):
+    """The weights and shares of a row: the first two have less above them.
+
+    Args:
+        weights, own_weights: (WEIGHTS,) int32, in 1/4096. shares, own_shares: (SIGNS,) int32, in 1/256.
+    """
+    own_weights[:], own_shares[:] = weights, shares
+    if row == 0:
+        own_weights[:], own_shares[:] = 0, 0
+        own_weights[0], own_weights[1], own_weights[NEIGHBOURS] = 6144, -2048, -4096
+        own_shares[12] = own_shares[14] = 128
+    elif row == 1:  # (the row two above counts as the one above)
+        own_weights[2] += weights[6]
+        own_weights[3] += weights[7]
+        own_weights[4] += weights[9]
+        own_weights[5] += weights[10]
+        own_weights[NEIGHBOURS] += weights[8]
+        own_weights[6:NEIGHBOURS] = 0
+        own_shares[5], own_shares[8], own_shares[9], own_shares[10] = 0, 0, 0, 0
