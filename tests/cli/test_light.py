@@ -83,6 +83,10 @@ def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tm
             {**swept, "date": "2026-06", "step": "60 minutes", "turbidity": "4"},
         ),
         (
+            ("sunshine", "--azimuths", 5, "--radius", 200, "--date", "2026-06", "--step", 60),
+            {**swept, "date": "2026-06", "step": "60 minutes"},
+        ),
+        (
             ("ambient-occlusion", "--azimuths", 5, "--radius", 200, "--rho", "linear", "--by", "rays", "--rays", 9),
             {**swept, "method": "rays", "rays": "9", "rho": "linear"},
         ),
@@ -212,6 +216,8 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "visible-sky", "--date", "2026"), "insolation"),
         (("--product", "insolation", "--date", "2026", "--rho", "linear"), "ambient-occlusion"),
         (("--product", "insolation"), "--date"),
+        (("--product", "sunshine", "--date", "2026", "--turbidity", "4"), "insolation"),
+        (("--product", "sun-hours"), "Did you mean sunshine"),
         (("--product", "horizon", "--refraction", "0.2"), "--curvature"),
         (("--product", "insolation", "--date", "2026-02-30"), "period"),
         (("--product", "insolation", "--date", "2026", "--turbidity", "nan"), "turbidity"),

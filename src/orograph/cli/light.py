@@ -120,6 +120,7 @@ def command(
     aperture             the sky that is seen as one cap: its direction (east, north, up) and radius
     shadow               the part of the sun's disc that is seen (--sun), and a code
     insolation           energy of sun and sky, Wh/m² (--date)
+    sunshine             hours of direct sun (--date)
 
     A large DEM is built into a store first, which is kept. Memory stays within --max-memory, whatever the size; what
     does not fit goes to a scratch file in the temporary folder. The result depends neither on it nor on --jobs.
@@ -132,6 +133,7 @@ def command(
       orograph light area.oro --product openness --azimuths 8 --radius 500 -o openness.tif
       orograph light dem.tif --product shadow --sun 2026-12-21T08:00-08:00 -o shadow.tif
       orograph light dem.tif --product insolation --date 2026 --azimuths 64 -o year.tif
+      orograph light dem.tif --product sunshine --date 2026-10-15 --azimuths 64 -o hours.tif
     """
     began = time.perf_counter()
     progress = progress_of(ctx)

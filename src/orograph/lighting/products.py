@@ -39,6 +39,7 @@ _HOMES = {
     "aperture": "orograph.lighting.aperture",
     "shadow": "orograph.lighting.shadow",
     "insolation": "orograph.lighting.energy",
+    "sunshine": "orograph.lighting.sun_hours",
 }
 """The module of each product, by the product's name."""
 
@@ -98,6 +99,8 @@ MEANT = {
     **dict.fromkeys(("normals",), "normal"),
     **dict.fromkeys(("shadows", "cast-shadow"), "shadow"),
     **dict.fromkeys(("radiation", "solar", "irradiation"), "insolation"),
+    **dict.fromkeys(("sun-hours", "sunshine-hours", "sunshine-duration", "sun-duration", "hours"), "sunshine"),
+    **dict.fromkeys(("sun", "hours-of-sun", "direct-sun", "insolation-time", "duration"), "sunshine"),
 }  # fmt: skip
 """Names of products in other tools, and here."""
 
