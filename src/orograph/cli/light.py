@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from orograph.lighting.products import Product
     from orograph.lighting.raster import Band
     from orograph.lighting.raster_resume import Checkpoint
+    from orograph.lighting.sun import Sun
 
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
@@ -175,7 +176,8 @@ def command(
         context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
         write(
             output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
-            overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average", tags=_tags(context, wanted),
+            overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average",
+            tags=_tags(context, wanted, place),
         )  # fmt: skip
     seconds = time.perf_counter() - began
     rows, cols = terrain.grid.shape
@@ -231,7 +233,7 @@ def _bands(products: list[Product], options: Options) -> list[Band]:
     return found
 
 
-def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
+def _tags(context: Context, wanted: list[str], sun: Sun) -> dict[str, str]:
     """What a file records about how it was made: the options that affect its products."""
     options, more = context.options, context.options.more
     lights = options.lights or ((*options.sun, 1.0),)
@@ -243,6 +245,7 @@ def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
         if options.curvature
         else "flat",
         "sun": f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees",
+        "time": "" if sun.when is None else sun.when.isoformat(),
         "lights": "; ".join(f"azimuth {a:g}, altitude {h:g} degrees, weight {w:g}" for a, h, w in lights),
         "exaggeration": f"{options.exaggeration:g}",
         "method": method,
@@ -255,6 +258,8 @@ def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
     if not options.lights:
         del said["lights"]
     elif "shadow" not in wanted:
-        del said["sun"]
-    used = {key: text for key, text in said.items() if text and set(USERS[key]) & set(wanted)}
+        del said["sun"], said["time"]
+    used = {
+        key: text for key, text in said.items() if text and set(USERS["sun" if key == "time" else key]) & set(wanted)
+    }
     return {"software": "orograph", "product": ", ".join(wanted), "terrain": context.terrain.name, **used}

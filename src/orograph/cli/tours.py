@@ -15,7 +15,11 @@ def tour_options(function: F) -> F:
         click.option(
             "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain rotated."
         ),
-        click.option("--still", is_flag=True, help="The camera stays, all of the terrain in view: for data over time."),
+        click.option(
+            "--still",
+            is_flag=True,
+            help="The camera stays, all of the terrain in view: for data over time, or a moving sun.",
+        ),
         click.option("--plan", is_flag=True, help="The same straight down, as a map."),
         click.option(
             "--around",

@@ -47,9 +47,10 @@ def tour(
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         size: (width, height) of the pictures.
         orbit: once around the terrain, all of it in view (the default). turntable: the same with the light turning too.
-            still: the camera stays, all of the terrain in view, for data that change. plan: the same straight down, as
-            a map.
-        line: a GPX or GeoJSON file: fly along its longest line; or places, as ``points``.
+            still: the camera stays, all of the terrain in view, for data that change or a sun that moves. plan: the
+            same straight down, as a map.
+        line: a GPX or GeoJSON file: fly along its longest line; GeoJSON as an object; or
+            places, as ``points``.
         points: (longitude, latitude): fly over them.
         line_crs: the CRS of the line or the points; None: EPSG:4326.
         around: (longitude, latitude[, radius]): orbit this place rather than the terrain, with a radius in metres of
