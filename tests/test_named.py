@@ -78,7 +78,6 @@ DEM = orograph.Dem(
         (lambda: orograph.movie(DEM, "a.mp4", fsp=30), "movie has no option 'fsp'. Did you mean fps"),
         (lambda: orograph.Picture.save(None, "a.png", dip=300), "save has no option 'dip'. Did you mean dpi"),
         (lambda: orograph.read("a.oro", bbox=(1, 2, 3, 4)), "bbox=(7, 45, 8, 46))` reads a part"),
-        (lambda: orograph.measure.viewshed(DEM, (9, 9), eye=2), "has no option 'eye'. It is called eye_height"),
         (lambda: orograph.render(DEM, cellsize=30), "render has no option 'cellsize'. It is called spacing here"),
         (lambda: orograph.render(DEM, **{"from": 225}), "Here the camera is given as a view"),
         (lambda: orograph.tin(DEM, 1, output="a.dxf"), "Use .npz, .ply, .obj, .glb, .stl or .3mf"),
@@ -89,11 +88,6 @@ DEM = orograph.Dem(
 def test_what_is_passed_on(call: Callable[[], Any], wrong: str) -> None:
     with pytest.raises(UsageError, match=re.escape(wrong)):
         call()
-
-
-def test_what_the_command_line_calls_otherwise_is_told() -> None:
-    with pytest.raises(AttributeError, match=r"Use orograph\.measure\.probable_slope"):
-        _ = orograph.measure.slope
 
 
 def test_a_tour_may_be_given_as_it_is_at_hand() -> None:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 _SECRETS = re.compile(
     r"""(\b[a-z][a-z0-9+.-]*://)      # of a URL
@@ -112,16 +112,13 @@ class NothingInViewError(OrographError):
     exit_code = 5
 
 
-def absent(module: str, name: str, names: Iterable[str], elsewhere: Mapping[str, str] | None = None) -> AttributeError:
+def absent(module: str, name: str, names: Iterable[str]) -> AttributeError:
     """The error about a name that a module does not have, with those that may be meant.
 
     Args:
-        module: what users call it ("orograph.measure"). names: those that it has. elsewhere: what others are called.
+        module: what users call it ("orograph.measure"). names: those that it has.
     """
     import difflib
-
-    if elsewhere and name in elsewhere:
-        return AttributeError(f"{module} has no attribute {name!r}. Use {module}.{elsewhere[name]}.")
 
     close = [] if name.startswith("_") else difflib.get_close_matches(name, list(names), 2, 0.6)
     meant = f". Did you mean {' or '.join(f'{module}.{one}' for one in close)}?" if close else ""

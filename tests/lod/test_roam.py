@@ -296,11 +296,8 @@ def test_with_a_budget_priorities_are_known_to_a_bucket_where_the_queues_cross()
                 s.counts,
                 s.options,
                 s.terms,
-                s.stack,
-                s.work,
                 s.waiting,
-                s.family,
-                s.todo,
+                s.scratch,
             )
             priorities.priority_of(*args, i)
         true = s.nodes["priority"][: len(known)].astype(np.float64)

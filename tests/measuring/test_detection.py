@@ -80,7 +80,9 @@ def test_files_and_pictures_tell_what_is_significant(pair, tmp_path):
         assert file.descriptions == ("difference", "significance") and "95 %" in str(file.tags(2))
         np.testing.assert_array_equal(file.read(2), found.significance)
     picture = found.render(size=(400, 300))
-    assert "significant at 95 %" in picture.describe()
+    assert "Significant change" in picture.describe()
+    sure = np.abs(found.values[np.abs(found.significance) > T])
+    assert found.limit >= np.nanquantile(sure, 0.95) > orograph.difference(*pair).limit / 2
     assert "significant at 95 %: beyond ± 1.11 m" in repr(found) and "±" in dict(found.told())["net"]
 
 

@@ -52,7 +52,7 @@ def test_area_and_profile_take_geojson(given):
 
 def test_several_polygons_are_another_measure(given):
     one = geometry("Polygon", corners((5, 5), (30, 7), (20, 30)))
-    with pytest.raises(ReadError, match="`areas` measures each"):
+    with pytest.raises(ReadError, match="areas measures each"):
         measure.area(TERRAIN, given({"type": "GeometryCollection", "geometries": [one, one]}))
     with pytest.raises(ReadError, match="one LineString"):
         measure.profile(TERRAIN, given(one))
@@ -63,7 +63,7 @@ def test_an_error_may_be_given_by_its_parts():
     one = measure.slope(TERRAIN, error, [10], draws=3)
     other = measure.slope(TERRAIN, exceeds=[10], sigma=2.0, range=60.0, draws=3)
     assert np.array_equal(one.values(), other.values(), equal_nan=True)
-    with pytest.raises(UsageError, match="`error` and `sigma`"):
+    with pytest.raises(UsageError, match="and `sigma`, too"):
         measure.slope(TERRAIN, error=error, sigma=1.0)
     with pytest.raises(UsageError, match="error"):
         measure.contours(TERRAIN, interval=10.0)
@@ -75,3 +75,18 @@ def test_names_are_the_command_lines():
     assert measure.viewshed(TERRAIN, a, eye=3.0, target=1.0, flat=True).bend == 0.0
     with pytest.raises(OrographError, match="eye_heigt"):
         measure.viewshed(TERRAIN, a, eye_heigt=3.0)
+
+
+def test_a_profile_goes_to_a_gis(tmp_path):
+    line = corners((5, 5), (30, 7), (20, 30))
+    found = measure.profile(TERRAIN, line)
+    found.save_geojson(tmp_path / "p.geojson")
+    (feature,) = json.loads((tmp_path / "p.geojson").read_text())["features"]
+    places = np.array(feature["geometry"]["coordinates"])
+    np.testing.assert_allclose(measure.Places(TERRAIN).of_lonlat(places[:, :2]), found.points, atol=1e-3)
+    np.testing.assert_array_equal(places[:, 2], found.surface_heights)
+    assert feature["properties"]["ground_m"] == found.length
+    back = measure.profile(TERRAIN, tmp_path / "p.geojson")
+    assert back.length == pytest.approx(found.length, rel=1e-6)
+    with pytest.raises(UsageError, match="no CRS"):
+        measure.profile(terrain_of(rough((40, 50))), line).save_geojson(tmp_path / "q.geojson")

@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from orograph.errors import NothingInViewError, OutputError, UsageError
 from orograph.geo.grid import Grid
-from orograph.meshing import write
+from orograph.meshing import write, write_surface
 from orograph.tessellation import Tessellation
 
 GRID = Grid((40, 50), Affine(8.5, 6, 448262.125, 6, -8.5, 5411932.75), CRS.from_epsg(32632))
@@ -205,3 +205,34 @@ def test_what_cannot_be_written(tmp_path: Path, mesh: Tessellation, monkeypatch:
     with pytest.raises(UsageError, match=r"orograph\[mesh\]"):
         write(mesh, GRID, tmp_path / "m.glb")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj", ".glb"])
+@pytest.mark.parametrize("origin", ["auto", "448500,5411700", (448_500.0, 5_411_700.0, 120.0)])
+def test_positions_are_relative_to_an_origin(mesh, tmp_path, ending, origin) -> None:
+    path = write(mesh, GRID, tmp_path / f"m{ending}", origin=origin)
+    middle = np.round((mesh.positions(GRID).min(0) + mesh.positions(GRID).max(0)) / 2)
+    start = [*middle[:2], 0] if origin == "auto" else [448_500, 5_411_700, 0 if isinstance(origin, str) else 120]
+    read = trimesh.load(path, process=False)
+    found = np.asarray(read.vertices if ending != ".glb" else next(iter(read.geometry.values())).vertices)
+    found = found if ending != ".glb" else found[:, [0, 2, 1]] * [1, -1, 1]
+    np.testing.assert_allclose(found, mesh.positions(GRID) - start, atol=1e-3)
+    if ending != ".glb":
+        assert "origin {:.10g} {:.10g} {:.10g}".format(*start).encode() in path.read_bytes()
+
+
+def test_mistakes_about_origins(mesh, tmp_path) -> None:
+    with pytest.raises(UsageError, match="easting, northing"):
+        write(mesh, GRID, tmp_path / "m.ply", origin=(1.0,))
+    with pytest.raises(UsageError, match=r"surfaces as \.stl only"):
+        write(mesh, GRID, tmp_path / "m.npz", origin="auto")
+    with pytest.raises(UsageError, match=r"Use \.npz"):
+        write(mesh, GRID, tmp_path / "m.dxf")
+
+
+def test_an_open_surface_in_metres(mesh, tmp_path) -> None:
+    start = write_surface(mesh, GRID, tmp_path / "m.stl", "auto")
+    read = trimesh.load(tmp_path / "m.stl", process=False)
+    corners = mesh.positions(GRID)[mesh.triangles] - start
+    np.testing.assert_allclose(read.vertices.reshape(-1, 3, 3), corners, atol=1e-3)
+    assert (read.face_normals[:, 2] > 0).all() and b"metres from" in (tmp_path / "m.stl").read_bytes()[:80]

@@ -97,7 +97,7 @@ def test_the_command_line(tmp_path):
     dem = orograph.export(hills(MAPS[0]), tmp_path / "dem.tif")
     args = ["tin", str(dem), "--max-error", "2", "-o", str(tmp_path / "m.3mf"), "--model-size", "90", "--base", "2"]
     ran = CliRunner().invoke(cli, args, obj={"quiet": True})
-    assert ran.exit_code == 0 and "\n90 × " in ran.stdout and "1:6,222" in ran.stdout, ran.output
+    assert ran.exit_code == 0 and "\n90.0 × " in ran.stdout and "1:6,222" in ran.stdout, ran.output
     told = json.loads(CliRunner().invoke(cli, [*args, "--json"], obj={"quiet": True}).stdout)
     assert told["model"]["size_mm"][0] == 90
 
@@ -120,3 +120,20 @@ def test_what_cannot_be_meant(options, said):
 def test_meshes_of_a_view_are_no_models(tmp_path):
     with pytest.raises(UsageError, match=r"orograph\.tin"):
         orograph.tessellate(hills(MAPS[0]), output=tmp_path / "m.stl")
+
+
+def test_a_surface_in_metres_by_the_command_line(tmp_path):
+    y, x = np.mgrid[:40, :50] * 30.0
+    dem = tmp_path / "dem.tif"
+    orograph.export(
+        orograph.Dem((500 + 90 * np.sin(x / 300) * np.cos(y / 250)).astype(np.float32),
+                     orograph.Grid((40, 50), Affine(30, 0, 500_000, 0, -30, 4_000_000), "EPSG:32611")), dem,
+    )  # fmt: skip
+    run = ["tin", str(dem), "--max-error", "2", "--surface", "-o", str(tmp_path / "m.stl")]
+    ran = CliRunner().invoke(cli, run, obj={"quiet": True})
+    assert ran.exit_code == 0 and "coordinates from 500750, 3999400, height 0 m" in ran.stdout, ran.output
+    low, high = trimesh.load(tmp_path / "m.stl").bounds
+    assert (high - low)[:2] == pytest.approx((49 * 30, 39 * 30)) and 400 < low[2] < high[2] < 600
+    for wrong, words in ((["--base", "3"], "applies to models to print"), (["--surface", "-o", "m.ply"], ".stl files")):
+        ran = CliRunner().invoke(cli, [*run, *wrong], obj={"quiet": True})
+        assert isinstance(ran.exception, UsageError) and words in str(ran.exception)

@@ -122,7 +122,7 @@ def pick(
 @click.option(
     "--every", type=Float(), metavar="M", help="Distance between rows of the table.  [default: a row at every edge]"
 )
-@output_option("A table (.csv) or a plot (.png, .svg, .pdf); may be repeated.")
+@output_option("A table (.csv), the line (.geojson) or a plot (.png, .svg, .pdf); may be repeated.")
 @points_option
 @click.pass_context
 def profile(
@@ -134,7 +134,7 @@ def profile(
         check_points(points, 2, "A profile")
     elif points:
         raise UsageError("Give the line as points or with --geojson, not both.")
-    kinds(outputs, True)
+    kinds(outputs, True, (".csv", ".geojson"))
     if every is not None and not every > 0:
         raise UsageError(f"--every must be a positive number of metres, not {every:g}.")
     terrain = opened(ctx, outputs)
@@ -152,6 +152,8 @@ def profile(
         for path in outputs:
             if Path(path).suffix.lower() == ".csv":
                 found.save_csv(path, every)
+            elif Path(path).suffix.lower() == ".geojson":
+                found.save_geojson(path)
             else:
                 from orograph.measuring.plot import save_profile
 

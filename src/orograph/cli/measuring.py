@@ -148,15 +148,16 @@ def on_terrain(places: Places, points: tuple[tuple[float, ...], ...], degrees: b
     return places.of_lonlat(points) if degrees else np.asarray(points, np.float64)
 
 
-def kinds(outputs: tuple[str, ...], plots: bool) -> None:
+def kinds(outputs: tuple[str, ...], plots: bool, tables: tuple[str, ...] = (".csv",)) -> None:
     """Raise UsageError for endings other than a table's or a plot's; a missing matplotlib is reported at once."""
     from orograph.measuring.plot import ENDINGS, check_plot
 
     for path in outputs:
-        if Path(path).suffix.lower() == ".csv":
+        if Path(path).suffix.lower() in tables:
             continue
         if not plots or Path(path).suffix.lower() not in ENDINGS:
-            raise UsageError("--output must be a .csv, .png, .svg or .pdf.", path=path)
+            known = [*tables, *ENDINGS]
+            raise UsageError(f"--output must be a {', '.join(known[:-1])} or {known[-1]}.", path=path)
         check_plot(path)
 
 

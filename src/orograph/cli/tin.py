@@ -28,6 +28,11 @@ from orograph.cli.options import (
 @click.option(
     "--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj, .glb; to print: .stl, .3mf."
 )
+@click.option(
+    "--origin", metavar="auto|E,N[,H]",
+    help="For .ply, .obj, .glb and --surface: the place that coordinates are relative to; auto: the middle.",
+)  # fmt: skip
+@click.option("--surface", is_flag=True, help="An .stl of the open surface in metres, instead of a model to print.")
 @click.option("--max-error", type=FloatRange(min=0), metavar="METRES", help="Maximum vertical error.")
 @click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: maximum number of triangles.")
 @click.option(
@@ -51,14 +56,15 @@ from orograph.cli.options import (
 @jobs_option
 @click.pass_context
 def command(
-    ctx: click.Context, /, paths: tuple[str, ...], output: str, max_error: float | None, triangles: int | None,
-    bound: Any, breaklines: str | None, base: float | None, model_size: float | None, scale: float | None,
-    exaggeration: float | None, as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+    ctx: click.Context, /, paths: tuple[str, ...], output: str, origin: str | None, surface: bool,
+    max_error: float | None, triangles: int | None, bound: Any, breaklines: str | None, base: float | None,
+    model_size: float | None, scale: float | None, exaggeration: float | None, as_json: bool, max_memory: int,
+    jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
     """Triangulate a DEM (one file or many) or a store as a TIN: few triangles on its samples, within a bound in metres.
 
     The bound also holds on the surface between samples. Holes stay holes. The files are those of orograph tessellate;
-    an .stl or .3mf is a closed model to print, in millimetres, with walls and a base.
+    an .stl or .3mf is a closed model to print, in millimetres, with walls and a base, unless --surface is given.
 
     \b
     Examples:
@@ -79,12 +85,12 @@ def command(
 
     check_goal(max_error, triangles)
     model = {"base": base, "model_size": model_size, "scale": scale, "exaggeration": exaggeration}
-    print_of(output, **model)
+    print_of(output, **model, surface=surface)
     reading = source_of(options, ())
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **reading)
     mesh = tin(
         terrain, max_error=max_error, triangles=triangles, bound=bound, breaklines=breaklines, output=output,
-        **model, max_memory=max_memory, jobs=jobs, progress=progress,
+        origin=origin, surface=surface,         **model, max_memory=max_memory, jobs=jobs, progress=progress,
     )  # fmt: skip
     stats, count = mesh.stats, len(mesh.triangles)
     if as_json:
@@ -99,6 +105,8 @@ def command(
             f"{output}  {count:,} triangles, off by at most {stats['largest']:.4g} m on the surface, "
             f"{stats['largest_at_samples']:.4g} m at samples"
         )
+        if "origin" in stats:
+            click.echo("coordinates from {:.10g}, {:.10g}, height {:.10g} m".format(*stats["origin"]))
         if "model" in stats:
             x, y, z = stats["model"]["size_mm"]
             click.echo(f"{x:,.1f} × {y:,.1f} × {z:,.1f} mm, 1:{stats['model']['scale']:,.0f}, "

@@ -82,7 +82,7 @@ class Climb:
                 if self.sums is not None and kind == "wedgie":
                     number, sums_below, sums = octaves.WEDGIE, self.sums, np.zeros((2, *half), np.float32)
                     self.sums = sums
-                monotony.ascend(z, *at, number, sums_below, finer[kind], self.found, self.seen, sums, e)
+                monotony.ascend(z, at, number, sums_below, finer[kind], self.found, self.seen, sums, e)
             self.errors[kind] = e
         if self.radii is not None:
             filled = self.surface.filled(z, self.row0, self.col0, k) if self.states is not None else z

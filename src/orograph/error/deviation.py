@@ -226,16 +226,17 @@ def triangle(z, row0, col0, ay, ax, az, by, bx, bz, cy, cx, cz):
 
 
 @leaf
-def split_distance(ay, ax, az, by, bx, bz, py, px, pz, qy, qx, qz, my, mx, mz, only_middle):
+def split_distance(a, b, p, q, m, only_middle):
     """Vertical distance of the two triangles (a, b, p), (a, b, q) from the four that meet in m, for squeezed diamonds.
 
     Both are linear on the pieces of their overlay, so it is the larger of the distances at m and where the hypotenuse
     crosses the edge from m to the apex on its other side (m is not on the hypotenuse where the border squeezes them).
 
     Args:
-        ay, ax, az…: rows, columns and heights of the hypotenuse's ends a and b, the apexes p and q, and the centre m.
+        a, b, p, q, m: (row, column, height) of the hypotenuse's ends, of the apexes, and of the centre.
         only_middle: only the distance at m, ROAM's local error.
     """
+    (ay, ax, az), (by, bx, bz), (py, px, pz), (qy, qx, qz), (my, mx, mz) = a, b, p, q, m
     dy = by - ay
     dx = bx - ax
     length = dx * dx + dy * dy

@@ -103,16 +103,17 @@ def close(below, k, errors):
 
 
 @kernel
-def ascend(z, row0, col0, k, rows, cols, kind, sums_below, below, found, seen, sums, errors):
+def ascend(z, at, kind, sums_below, below, found, seen, sums, errors):
     """Everything about an octave's MIDPOINT or WEDGIE errors.
 
     Args:
-        z, row0, col0, k, rows, cols, kind: as for ``octaves.midpoints``.
+        z, at (row0, col0, k, rows, cols), kind: as for ``octaves.midpoints``.
         sums_below, sums: as for ``wedgies`` (nothing for MIDPOINT).
         below: float32, the closed errors of the octave below.
         found, seen: of ``holes.states``; without entries if all is whole.
         errors: float32 with z's shape, 0 before: the result.
     """
+    row0, col0, k, rows, cols = at
     height, width = errors.shape
     with_holes = len(found) > 0
     scratch = np.empty((3, max(width, below.shape[1])), np.float32)

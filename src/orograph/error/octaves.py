@@ -87,7 +87,7 @@ def _on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind):
         return max(one, two)
     my, mx = min(row0 + i * s, y), min(col0 + j * s, x)
     m = np.float64(z[i, j])
-    d = split_distance(ay, ax, a, by, bx, b, py, px, p, qy, qx, q, my, mx, m, kind == MIDPOINT)
+    d = split_distance((ay, ax, a), (by, bx, b), (py, px, p), (qy, qx, q), (my, mx, m), kind == MIDPOINT)
     return d if d == d else 0.0
 
 

@@ -35,10 +35,12 @@ def _apart(m, a, b):
 
 
 @leaf
-def _reach(z, radii, nested, i, j, row, col, height, rows, cols, metric, my, mx):
-    """Distance from a diamond's centre (my, mx, height) to the vertex (i, j), plus that one's radius if ``nested``."""
+def _reach(z, radii, nested, i, j, row, col, rows, cols, metric, centre):
+    """Distance from a diamond's ``centre``, (row, column, height), to the vertex (i, j), plus that one's radius if
+    ``nested``."""
     if i < 0 or j < 0 or (nested and (i >= z.shape[0] or j >= z.shape[1])):
         return 0.0
+    my, mx, height = centre
     y = min(row, rows - 1) - my
     x = min(col, cols - 1) - mx
     easting = metric[0, 0] * x + metric[0, 1] * y
@@ -55,7 +57,7 @@ def _on_rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, i, j):
     h = s >> 1
     row, col = row0 + i * s, col0 + j * s
     my, mx = min(row, rows - 1), min(col, cols - 1)
-    m = np.float64(z[i, j])
+    centre = my, mx, np.float64(z[i, j])
     square = i & j & 1
     r = 0.0
     for side in range(4):
@@ -63,15 +65,15 @@ def _on_rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, i, j):
         dj = (side == 3) - (side == 2)
         # On the sides: children of a square diamond, corners of an edge one.
         y, x = row + di * s, col + dj * s
-        r = max(r, _reach(z, radii, square, i + di, j + dj, y, x, m, rows, cols, metric, my, mx))
+        r = max(r, _reach(z, radii, square, i + di, j + dj, y, x, rows, cols, metric, centre))
         di, dj = di - dj, di + dj
         # On the diagonals: corners of a square diamond, children of an edge one.
         if square:
             y, x = row + di * s, col + dj * s
-            r = max(r, _reach(z, radii, 0, i + di, j + dj, y, x, m, rows, cols, metric, my, mx))
+            r = max(r, _reach(z, radii, 0, i + di, j + dj, y, x, rows, cols, metric, centre))
         elif k:
             y, x = row + di * h, col + dj * h
-            r = max(r, _reach(fine, below, 1, 2 * i + di, 2 * j + dj, y, x, m, rows, cols, metric, my, mx))
+            r = max(r, _reach(fine, below, 1, 2 * i + di, 2 * j + dj, y, x, rows, cols, metric, centre))
     return r
 
 

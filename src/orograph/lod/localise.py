@@ -31,8 +31,13 @@ STACK = 10
 
 
 @inlined
-def prism_outside(camera, ac, ar, az, bc, br, bz, cc, cr, cz, e):
-    """Whether all points within e (metres) of a triangle on their vertical lie beyond one plane of the frustum."""
+def prism_outside(camera, a, b, c, e):
+    """Whether all points within e (metres) of a triangle on their vertical lie beyond one plane of the frustum.
+
+    Args:
+        a, b, c: (row, column, height) of its corners.
+    """
+    (ar, ac, az), (br, bc, bz), (cr, cc, cz) = a, b, c
     for plane in range(6):
         p, q, v, d = plane_of(camera, plane)
         farthest = max(p * ac + q * ar + v * az, max(p * bc + q * br + v * bz, p * cc + q * cr + v * cz)) + d
@@ -42,8 +47,9 @@ def prism_outside(camera, ac, ar, az, bc, br, bz, cc, cr, cz, e):
 
 
 @inlined
-def plane_through(er, ec, ez, xr, xc, xz, ar, ac, az):
+def plane_through(e, x, a):
     """(base, down, across) of the plane through three corners: its height is base + down · row + across · col."""
+    (er, ec, ez), (xr, xc, xz), (ar, ac, az) = e, x, a
     p1r, p1c, p2r, p2c = np.float64(xr - er), np.float64(xc - ec), np.float64(ar - er), np.float64(ac - ec)
     area = p1r * p2c - p1c * p2r
     z1, z2 = np.float64(xz) - np.float64(ez), np.float64(az) - np.float64(ez)
@@ -53,50 +59,52 @@ def plane_through(er, ec, ez, xr, xc, xz, ar, ac, az):
 
 
 @inlined
-def push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, mz, depth):
-    """Put the halves of triangle b, d, f on the stack; m is the middle of its hypotenuse, depth theirs. The new top."""
-    for half in range(2):
-        todo[top, 0], todo[top, 1], todo[top, 2] = fr, fc, fz
-        if half == 0:
-            todo[top, 3], todo[top, 4], todo[top, 5] = br, bc, bz
-        else:
-            todo[top, 3], todo[top, 4], todo[top, 5] = dr, dc, dz
-        todo[top, 6], todo[top, 7], todo[top, 8] = mr, mc, mz
-        todo[top, 9] = depth
-        top += 1
-    return top
+def put(todo, at, e, x, a, depth):
+    """Let a triangle wait at a place of the stack: the ends of its hypotenuse and its apex, and its depth below T."""
+    todo[at, 0], todo[at, 1], todo[at, 2] = e
+    todo[at, 3], todo[at, 4], todo[at, 5] = x
+    todo[at, 6], todo[at, 7], todo[at, 8] = a
+    todo[at, 9] = depth
 
 
 @inlined
-def localised_bound(
-    pages, camera, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf, e, mz, low, enough, cull, depth, todo
-):
+def take(todo, at):
+    """The triangle that waits there: the ends of its hypotenuse and its apex, and its depth below T."""
+    e, x = (todo[at, 0], todo[at, 1], todo[at, 2]), (todo[at, 3], todo[at, 4], todo[at, 5])
+    return e, x, (todo[at, 6], todo[at, 7], todo[at, 8]), np.int64(todo[at, 9])
+
+
+@inlined
+def push_halves(todo, top, b, d, f, m, depth):
+    """Put the halves of triangle b, d, f on the stack; m is the middle of its hypotenuse, depth theirs. The new top."""
+    put(todo, top, f, b, m, depth)
+    put(todo, top + 1, f, d, m, depth)
+    return top + 2
+
+
+@inlined
+def localised_bound(pages, camera, triangle, level, leaf, e, mz, low, enough, cull, depth, todo):
     """(a bound in pixels of what T displaces, whether a page is missing) for a triangle T inside the raster.
 
     Args:
-        er, ec, ez…: row, column (int64) and height of the hypotenuse's ends and the apex.
+        triangle: row, column (int64) and height of the hypotenuse's ends and the apex.
         level, leaf: T's and the finest level. e: T's error, finite. mz: height of T's middle.
         low: displacements up to this do not matter. enough: one beyond this ends the search.
         cull: whether what is out of view does not count.
         depth: halvings.
-        todo: float64 (depth + 2, 14) for triangles that wait.
+        todo: float64 (depth + 2, STACK) for triangles that wait.
     """
     n = leaf >> 1
-    base, down, across = plane_through(er, ec, ez, xr, xc, xz, ar, ac, az)
+    base, down, across = plane_through(triangle[0], triangle[1], triangle[2])
     worst = 0.0
     missed = False
     top = 1
-    todo[0, 0], todo[0, 1], todo[0, 2] = er, ec, ez
-    todo[0, 3], todo[0, 4], todo[0, 5] = xr, xc, xz
-    todo[0, 6], todo[0, 7], todo[0, 8] = ar, ac, az
-    todo[0, 9] = 0.0
+    put(todo, 0, triangle[0], triangle[1], triangle[2], 0.0)
     first = True
     while top > 0:
         top -= 1
-        br, bc, bz = todo[top, 0], todo[top, 1], todo[top, 2]
-        dr, dc, dz = todo[top, 3], todo[top, 4], todo[top, 5]
-        fr, fc, fz = todo[top, 6], todo[top, 7], todo[top, 8]
-        at = np.int64(todo[top, 9])
+        b, d, f, at = take(todo, top)
+        (br, bc, bz), (dr, dc, dz), (fr, fc, fz) = b, d, f
         finest = level + at == leaf
         hz, known = np.float64(mz), np.float64(e)
         if finest:
@@ -107,7 +115,7 @@ def localised_bound(
                 missed = True
                 continue
             hz, known = np.float64(pages.data[slot, i, j, 0]), np.float64(pages.data[slot, i, j, 1])
-        if (cull or finest) and not first and prism_outside(camera, bc, br, bz, dc, dr, dz, fc, fr, fz, known):
+        if (cull or finest) and not first and prism_outside(camera, b, d, f, known):
             continue
         tb = base + down * br + across * bc
         td = base + down * dr + across * dc
@@ -142,7 +150,7 @@ def localised_bound(
                 worst = np.inf
             if worst > enough:
                 break
-        top = push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, hz, at + 1)
+        top = push_halves(todo, top, b, d, f, (mr, mc, hz), at + 1)
     return worst, missed
 
 
@@ -193,7 +201,8 @@ def diamond_exceeds(pages, camera, cull, depth, row, col, n, todo):
             missed = True
             continue
         ez, xz, az = pages.data[es, ei, ej, 0], pages.data[xs, xi, xj, 0], pages.data[s, i, j, 0]
-        if cull and prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, e):
+        triangle = (er, ec, ez), (xr, xc, xz), (ar, ac, az)
+        if cull and prism_outside(camera, triangle[0], triangle[1], triangle[2], e):
             continue
         out = False
         ex, ey, ew = to_camera(camera, ec, er, np.float64(ez))
@@ -203,9 +212,8 @@ def diamond_exceeds(pages, camera, cull, depth, row, col, n, todo):
             continue
         level = np.int64(diamonds.level(row, col, n))
         bound, lacks = localised_bound(
-            pages, camera, er, ec, ez, xr, xc, xz, ar, ac, az, level, 2 * n, e, mz, tolerance, tolerance, cull, depth,
-            todo,
-        )  # fmt: skip
+            pages, camera, triangle, level, 2 * n, e, mz, tolerance, tolerance, cull, depth, todo
+        )
         if bound > tolerance:
             return 1, False
         missed = missed or lacks

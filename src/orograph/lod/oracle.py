@@ -63,7 +63,7 @@ def collect(pages, criterion, marks, found, begin, end, n):
         for k in range(4):
             a, b = diamonds.child(row, col, k, n)
             if a >= 0 and marks[a, b] == 0:
-                marks[a, b] = 1
+                marks[a, b] = CANDIDATE
                 found[last, 0], found[last, 1] = a, b
                 last += 1
     return kept, last
@@ -155,13 +155,13 @@ def close(marks, found, inaccurate, count, n):
     for at in range(count - 1, -1, -1):
         row, col = found[at, 0], found[at, 1]
         if inaccurate[at]:
-            marks[row, col] = 2
-        if marks[row, col] == 2:
+            marks[row, col] = ACTIVE
+        if marks[row, col] == ACTIVE:
             active += 1
             for k in range(2):
                 a, b = diamonds.parent(row, col, k, n)
                 if a >= 0:
-                    marks[a, b] = 2
+                    marks[a, b] = ACTIVE
     return active
 
 
@@ -185,7 +185,7 @@ def put_out(pages, camera, z, marks, prisms, leaf_level, stack, keys, zs):
         top -= 1
         e, x, a, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
         m = (e + x) >> 1
-        if level < leaf_level and marks[m >> 32, m & 0xFFFFFFFF] == 2:
+        if level < leaf_level and marks[m >> 32, m & 0xFFFFFFFF] == ACTIVE:
             stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = a, e, m, level + 1
             stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2], stack[top + 1, 3] = x, a, m, level + 1
             top += 2
@@ -211,7 +211,7 @@ def put_out(pages, camera, z, marks, prisms, leaf_level, stack, keys, zs):
                 continue
         whole = max(e >> 32, max(x >> 32, a >> 32)) <= last_row
         whole = whole and max(e & 0xFFFFFFFF, max(x & 0xFFFFFFFF, a & 0xFFFFFFFF)) <= last_col
-        if prisms and whole and prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, error):
+        if prisms and whole and prism_outside(camera, (er, ec, ez), (xr, xc, xz), (ar, ac, az), error):
             continue
         if count < len(keys):
             keys[count, 0], keys[count, 1], keys[count, 2] = e, x, a
@@ -342,7 +342,7 @@ def _candidates(field: Field, camera: CameraParameters) -> tuple[NDArray[np.uint
     half = (1 << n) >> 1
     found = np.full((16, 2), half, np.int64)
     begin, end = 0, 1 if n else 0
-    marks[half, half] = 1 if n else 0
+    marks[half, half] = CANDIDATE if n else 0
     while begin < end:
         if len(found) < end + 4 * (end - begin):
             found = np.concatenate([found, np.empty((len(found) + 4 * (end - begin), 2), np.int64)])

@@ -139,6 +139,7 @@ def evaluate(pages, criterion, search, limits, level, leaf_level, scratch, i):
     n = leaf_level >> 1
     er, ec, xr, xc, ar, ac = squeezed(scratch.corners, i, pages.edge)
     ez, xz, az = scratch.heights[i, 0], scratch.heights[i, 1], scratch.heights[i, 2]
+    triangle = (er, ec, ez), (xr, xc, xz), (ar, ac, az)
     whole = is_inside(scratch.corners, i, pages.edge)
     seen = has_area(er, ec, xr, xc, ar, ac)
     missed = False
@@ -146,7 +147,7 @@ def evaluate(pages, criterion, search, limits, level, leaf_level, scratch, i):
     scratch.heights[i, 3] = NAN
     if level == leaf_level:
         if criterion.cull and seen:
-            seen = not prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, 0.0)
+            seen = not prism_outside(camera, triangle[0], triangle[1], triangle[2], 0.0)
     else:
         key = (scratch.corners[i, 0] + scratch.corners[i, 1]) >> 1
         slot, z, e32, r32, c = look_up(pages, key, n - 1 - (level >> 1))
@@ -160,7 +161,7 @@ def evaluate(pages, criterion, search, limits, level, leaf_level, scratch, i):
             out, _ = outside(camera, col, row, np.float64(z), r, 0)
             # (A squeezed triangle cuts unit triangles: parts of them may be farther from it than its samples.)
             if whole and not out and e < np.inf:
-                out = prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, e)
+                out = prism_outside(camera, triangle[0], triangle[1], triangle[2], e)
             seen = not out
         if seen:
             x, y, w = to_camera(camera, col, row, np.float64(z))
@@ -177,8 +178,8 @@ def evaluate(pages, criterion, search, limits, level, leaf_level, scratch, i):
                 if metric == LOCALISED and whole and error > limits.low and r > search.near * (w - r):
                     enough = np.inf if limits.ordered else limits.low
                     bound, lacks = localised_bound(
-                        pages, camera, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf_level, e, z, limits.low, enough,
-                        criterion.cull, search.depth, scratch.todo,
+                        pages, camera, triangle, level, leaf_level, e, z, limits.low, enough, criterion.cull,
+                        search.depth, scratch.todo,
                     )  # fmt: skip
                     error = min(error, bound)
                     # What is known to be too much needs no further page.

@@ -27,13 +27,6 @@ from orograph.measuring.sight import line_of_sight as los
 from orograph.measuring.viewshed import Viewshed, viewshed
 from orograph.measuring.zones import Zone, Zones, areas
 
-ELSEWHERE = {
-    "slope": "probable_slope(terrain, HeightError(sigma=…)), slope_aspect, or orograph.light(terrain, 'slope')",
-    "contours": "probable_contours(terrain, HeightError(sigma=…)), or orograph.contours",
-    **dict.fromkeys(("los", "visibility"), "line_of_sight"),
-}
-"""What the command line calls otherwise (``measure slope``), and here."""
-
 __all__ = [
     "Area",
     "HeightError",
@@ -66,4 +59,4 @@ __all__ = [
 if not TYPE_CHECKING:  # (type checkers look for names themselves)
 
     def __getattr__(name: str) -> object:
-        raise absent("orograph.measure", name, __all__, ELSEWHERE)
+        raise absent("orograph.measure", name, __all__)

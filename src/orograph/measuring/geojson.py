@@ -48,7 +48,7 @@ def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
     if len(found) != 1:
         raise ReadError(
             f"It holds {len(found)} geometries of type {kind}, but only one can be measured at a time.", path=called,
-            remedy="`areas` measures each." if kind == "Polygon" and found else f"Give GeoJSON with one {kind}.",
+            remedy="orograph.measure.areas measures each." if kind == "Polygon" and found else f"Give one {kind}.",
         )  # fmt: skip
     parts = found[0].get("coordinates")
     try:

@@ -127,7 +127,7 @@ def takes_error(function: Callable[..., T]) -> Callable[..., T]:
         said = {name: options.pop(name) for name in NAMES if options.get(name) is not None}
         if said:
             if options.get("error") is not None:
-                raise UsageError(f"`error` and `{next(iter(said))}` contradict each other.", remedy="Give one of them.")
+                raise UsageError(f"An error is given, and `{next(iter(said))}`, too.", remedy="Give one of the two.")
             options["error"] = HeightError(**{NAMES[name]: value for name, value in said.items()})
         return function(*args, **options)
 

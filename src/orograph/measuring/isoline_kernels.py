@@ -14,8 +14,9 @@ EDGES = 3
 
 
 @inlined
-def _march(ka, kb, kc, ab, bc, ca, low, high, size, at, starts, ends, counts):
-    """Pieces of a triangle whose corners turn in one direction; see ``march``."""
+def _march(ranks, edges, levels, size, at, starts, ends, counts):
+    """Pieces of a triangle whose corners, of these ranks, turn in one direction; see ``march``."""
+    (ka, kb, kc), (ab, bc, ca), (low, high) = ranks, edges, levels
     if ka < 0 or kb < 0 or kc < 0:
         return at
     first, last = max(min(ka, kb, kc), low), min(max(ka, kb, kc), high)
@@ -44,6 +45,7 @@ def march(ranks, row0, col0, width, size, low, high, starts, ends, counts):
         counts: (levels,) int64, by level, added to where they are only counted.
     """
     rows, cols = ranks.shape
+    levels = low, high
     at = 0
     for i in range(rows - 1):
         for j in range(cols - 1):
@@ -55,11 +57,11 @@ def march(ranks, row0, col0, width, size, low, high, starts, ends, counts):
             top, left, across = cell, cell + 1, cell + 2
             right, bottom = cell + EDGES + 1, cell + width * EDGES
             if (row + col) % 2 == 0:  # cut from a to d
-                at = _march(a, b, d, top, right, across, low, high, size, at, starts, ends, counts)
-                at = _march(a, d, c, across, bottom, left, low, high, size, at, starts, ends, counts)
+                at = _march((a, b, d), (top, right, across), levels, size, at, starts, ends, counts)
+                at = _march((a, d, c), (across, bottom, left), levels, size, at, starts, ends, counts)
             else:  # from b to c
-                at = _march(a, b, c, top, across, left, low, high, size, at, starts, ends, counts)
-                at = _march(b, d, c, right, bottom, across, low, high, size, at, starts, ends, counts)
+                at = _march((a, b, c), (top, across, left), levels, size, at, starts, ends, counts)
+                at = _march((b, d, c), (right, bottom, across), levels, size, at, starts, ends, counts)
     return at
 
 

@@ -14,6 +14,7 @@ shorter than the straight distance; the bridged length is reported. Units: metre
 from __future__ import annotations
 
 import csv
+import json
 import math
 import os
 from dataclasses import dataclass
@@ -193,6 +194,24 @@ class Profile:
         lonlat = np.full((len(points), 2), np.nan) if degrees is None else degrees
         table = np.column_stack([distance, ground, points, lonlat, own, surface])
         return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
+
+    def save_geojson(self, path: str | os.PathLike[str]) -> None:
+        """Write the line as GeoJSON: longitude, latitude and surface height at every crossing (no height over holes),
+        and ``to_dict`` as its properties.
+
+        Raises:
+            UsageError: the terrain has no CRS. OutputError: the file cannot be written.
+        """
+        if self.lonlat is None:
+            raise UsageError("GeoJSON needs longitudes and latitudes, but the terrain has no CRS.", path=path)
+        places = [
+            [*at, *([] if math.isnan(z) else [z])]
+            for at, z in zip(np.round(self.lonlat, 9).tolist(), self.surface_heights.tolist())
+        ]
+        line = {"type": "LineString", "coordinates": places}
+        feature = {"type": "Feature", "properties": self.to_dict(), "geometry": line}
+        with Beside(Path(path)) as part:
+            part.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False))
 
     def save_csv(self, path: str | os.PathLike[str], every: float | None = None) -> None:
         """Write ``rows`` as CSV with a header line; missing values are empty.

@@ -67,9 +67,13 @@ def lines(result: Hit | Profile | Area | Sight) -> list[Row]:
 
 def _hit(hit: Hit) -> list[Row]:
     found = place(hit.longitude, hit.latitude, hit.easting, hit.northing)
-    for name, height, error in (("height", hit.height, hit.height_error), ("of the surface", hit.surface_height, None)):
+    for name, height, error, what in (
+        ("height", hit.height, hit.height_error, ", the data's own: the one to quote"),
+        ("of the surface", hit.surface_height, None, ", which pictures show and all else is measured on"),
+    ):
         aside = "" if error is None else f" ({about(error)})"
-        found.append((name, metres(height, 3) + aside if height is not None else "no data here", ""))
+        known = height is not None
+        found.append((name, metres(height, 3) + aside if known else "no data here", what if known else ""))
     if hit.slope is not None:
         aspect = "level" if hit.aspect is None else f"{hit.aspect:.1f}° grid, {hit.true_aspect:.1f}° true"
         found += [("slope", f"{hit.slope:.2f}°", ""), ("aspect", aspect, "")]

@@ -1,8 +1,8 @@
 """Write a tessellation to a file: .npz (everything, for NumPy), .ply, .obj, .glb (geometry, for other programs).
 
 All lengths are metres. PLY (binary, float64) and OBJ (text, micrometres) are in the terrain's CRS as it is: easting,
-northing, height, z up; many viewers hold positions in float32 and need them moved to the origin first. GLB is float32
-by its standard (glTF 2.0, §3.6.2.2), so there positions are relative to an origin near the middle of the mesh, which is
+northing, height, z up; many viewers hold positions in float32, so they may be relative to an ``origin``, which their
+comments hold. GLB is float32 by its standard (glTF 2.0, §3.6.2.2): positions are relative to an origin, which is
 the node's translation; y is up, z points south (§3.4). The node's ``extras`` hold ``origin`` (easting, northing,
 height) and ``crs`` (WKT): a position is (origin[0] + x, origin[1] − z, origin[2] + y). Faces turn counter-clockwise
 from above in all of them.
@@ -13,6 +13,7 @@ after the coordinates, as MeshLab and others have them), Khronos glTF 2.0.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,9 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geo.grid import Grid
 from orograph.output import Beside
+from orograph.several import Numbers, numbers
 from orograph.tessellation import Tessellation
 
 Colors = NDArray[np.uint8]
+
+Origin = Numbers
+"""Easting, northing and perhaps a height; their text; or "auto"."""
 
 FORMATS = (".npz", ".ply", ".obj", ".glb")
 """Endings of mesh files."""
@@ -60,8 +65,9 @@ def mesh_format(path: str | os.PathLike[str], more: Sequence[str] = ()) -> str:
 
 
 def write(
-    tessellation: Tessellation, grid: Grid, path: str | os.PathLike[str], *, colors: ArrayLike | None = None
-) -> Path:
+    tessellation: Tessellation, grid: Grid, path: str | os.PathLike[str], *, colors: ArrayLike | None = None,
+    origin: Origin | None = None,
+) -> Path:  # fmt: skip
     """Write a tessellation; the format follows the ending.
 
     Args:
@@ -69,6 +75,9 @@ def write(
         grid: the full-resolution grid that its columns and rows refer to.
         path: a file ending in .npz, .ply, .obj or .glb; it appears when it is complete.
         colors: (n, 3) uint8, sRGB by vertex (not in .npz).
+        origin: easting, northing and height (0 if omitted) that positions are relative to, which the file says; "auto":
+            whole metres in the middle of the mesh, at height 0 (not in .npz). None: the CRS's own, in .glb "auto" with
+            a height.
 
     Raises:
         UsageError: the ending is unknown, the colours have the wrong shape or type or the format has none, or .glb is
@@ -77,6 +86,8 @@ def write(
     """
     out = Path(path)
     ending = mesh_format(out)
+    if origin is not None:
+        check_origin(origin, out)
     tint: Colors | None = None
     if colors is not None:
         tint = np.asarray(colors)
@@ -89,27 +100,55 @@ def write(
             raise UsageError("An .npz cannot hold colours.", path=out, remedy="Use .ply, .obj or .glb.")
         return tessellation.save(out, grid)
     positions = tessellation.positions(grid)
+    start = None if origin is None else origin_of(origin, positions)
     crs = "" if grid.crs is None else " ".join(grid.crs.to_wkt().split())
     if ending == ".glb":
         if len(tessellation.triangles) == 0:
             raise NothingInViewError("The mesh has no triangles, and a .glb cannot be empty.", path=out)
-        content = _glb(positions, tessellation.triangles, tint, crs, _trimesh(out))
+        middle = np.round((positions.min(0) + positions.max(0)) / 2) if start is None else np.array(start)
+        content = _glb(positions, middle, tessellation.triangles, tint, crs, _trimesh(out))
         with Beside(out) as part:
             part.write_bytes(content)
         return out
+    notes = ["metres; x east, y north, z up", *([f"crs {crs}"] if crs else [])]
+    if start is not None:
+        positions = positions - start
+        notes.append(f"origin {start[0]:.10g} {start[1]:.10g} {start[2]:.10g} (easting, northing, height: add it)")
     with Beside(out) as part:
-        (_write_ply if ending == ".ply" else _write_obj)(part, positions, tessellation.triangles, tint, crs)
+        (_write_ply if ending == ".ply" else _write_obj)(part, positions, tessellation.triangles, tint, notes)
     return out
 
 
+def check_origin(given: Origin, path: str | os.PathLike[str] | None) -> None:
+    """Raise UsageError unless it is an origin, of a file that can have one."""
+    origin_of(given, np.zeros((0, 3)))
+    if path is None or Path(path).suffix.lower() not in (".ply", ".obj", ".glb", ".stl"):
+        raise UsageError("`origin` applies to .ply, .obj, .glb and surfaces as .stl only.", path=path)
+
+
+def origin_of(given: Origin, positions: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The origin (easting, northing, height) that is meant, for positions (n, 3).
+
+    Raises:
+        UsageError: it is neither "auto" nor two or three finite numbers.
+    """
+    if isinstance(given, str) and given == "auto":
+        low, high = (positions.min(0), positions.max(0)) if len(positions) else (np.zeros(3), np.zeros(3))
+        east, north, _ = np.round((low + high) / 2)
+        return float(east), float(north), 0.0
+    found = numbers(given, "origin")
+    if len(found) not in (2, 3) or not all(map(math.isfinite, found)):
+        raise UsageError(f'`origin` must be "auto", or easting, northing and perhaps a height, not {given!r}.')
+    return found[0], found[1], found[2] if len(found) == 3 else 0.0
+
+
 def _write_ply(
-    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None, crs: str
-) -> None:
+    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None,
+    notes: list[str],
+) -> None:  # fmt: skip
     """Binary, little endian, float64 positions."""
     vertex: list[Any] = [("position", "<f8", 3)]
-    header = ["ply", "format binary_little_endian 1.0", "comment metres; x east, y north, z up"]
-    if crs:
-        header.append(f"comment crs {crs}")
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {note}" for note in notes)]
     header += [f"element vertex {len(positions)}", *(f"property double {axis}" for axis in "xyz")]
     if colors is not None:
         vertex.append(("color", "u1", 3))
@@ -128,11 +167,12 @@ def _write_ply(
 
 
 def _write_obj(
-    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None, crs: str
-) -> None:
+    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None,
+    notes: list[str],
+) -> None:  # fmt: skip
     """Text; micrometres, indices from 1, colours from 0 to 1 after the coordinates."""
     with part.open("w", encoding="utf-8", newline="\n") as file:
-        file.write("# metres; x east, y north, z up\n" + (f"# crs {crs}\n" if crs else ""))
+        file.write("".join(f"# {note}\n" for note in notes))
         rows = positions if colors is None else np.hstack([positions, colors / 255.0])
         pattern = "v %.6f %.6f %.6f" + ("" if colors is None else " %.4f %.4f %.4f")
         for first in range(0, len(rows), LINES):
@@ -144,10 +184,10 @@ def _write_obj(
 
 
 def _glb(
-    positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None, crs: str, trimesh: Any
-) -> bytes:
+    positions: NDArray[np.float64], origin: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None,
+    crs: str, trimesh: Any,
+) -> bytes:  # fmt: skip
     """One node, translated to the origin, with one mesh; no normals."""
-    origin = np.round((positions.min(0) + positions.max(0)) / 2)
     east, north, up = (positions - origin).T
     mesh = trimesh.Trimesh(
         vertices=np.stack([east, up, -north], -1), faces=triangles, vertex_colors=colors, process=False, validate=False

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geo.grid import Grid
+from orograph.meshing.export import Origin, origin_of
 from orograph.output import Beside
 from orograph.tessellation import Tessellation
 
@@ -158,21 +159,35 @@ def write_solid(made: Solid, path: Path, name: str) -> Path:
     """
     with Beside(path) as part:
         if path.suffix.lower() == ".stl":
-            _stl(made, part)
+            _stl(made.vertices, made.triangles, f"Orograph, millimetres, 1:{made.scale:.0f}", part)
         else:
             _3mf(made, part, name)
     return path
 
 
-def _stl(made: Solid, part: Path) -> None:
-    corners = made.vertices.astype(np.float32)[made.triangles]
+def write_surface(mesh: Tessellation, grid: Grid, path: Path, origin: Origin) -> tuple[float, float, float]:
+    """Write a mesh as it is, open, in metres relative to an origin, which is returned: .stl (binary).
+
+    Raises:
+        UsageError: see ``origin_of``. OutputError: the file cannot be written.
+    """
+    positions = mesh.positions(grid)
+    start = origin_of(origin, positions)
+    with Beside(path) as part:
+        words = "Orograph, metres from {:.10g} {:.10g} {:.10g}".format(*start)
+        _stl(positions - start, mesh.triangles, words, part)
+    return start
+
+
+def _stl(vertices: NDArray[np.float64], triangles: Triangles, words: str, part: Path) -> None:
+    corners = vertices.astype(np.float32)[triangles]
     u, v = (corners[:, k].astype(np.float64) - corners[:, 0] for k in (1, 2))
     normal = np.cross(u, v)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
     facets["normal"], facets["corners"] = normal / np.where(length > 0, length, 1), corners
     with part.open("wb") as file:
-        file.write(f"Orograph, millimetres, 1:{made.scale:.0f}".encode().ljust(80))
+        file.write(words.encode()[:80].ljust(80))
         file.write(struct.pack("<I", len(facets)))
         file.write(facets.tobytes())
 

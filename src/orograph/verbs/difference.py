@@ -25,7 +25,7 @@ from orograph.lighting.api import Map
 from orograph.lighting.context import MEMORY
 from orograph.lighting.raster import Band
 from orograph.measuring.detection import Doubt, check_doubt
-from orograph.measuring.differing import Statistics, differ
+from orograph.measuring.differing import ENDS, Statistics, differ
 from orograph.measuring.told import cubic, square
 from orograph.output import check_folder
 from orograph.progress import Progress
@@ -91,8 +91,10 @@ class Difference:
 
     @property
     def limit(self) -> float:
-        """A round number of metres that covers at least 98 % of the absolute differences."""
-        largest = max(map(abs, self.statistics.ends))
+        """A round number of metres that covers at least 98 % of the differences, of those that a picture shows."""
+        shown = self._shown()
+        ends = self.statistics.ends if shown is None or np.isnan(shown).all() else np.nanquantile(shown, ENDS)
+        largest = float(max(map(abs, ends)))
         if not 0 < largest < math.inf:
             return 1.0
         step = 10.0 ** math.floor(math.log10(largest))
@@ -130,12 +132,11 @@ class Difference:
         heard = reporting(progress)
         with temporary() as folder:
             file = Path(folder) / "difference.tif"
-            name, shown = "Difference", self.values
-            if (sure := self.significance) is not None and self._doubt is not None:
-                shown = np.where(np.abs(sure) > self._doubt.times, shown, np.float32(np.nan))
-                name = f"Difference, significant at {100 * self._doubt.confidence:g} %"
-                if np.isnan(shown).all():
-                    heard.warn("No difference is significant: nothing is coloured.")
+            shown, name = self._shown(), "Significant change"
+            if shown is None:
+                shown, name = self.values, "Difference"
+            elif np.isnan(shown).all():
+                heard.warn("No difference is significant: nothing is coloured.")
             Map(shown[None], self.grid, self._map().bands[:1]).save(file)
             data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name=name)
             how = {"size": self._size(), "furniture": True, "title": self.name.replace("_", " "), **options}
@@ -178,6 +179,12 @@ class Difference:
             ("loss", f"loss {cubic(s.loss)}{errors[1]} on {square(s.loss_area)}"),
             ("net", f"net {'+' if s.net > 0 else ''}{cubic(s.net)}{errors[2]}"),
         ]  # fmt: skip
+
+    def _shown(self) -> NDArray[np.float32] | None:
+        """What is significant, NaN elsewhere; None without an uncertainty."""
+        if self._doubt is None or (sure := self.significance) is None:
+            return None
+        return np.where(np.abs(sure) > self._doubt.times, self.values, np.float32(np.nan))
 
     def _told_detected(self) -> list[Row]:
         found, s = self.statistics.detected, self.statistics

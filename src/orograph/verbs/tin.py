@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.meshing import MODELS, Print, mesh_format, solid, write, write_solid
+from orograph.meshing import MODELS, Origin, Print, mesh_format, solid, write, write_solid, write_surface
 from orograph.meshing import tin as meshing
+from orograph.meshing.export import check_origin, origin_of
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -32,6 +33,8 @@ def tin(
     bound: Literal["surface", "samples"] = "surface",
     breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
     output: str | os.PathLike[str] | None = None,
+    origin: Origin | None = None,
+    surface: bool = False,
     base: float | None = None,
     model_size: float | None = None,
     scale: float | None = None,
@@ -55,7 +58,10 @@ def tin(
         breaklines: lines that become edges, and points that become vertices, at the nearest samples: a GeoJSON file, or
             arrays (n, 2) of easting and northing, each a line (or a point if n is 1).
         output: also write it: .npz, .ply, .obj or .glb; or, as a closed model for 3D printing, .stl or .3mf, in
-        millimetres.
+            millimetres.
+        origin: of .ply, .obj and .glb: easting, northing and height (0 if omitted) that positions are relative to, or
+            "auto": whole metres in the middle of the mesh. The file and ``stats["origin"]`` say it.
+        surface: write an .stl of the open surface in metres, relative to ``origin`` (None: "auto"), instead of a model.
         base: of a model: millimetres from the plate to the lowest ground; None: 3.
         model_size: of a model: millimetres of its longer side; None: 150. scale: instead: the N of 1:N.
         exaggeration: of a model's heights; None: 1.
@@ -74,9 +80,11 @@ def tin(
     check_goal(max_error, triangles)
     heard = reporting(progress)
     expect("tin")
-    how = print_of(output, base, model_size, scale, exaggeration)
+    how = print_of(output, base, model_size, scale, exaggeration, surface)
+    if origin is not None:
+        check_origin(origin, None if how is not None else output)
     if output is not None:
-        if how is None:
+        if how is None and not surface:
             mesh_format(output, MODELS)
         check_folder(Path(output))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="tin", **reading)
@@ -91,8 +99,12 @@ def tin(
         mesh = meshing.tin(ground, float(max_error), **more)  # (a whole number would compile the kernels again)
     if output is not None:
         with heard.task("Writing"):
-            if how is None:
-                write(mesh, ground.grid, output)
+            if surface:
+                mesh.stats["origin"] = list(write_surface(mesh, ground.grid, Path(output), origin or "auto"))
+            elif how is None:
+                write(mesh, ground.grid, output, origin=origin)
+                if origin is not None:
+                    mesh.stats["origin"] = list(origin_of(origin, mesh.positions(ground.grid)))
             else:
                 made = solid(mesh, ground.grid, how)
                 write_solid(made, Path(output), ground.name)
@@ -103,16 +115,20 @@ def tin(
 
 def print_of(
     output: str | os.PathLike[str] | None, base: float | None, model_size: float | None, scale: float | None,
-    exaggeration: float | None,
+    exaggeration: float | None, surface: bool = False,
 ) -> Print | None:  # fmt: skip
-    """How a model is printed; None if the output is not a model.
+    """How a model is printed; None if the output is not a model, but perhaps an open ``surface`` as .stl.
 
     Raises:
         UsageError: options of a model are given without one, or make no sense.
     """
     said = {"base": base, "model_size": model_size, "scale": scale, "exaggeration": exaggeration}
     given = {name: value for name, value in said.items() if value is not None}
-    if output is None or Path(output).suffix.lower() not in MODELS:
+    ending = "" if output is None else Path(output).suffix.lower()
+    if surface and (ending != ".stl" or given):
+        what = f"`{next(iter(given))}` applies to models to print" if given else "`surface` applies to .stl files"
+        raise UsageError(f"{what} only.", path=output, remedy="A `surface` is an open .stl in metres.")
+    if surface or output is None or Path(output).suffix.lower() not in MODELS:
         if given:
             raise UsageError(
                 f"`{next(iter(given))}` applies to printable models only.",

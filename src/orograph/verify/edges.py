@@ -16,8 +16,6 @@ from orograph.verify.spans import GAPS
 
 Ints = NDArray[np.int64]
 
-CROWDED, OPEN = range(2)
-
 
 @kernel
 def survey(corners, turn):

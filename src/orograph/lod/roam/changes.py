@@ -75,10 +75,7 @@ def assess(s, i):
     (Inlined: the state is some 300 words, and every call that passes it copies them.)
     """
     unschedule(s.nodes, s.lists, i)
-    priority_of(
-        s.nodes, s.pages, s.cameras[0], s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, s.family,
-        s.todo, i,
-    )  # fmt: skip
+    priority_of(s.nodes, s.pages, s.cameras[0], s.clock, s.counts, s.options, s.terms, s.waiting, s.scratch, i)
     if s.nodes[i].due < np.inf:
         schedule(s.nodes, s.lists, s.clock, i)
     place(s.nodes, s.heads, s.occupied, s.counts, i)
@@ -175,7 +172,7 @@ def merge_diamond(s, i):
 def force_split(s, i):
     """Split leaf i after all that must be split before (sec. 4.1); False if a page was absent on the way."""
     depth = 0
-    stack = s.stack
+    stack = s.scratch.stack
     stack[128] = i
     while depth >= 0:
         j = np.int64(stack[128 + depth])

@@ -26,7 +26,7 @@ from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, image_motion, plane_distance, plane_of, to_camera
 from orograph.lod.criterion import color_error
 from orograph.lod.field import find
-from orograph.lod.localise import plane_through, push_halves
+from orograph.lod.localise import plane_through, push_halves, put, take
 from orograph.lod.look_ahead import DEPTH
 from orograph.lod.roam.bounds import above, screen
 from orograph.lod.roam.mesh import NEARNESS, N, begin_pair
@@ -65,22 +65,18 @@ def by_itself(pages, camera, node, n, t, known, reach, todo):
     focal, rise, up = camera.focal, camera.depth[2], camera.exaggeration
     e = np.float64(node.error)
     level = np.int64(node.level)
-    er, ec, ez = np.float64(node.r0), np.float64(node.c0), np.float64(node.z0)
-    xr, xc, xz = np.float64(node.r1), np.float64(node.c1), np.float64(node.z1)
-    ar, ac, az = np.float64(node.r2), np.float64(node.c2), np.float64(node.z2)
-    base, down, across = plane_through(er, ec, ez, xr, xc, xz, ar, ac, az)
-    todo[0, 0], todo[0, 1], todo[0, 2] = er, ec, ez
-    todo[0, 3], todo[0, 4], todo[0, 5] = xr, xc, xz
-    todo[0, 6], todo[0, 7], todo[0, 8], todo[0, 9] = ar, ac, az, 0.0
+    first = np.float64(node.r0), np.float64(node.c0), np.float64(node.z0)
+    second = np.float64(node.r1), np.float64(node.c1), np.float64(node.z1)
+    apex = np.float64(node.r2), np.float64(node.c2), np.float64(node.z2)
+    base, down, across = plane_through(first, second, apex)
+    put(todo, 0, first, second, apex, 0.0)
     top = 1
     lasts, halved = np.inf, np.inf  # what was put aside so far stays there; what was not does not come there
     absent = False
     while top > 0:
         top -= 1
-        br, bc, bz = todo[top, 0], todo[top, 1], todo[top, 2]
-        dr, dc, dz = todo[top, 3], todo[top, 4], todo[top, 5]
-        fr, fc, fz = todo[top, 6], todo[top, 7], todo[top, 8]
-        at = np.int64(todo[top, 9])
+        left, right, over, at = take(todo, top)
+        (br, bc, bz), (dr, dc, dz), (fr, fc, fz) = left, right, over
         finest = level + at == 2 * n
         hz, error = np.float64(node.height), e
         if finest:
@@ -144,22 +140,23 @@ def by_itself(pages, camera, node, n, t, known, reach, todo):
         if fits:
             out = max(out, within(focal * length, numerator, w, moved, up, 0.0, t))
         lasts = min(lasts, out)
-        top = push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, hz, at + 1.0)
+        top = push_halves(todo, top, left, right, over, (mr, mc, hz), at + 1.0)
     return (LACKS if absent else FITS), lasts
 
 
 @leaf
-def foresee(nodes, pages, camera, options, terms, stack, work, family, todo, i, t, known, steady, slack, k):
-    """(PRUNED, ACTIVE or ABSENT; the motion for which that holds) of node i, whose bound exceeds t pixels.
+def foresee(root, pages, camera, options, terms, scratch, t, known, steady, slack, k):
+    """(PRUNED, ACTIVE or ABSENT; the motion for which that holds) of a node, whose bound exceeds t pixels.
 
     Args:
-        family: NODE (FAMILY,), for those below it. todo: see ``by_itself``.
+        scratch: ``Scratch``; those below the node are laid down in its ``family``.
         known: the planes of the frustum it is inside of, as bits; steady: for how much motion.
         slack: the motion for which its bound goes on to exceed t. k: the class of its distance.
     """
     edge, n = pages.edge, int(options[N])
+    stack, work, family, todo = scratch
     reach = SPREAD * reach_of(k)
-    family[0] = nodes[i]
+    family[0] = root
     lasts, absent = np.inf, False
     stack[0] = 0
     top = 1

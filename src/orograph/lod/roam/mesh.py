@@ -74,6 +74,20 @@ FAMILY = 128
 """Room for a triangle and those below it that wait to be looked at, two on each level."""
 
 
+class Scratch(NamedTuple):
+    """What a priority is computed with.
+
+    Attributes:
+        stack: int32 (256,), nodes that wait. work: float64 (16,), what ``frustum`` leaves.
+        family: NODE (FAMILY,), todo: float64 (DEPTH + 2, STACK): triangles that ``lookahead`` takes apart.
+    """
+
+    stack: NDArray[np.int32]
+    work: NDArray[np.float64]
+    family: NDArray[np.void]
+    todo: NDArray[np.float64]
+
+
 class State(NamedTuple):
     """All that kernels carry from frame to frame.
 
@@ -87,8 +101,7 @@ class State(NamedTuple):
         keys: int64, zs: float32, the output: three corners for each triangle, or the blocks of the strips; members:
             int32, the nodes drawn, in the order of the triangles or of each strip; strips: int32 (blocks, 4), dirty:
             int32 (blocks,), loose: int32 (capacity,): see ``strips``. Without strips there is one of them.
-        stack: int32 (256,), work: float64 (16,).
-        family: NODE (FAMILY,), todo: float64 (DEPTH + 2, STACK): scratch of ``lookahead``.
+        scratch: ``Scratch``.
         counts: int64 (COUNTS,).
         cameras: CAMERA (1,), the camera (``error.screen``). options: float64 (OPTIONS,).
         pages: ``field.Pages``. terms: ``terms.Terms``.
@@ -107,10 +120,7 @@ class State(NamedTuple):
     strips: NDArray[np.int32]
     dirty: NDArray[np.int32]
     loose: NDArray[np.int32]
-    stack: NDArray[np.int32]
-    work: NDArray[np.float64]
-    family: NDArray[np.void]
-    todo: NDArray[np.float64]
+    scratch: Scratch
     counts: NDArray[np.int64]
     cameras: NDArray[np.void]
     options: NDArray[np.float64]

@@ -97,6 +97,10 @@ class Roam(RightTriangleMeshes):
         options[mesh.N] = self.field.n
         options[mesh.EVERY] = not self.deferral
         keys, zs, members, blocks, dirty, loose = self._output(capacity)
+        scratch = mesh.Scratch(
+            np.zeros(256, np.int32), np.zeros(16), np.zeros(mesh.FAMILY, mesh.NODE),
+            np.zeros((ahead.DEPTH + 2, STACK)),
+        )  # fmt: skip
         self._state = mesh.State(
             nodes=mesh.plant(self.field.n, self.field.corners, low, high, capacity),
             heads=np.full((2, queues.BUCKETS), -1, np.int32),
@@ -111,10 +115,7 @@ class Roam(RightTriangleMeshes):
             strips=blocks,
             dirty=dirty,
             loose=loose,
-            stack=np.zeros(256, np.int32),
-            work=np.zeros(16),
-            family=np.zeros(mesh.FAMILY, mesh.NODE),
-            todo=np.zeros((ahead.DEPTH + 2, STACK)),
+            scratch=scratch,
             counts=counts,
             cameras=np.zeros(1, CAMERA),
             options=options,

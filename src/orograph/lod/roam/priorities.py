@@ -54,18 +54,18 @@ def pend(node, counts, waiting, i):
 
 
 @leaf
-def priority_of(nodes, pages, camera, clock, counts, options, terms, stack, work, waiting, family, todo, i):
+def priority_of(nodes, pages, camera, clock, counts, options, terms, waiting, scratch, i):
     """Compute node i's priority, whether it is in view and over the tolerance, and when it is due again.
 
     A triangle out of view does not need its diamond; one in view whose page is absent waits for it.
     """
-    node = nodes[i]
+    node, work = nodes[i], scratch.work
     counts[COMPUTED] += 1
     node.frame = counts[FRAME]
     edge = pages.edge
     node.flags &= ~np.uint8(OUT | EXCEEDS)
     node.priority = 0.0
-    known, lasts = inherited(nodes, pages, camera, clock, counts, stack, work, i)
+    known, lasts = inherited(nodes, pages, camera, clock, counts, scratch, i)
     inside = frustum(node, edge, camera, known, work)
     if not node.flags & LOADED and (
         work[GAP] < 0.0
@@ -117,9 +117,8 @@ def priority_of(nodes, pages, camera, clock, counts, options, terms, stack, work
     absent = False
     if options[NEARNESS] > 0.0 and gap < 0.0 and bound > options[LOW] and not node.flags & PINNED and k >= 0:
         verdict, holds = foresee(
-            nodes, pages, camera, options, terms, stack, work, family, todo, i, options[LOW], inside, min(label, lasts),
-            slack, k,
-        )  # fmt: skip
+            node, pages, camera, options, terms, scratch, options[LOW], inside, min(label, lasts), slack, k
+        )
         absent = verdict == ABSENT
         if not absent:
             slack = min(holds, lasting) if verdict == ACTIVE else holds

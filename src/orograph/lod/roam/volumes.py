@@ -23,7 +23,7 @@ from orograph.lod.roam.queues import class_of, reach_of
 from orograph.lod.roam.terms import COL, ROW, is_pinned
 
 GAP, ROOM, LABEL = range(3)
-"""What ``frustum`` leaves in ``State.work``."""
+"""What ``frustum`` leaves in ``Scratch.work``."""
 
 
 @leaf
@@ -185,11 +185,12 @@ def seen_from(node, edge, terms):
 
 
 @leaf
-def inherited(nodes, pages, camera, clock, counts, stack, work, i):
+def inherited(nodes, pages, camera, clock, counts, scratch, i):
     """The planes node i's parent is wholly inside of and for how much motion they last; labels are renewed on the way.
 
     A label is computed again only when the camera has moved so far that it can have changed.
     """
+    stack, work = scratch.stack, scratch.work
     j = nodes[i].parent
     depth = 0
     while j >= 0 and not clock[nodes[j].label_class] < nodes[j].label_until:

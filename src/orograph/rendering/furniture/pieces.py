@@ -117,14 +117,24 @@ def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, ba
             piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
     span = scale.high - scale.low
     values = ticks(scale.low, scale.high, max(2, int(tall / (1.9 * u))))
-    names = [style.text(number(v, values)) for v in values]
+    names = [number(v, values) for v in values]
     for value, name in zip(values, names):
         y = top + tall * (1 - (value - scale.low) / span) if span > 0 else top + tall / 2
         piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
-        piece.texts.append((pad + bar + 0.65 * u, y + 0.31 * u, name, small, INK, "ls"))
-    reach = max([length(small, name) for name in names], default=0.0)
+        _signed(piece, pad + bar + 0.65 * u, y + 0.31 * u, name, small, style)
+    reach = max([length(small, name.replace("−", "+")) for name in names], default=0.0)
     piece.width = max(piece.width, bar + 0.8 * u + reach, length(small, words))
     piece.height = top + tall + (tip if scale.below else 0.0)
+
+
+def _signed(piece: Piece, x: float, y: float, name: str, font: Any, style: Style) -> None:
+    """Add a number; a minus sign that the typeface lacks is drawn, as wide as a plus."""
+    if name.startswith("−") and style.text("−") != "−":
+        u, wide = style.unit, length(font, "+")
+        half = max(0.5, 0.035 * u)
+        piece.box(x + 0.12 * wide, y - 0.29 * u - half, x + 0.88 * wide, y - 0.29 * u + half, INK)
+        x, name = x + wide, name[1:]
+    piece.texts.append((x, y, style.text(name), font, INK, "ls"))
 
 
 def _square(piece: Piece, both: Square, style: Style) -> None:

@@ -21,16 +21,18 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def _wanted(boxes, parents, sizes, planes, eye, scale, exaggeration, per_metre, plan, most, grow, priority, out):
+def _wanted(tiles, planes, eye, scale, per_metre, plan, most, grow, priority, out):
     """Indices of the tiles wanted go to ``out``; their number is returned.
 
     Args:
-        boxes: (n, 6) west, east, north, south, low, high; NaN heights where a tile is empty. parents: (n,), −1 at the
-            top. sizes: (n,) metres between the samples of a tile's level.
-        planes: (m, 4) over column, row and height. eye: (3,) column, row, height. scale: metres per column and row.
+        tiles: boxes (n, 6) west, east, north, south, low, high, NaN heights where a tile is empty; parents (n,), −1 at
+            the top; sizes (n,) metres between the samples of a tile's level.
+        planes: (m, 4) over column, row and height. eye: column, row, height. scale: metres per column and row, and the
+            exaggeration.
         per_metre: pixels of a metre at unit distance, or anywhere in a plan. most: pixels a sample may be large.
         grow: uint8 (n,), whether a tile is too coarse. priority: (n,) of those wanted.
     """
+    boxes, parents, sizes = tiles
     count = 0
     for i in range(len(boxes)):
         grow[i] = 0
@@ -55,7 +57,7 @@ def _wanted(boxes, parents, sizes, planes, eye, scale, exaggeration, per_metre, 
         else:
             dx = max(max(west - eye[0], eye[0] - east), 0.0) * scale[0]
             dy = max(max(north - eye[1], eye[1] - south), 0.0) * scale[1]
-            dz = max(max(low - eye[2], eye[2] - high), 0.0) * exaggeration
+            dz = max(max(low - eye[2], eye[2] - high), 0.0) * scale[2]
             pixels = sizes[i] * per_metre / max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
         grow[i] = 1 if pixels > most else 0
         priority[i] = 2.0 * pixels if p >= 0 else 1e9
@@ -76,7 +78,8 @@ class Tree:
 
     def __init__(self, terrain: Terrain, boxes: Array, parents: NDArray[np.int64], sizes: Array) -> None:
         self.terrain, self.boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
-        self._steps = np.array(terrain.chart.least_steps)
+        across, down = terrain.chart.least_steps
+        self._steps = float(across), float(down)
         n = len(sizes)
         self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
 
@@ -90,8 +93,8 @@ class Tree:
         col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
         plan = view.projection == "plan"
         count = _wanted(
-            self.boxes, self.parents, self._sizes, planes, np.array([float(col), float(row), view.eye[2]]),
-            self._steps, exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
+            (self.boxes, self.parents, self._sizes), planes, (float(col), float(row), view.eye[2]),
+            (*self._steps, float(exaggeration)), 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
             self._grow, self._priority, self._out,
         )  # fmt: skip
         found = self._out[:count].copy()
