@@ -509,8 +509,8 @@ def test_what_is_refused():
     view = plain.random_view(np.random.default_rng(0), plain.terrain(plain.rough(np.random.default_rng(0), (9, 9))))
     with pytest.raises(UsageError, match="not 12"):
         plain.refiner(TrianglePatches, t, legs=12)
-    with pytest.raises(UsageError, match="no option 'color-tolerance'"):
-        plain.refiner(TrianglePatches, t, color_tolerance=1.0, color=lambda *_: np.zeros((1, 1), np.float32))
+    with pytest.raises(UsageError, match="needs colours"):
+        plain.refiner(TrianglePatches, t, color_tolerance=1.0)
     method = plain.refiner(TrianglePatches, t)
     before = method.patches(view, 1.0).instances.copy()
     method.patches(view, 1.0, exaggeration=5.0)

@@ -12,6 +12,7 @@ from affine import Affine
 from closed_forms import RECTANGULAR, ROTATED, SQUARE, of_function, rough, terrain_of
 from pyproj import CRS
 
+import orograph
 from orograph import store
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -245,3 +246,10 @@ def test_nonsense_is_refused():
     ):
         with pytest.raises(UsageError, match=says):
             viewshed(terrain, point, **options)
+
+
+def test_measures_are_silenced_as_all_functions_are(recwarn):
+    ground = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)), spacing=10.0, progress=False)
+    seen = orograph.measure.viewshed(ground, ground.grid.xy(20.0, 15.0), progress=False)
+    assert seen.values(progress=False).shape == (30, 40)
+    assert orograph.measure.area(ground, [(50, 50), (250, 50), (250, 200)], progress=False).surface > 0

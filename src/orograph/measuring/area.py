@@ -24,7 +24,8 @@ from orograph.errors import UsageError
 from orograph.measuring.geojson import Geometry, is_geometry, read_geojson
 from orograph.measuring.places import Places
 from orograph.parallel import map_ordered
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 
@@ -79,7 +80,7 @@ def area(
     level: float | None = None,
     lonlat: bool = False,
     jobs: int | None = None,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
 ) -> Area:
     """Areas of a polygon, and volumes.
 
@@ -109,7 +110,7 @@ def area(
     turned = [ring if (a > 0) == (k == 0) else ring[::-1] for k, (ring, a) in enumerate(zip(samples, signed))]
     cells = abs(signed[0]) - sum(abs(a) for a in signed[1:])
     cell = terrain.grid.cell_area
-    sums = _sum(places, turned, math.nan if level is None else level, jobs, progress)
+    sums = _sum(places, turned, math.nan if level is None else level, jobs, reporting(progress))
     ground, missing, surface, surface_grid, heights, above, below = (float(v) for v in sums)
     plan_grid = cells * cell
     plan, perimeter = _on_ellipsoid(places, rings)

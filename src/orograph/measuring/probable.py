@@ -28,7 +28,8 @@ from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.height_error import Drawn, ErrorField, HeightError, around, takes_error
 from orograph.measuring.viewshed import viewshed
 from orograph.parallel import map_ordered, threads_for
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.several import Numbers, numbers
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
@@ -73,18 +74,18 @@ class Probable:
         """The largest standard error of a probability for this number of draws."""
         return 0.5 / math.sqrt(self.draws) if self.draws else 0.0
 
-    def blocks(self, progress: Progress = SILENT) -> Blocks:
+    def blocks(self, progress: Progress | bool | None = None) -> Blocks:
         """Block by block: (first row, first column, values (bands, rows, cols) float32), once each."""
-        return self._made(progress)
+        return self._made(reporting(progress))
 
-    def values(self, progress: Progress = SILENT) -> Values:
+    def values(self, progress: Progress | bool | None = None) -> Values:
         """All of it in memory: (bands, rows, cols) float32, NaN where the height is unknown."""
         out = np.empty((len(self.bands), *self.grid.shape), np.float32)
         for row, col, values in self.blocks(progress):
             out[:, row : row + values.shape[1], col : col + values.shape[2]] = values
         return out
 
-    def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, Any]:
+    def save(self, path: str | os.PathLike[str], progress: Progress | bool | None = None) -> dict[str, Any]:
         """Write a Cloud Optimized GeoTIFF of float32; returns the summary (``Tally``).
 
         Raises:
@@ -94,10 +95,10 @@ class Probable:
         blocks = ((0, row, col, values) for row, col, values in tally.over(self.blocks(progress)))
         tags = {"software": "orograph", "measure": self.measure, **self.error.tags, **self.told}
         tags |= {"draws": str(self.draws), "seed": str(self.seed)} if self.draws else {"draws": "none: a closed form"}
-        write(path, self.grid, self.bands, blocks, tags=tags, jobs=self._jobs, progress=progress)
+        write(path, self.grid, self.bands, blocks, tags=tags, jobs=self._jobs, progress=reporting(progress))
         return tally.result()
 
-    def data(self, band: int = 1, progress: Progress = SILENT, **looks: Any) -> Dataset:
+    def data(self, band: int = 1, progress: Progress | bool | None = None, **looks: Any) -> Dataset:
         """A band as data to show on the terrain, with its legend; computed now.
 
         Args:

@@ -40,7 +40,8 @@ from orograph.measuring.places import Places
 from orograph.measuring.sight import LEAST, REFRACTION, bend_of, check_heights
 from orograph.measuring.viewshed_scene import Scene, scene_of, window_within
 from orograph.parallel import map_ordered, threads_for
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import Terrain
 
@@ -91,7 +92,7 @@ class Viewshed:
             "Viewshed", f"from {x:.10g}, {y:.10g}", [("eye", f"eye {self.eye:g} m"), *extent_rows(self.grid)]
         )
 
-    def summary(self, progress: Progress = SILENT) -> dict[str, float]:
+    def summary(self, progress: Progress | bool | None = None) -> dict[str, float]:
         """How much is visible, without keeping the values (see ``Summary.result``)."""
         told = Summary(self)
         for _ in told.over(self.blocks(progress)):
@@ -109,24 +110,24 @@ class Viewshed:
         """The meaning of the values, for a file."""
         return NEEDED if self.heights else SEEN
 
-    def blocks(self, progress: Progress = SILENT) -> Iterator[tuple[int, int, Values]]:
+    def blocks(self, progress: Progress | bool | None = None) -> Iterator[tuple[int, int, Values]]:
         """Compute the samples block by block: (first row, first column, values (rows, cols) float32), once each."""
         windows = list(rectangles(self.grid.shape, BLOCK, BLOCK))
-        with progress.task("Looking at the ground", total=len(windows)) as task:
+        with reporting(progress).task("Looking at the ground", total=len(windows)) as task:
             for k, made in enumerate(map_ordered(self._block, windows, self._scene.jobs)):
                 yield made
                 task.advance()
                 if self._scene.release is not None and k % RELEASE == RELEASE - 1:
                     self._scene.release()
 
-    def values(self, progress: Progress = SILENT) -> Values:
+    def values(self, progress: Progress | bool | None = None) -> Values:
         """All of it in memory: (rows, cols) float32."""
         out = np.empty(self.grid.shape, np.float32)
         for row, col, values in self.blocks(progress):
             out[row : row + values.shape[0], col : col + values.shape[1]] = values
         return out
 
-    def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, float]:
+    def save(self, path: str | os.PathLike[str], progress: Progress | bool | None = None) -> dict[str, float]:
         """Write a Cloud Optimized GeoTIFF of float32, and return how much is visible (``summary``).
 
         Raises:
@@ -144,7 +145,7 @@ class Viewshed:
         blocks = ((0, row, col, values[None]) for row, col, values in told.over(self.blocks(progress)))
         overviews = "average" if self.heights else "nearest"
         write(path, self.grid, [self.band], blocks, overviews=overviews, tags=tags, jobs=self._scene.jobs,
-              progress=progress)  # fmt: skip
+              progress=reporting(progress))  # fmt: skip
         return told.result()
 
     def beyond(self, row: int, col: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -217,7 +218,7 @@ def viewshed(
     lonlat: bool = False,
     max_memory: Amount = MEMORY,
     jobs: int | None = None,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
 ) -> Viewshed:
     """What is visible from a point.
 
@@ -260,9 +261,8 @@ def viewshed(
     bend = bend_of(places, points[0], flat, refraction)
     row0, row1, col0, col1 = window_within(places, points[0], x, y, radius)
     frame = (row0 & ~1, min(row1 + 1, terrain.grid.rows), col0 & ~1, min(col1 + 1, terrain.grid.cols))
-    scene, quantum, on_disk = scene_of(
-        places, points[0], (x, y), ground, eye, bend, frame, max_memory, threads_for(jobs), progress
-    )
+    heard, threads = reporting(progress), threads_for(jobs)
+    scene, quantum, on_disk = scene_of(places, points[0], (x, y), ground, eye, bend, frame, max_memory, threads, heard)
     return Viewshed(
         terrain.grid.window(row0, row1, col0, col1), row0, col0, (float(points[0][0]), float(points[0][1])), ground,
         float(eye), float(target), radius, bend, heights, quantum, on_disk, scene,

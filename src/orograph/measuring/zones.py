@@ -31,7 +31,8 @@ from orograph.measuring.height_error import around
 from orograph.measuring.order import Floats, quantiles, upper_counts
 from orograph.measuring.places import Places
 from orograph.output import Beside
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 
@@ -147,7 +148,7 @@ def check_zones_file(path: str | os.PathLike[str]) -> None:
 @takes_terrain
 def areas(
     terrain: Terrain, zones: Geometry, *, level: float | None = None, steeper_than: float = STEEP,
-    lonlat: bool = False, jobs: int | None = None, progress: Progress = SILENT,
+    lonlat: bool = False, jobs: int | None = None, progress: Progress | bool | None = None,
 ) -> Zones:  # fmt: skip
     """Areas, heights and slopes of every polygon of a file: zonal statistics.
 
@@ -169,12 +170,12 @@ def areas(
     """
     if not 0 <= steeper_than < 90:
         raise UsageError(f"`steeper_than` must be from 0 to 90 degrees, not {steeper_than:g}.")
-    places = Places(terrain)
+    places, heard = Places(terrain), reporting(progress)
     shapes = list(_shapes(zones, places)) if is_geometry(zones) else [_drawn(zones, places, lonlat)]
     found: list[Zone] = []
     for shape in shapes:
         try:
-            parts = [area(terrain, rings, level=level, jobs=jobs, progress=progress) for rings in shape.parts]
+            parts = [area(terrain, rings, level=level, jobs=jobs, progress=heard) for rings in shape.parts]
         except UsageError as error:
             found.append(Zone(shape.name, shape.properties, None, steeper_than=steeper_than, problem=error.what))
             continue
@@ -183,7 +184,7 @@ def areas(
     if len(wrong) == len(found):
         raise UsageError(f"{wrong[0].name}: {wrong[0].problem}", remedy="Give polygons that lie on the terrain.")
     for one in wrong:
-        progress.warn(f"{one.name} is not measured: {one.problem}")
+        heard.warn(f"{one.name} is not measured: {one.problem}")
     return Zones(found, [shape.geometry for shape in shapes])
 
 

@@ -20,7 +20,7 @@ from orograph.geovis.data.listing import times_in
 from orograph.geovis.data.points import is_table
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import read
-from orograph.geovis.data.scales import PERCENTILES
+from orograph.geovis.data.scales import PERCENTILES, Shared
 from orograph.geovis.data.standing import stands
 from orograph.geovis.data.times import is_span, neighbours, seconds_of, span_within, written
 from orograph.geovis.data.tracks import span_of
@@ -220,7 +220,7 @@ class ShownData:
                 [read_data(bare.but(time=time, uncertainty=None), terrain.grid).shown.ravel() for time in sorted(some)]
             )
             low, high = (float(v) for v in np.nanpercentile(values, PERCENTILES))
-            self._spans[k] = (low, high) if low < high else (low - 0.5, low + 0.5)
+            self._spans[k] = Shared((low, high) if low < high else (low - 0.5, low + 0.5))
         return bare.but(range=self._spans[k])
 
     def at(self, x: float, y: float) -> tuple[Found, ...]:

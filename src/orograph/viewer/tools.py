@@ -204,7 +204,7 @@ class Tools:
 
     def _viewshed(self, at: tuple[float, float], asked: int) -> Any:
         terrain = self.window.session.terrain
-        shed = measuring.viewshed(terrain, at, self.eye, self.target, radius=self.radius, jobs=1)
+        shed = measuring.viewshed(terrain, at, self.eye, self.target, radius=self.radius, jobs=1, progress=False)
         values = shed.values(_Part(self, asked))
         return shed, values, paint(values)
 

@@ -22,7 +22,7 @@ from orograph.geovis.data.painting import shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions, bilinear
-from orograph.geovis.data.scales import ColorScale, class_breaks, doubted, suppressed
+from orograph.geovis.data.scales import ColorScale, Shared, class_breaks, doubted, suppressed
 from orograph.geovis.data.times import matches
 
 UTM = "EPSG:32630"
@@ -373,8 +373,11 @@ def test_signs_are_told_by_a_strong_colour_of_a_diverging_scale():
     assert np.ptp(diverging.color(np.array([diverging.telling]))) > 0.3 > np.ptp(diverging.color(np.zeros(1)))
 
 
-@pytest.mark.parametrize(("span", "beyond"), [((-1.0, 1.0), (True, True)), ((-3.0, 1.0), (False, True)),
-                                              ((-3.0, 3.0), (False, False))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("span", "beyond"),
+    [((-1.0, 1.0), (True, True)), ((-3.0, 1.0), (False, True)), ((-3.0, 3.0), (False, False)),
+     (Shared((-3.0, 3.0)), (True, True))],
+)  # fmt: skip
 def test_a_scale_says_where_values_go_beyond_its_ends(span, beyond):
     values = np.array([-2.0, np.nan, 2.0])
-    assert ColorScale.of(values, "RdBu", span).exceeded(values) == beyond
+    assert ColorScale.of(values, "RdBu", span).exceeded(values, span) == beyond

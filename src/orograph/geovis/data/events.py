@@ -15,7 +15,7 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.points import Points, is_points, seconds_in
-from orograph.geovis.data.scales import doubted, spanned
+from orograph.geovis.data.scales import Shared, doubted, spanned
 from orograph.geovis.data.standing import KINDS
 from orograph.geovis.data.times import is_span, lasting, seconds_of, seconds_of_trail, span_within, written
 
@@ -72,7 +72,7 @@ def happened(given: Dataset, points: Points) -> tuple[Dataset, Points, str]:
     unknown = int((~np.isfinite(seconds)).sum())
     words += f", {unknown} without a time left out" if unknown else ""
     if points.classes is None and given.range is None:
-        given = given.but(range=spanned(points.values, None))
+        given = given.but(range=Shared(spanned(points.values, None)))
     doubt = given.uncertainty
     if isinstance(doubt, Uncertainty) and doubt.range is None and points.sigma is not None:
         given = given.but(uncertainty=replace(doubt, range=doubted(points.sigma)))

@@ -45,7 +45,7 @@ def key_of(found: Shown) -> Legend:
         return Legend(note=found.field.chosen, squares=(found.square,))
     scale = Scale(
         found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
-        *found.scale.exceeded(found.values),
+        *found.scale.exceeded(found.values, found.dataset.range),
     )  # fmt: skip
     scales, classes = ((scale,), ()) if found.classes is None else ((), _classes(found, found.classes))
     if found.sign == "none" or found.sigma is None:

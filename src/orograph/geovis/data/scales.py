@@ -118,8 +118,15 @@ class ColorScale:
         weak = chroma[len(chroma) // 2] < GREYISH < chroma.max()
         return float(shades[np.argmax(chroma)]) if weak else middle
 
-    def exceeded(self, values: NDArray[Any]) -> tuple[bool, bool]:
-        """Whether there are values below and above its ends, more than rounding."""
+    def exceeded(self, values: NDArray[Any], given: tuple[float, float] | None) -> tuple[bool, bool]:
+        """Whether there are values below and above its ends, more than rounding; of one that several pictures share,
+        in any of them.
+
+        Args:
+            given: the range that was asked for.
+        """
+        if isinstance(given, Shared):
+            return True, True
         slack = 1e-6 * (self.high - self.low)
         return bool((values < self.low - slack).any()), bool((values > self.high + slack).any())
 
@@ -128,6 +135,10 @@ class ColorScale:
         at = np.nan_to_num(self.place(values))
         scaled = at * (len(self.table) - 1) if self.edges is None else at
         return self.table[np.clip(np.rint(scaled), 0, len(self.table) - 1).astype(np.intp)]
+
+
+class Shared(tuple[float, float]):
+    """The ends of a scale that several pictures share, such as a film's: percentiles of the values of all."""
 
 
 def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[float, float]:

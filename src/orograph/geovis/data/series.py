@@ -16,7 +16,7 @@ from orograph.geovis.data.listing import levels_in
 from orograph.geovis.data.painting import FLOWS, image_grid
 from orograph.geovis.data.reading import Field, read
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import class_breaks, doubted
+from orograph.geovis.data.scales import Shared, class_breaks, doubted
 from orograph.geovis.data.vectors import read_vectors
 
 LOOKED_AT = 512
@@ -45,7 +45,7 @@ class OneScale(NamedTuple):
                 if found is not None:
                     sigmas.append(Positions.of(over, found[0]).values(found[1]).ravel())
         pooled = np.concatenate(values)
-        span = whole.range or ((0.0, 1.0) if whole.exceeds is not None else ends_of(pooled))
+        span = whole.range or ((0.0, 1.0) if whole.exceeds is not None else Shared(ends_of(pooled)))
         breaks: Breaks | tuple[float, ...] = "equal" if whole.breaks == "quantiles" else whole.breaks
         if breaks == "jenks":
             inside = pooled[np.isfinite(pooled) & (pooled >= span[0]) & (pooled <= span[1])]

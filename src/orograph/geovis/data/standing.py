@@ -290,7 +290,8 @@ def key_of(
 ) -> Legend:  # fmt: skip
     """What the colours of things mean."""
     title = dataset.name or name
-    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, *scale.exceeded(values))
+    beyond = scale.exceeded(values, dataset.range)
+    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, *beyond)
     swatches: list[tuple[str, Any]] = []
     if sign not in ("none", "errorbars"):
         middle = np.full(len(SWATCHES), scale.telling)

@@ -100,9 +100,9 @@ def _of_all(dataset: Dataset, whole: Tracks) -> Dataset:
     """Data with the scale of all times, whatever moment is shown."""
     if dataset.range is not None or whole.classes is not None:
         return dataset
-    from orograph.geovis.data.scales import spanned
+    from orograph.geovis.data.scales import Shared, spanned
 
-    return dataset.but(range=spanned(whole.values, None))
+    return dataset.but(range=Shared(spanned(whole.values, None)))
 
 
 def _span(tracks: Tracks, grid: Grid) -> tuple[float, float]:
