@@ -265,8 +265,8 @@ def test_signs_that_the_typeface_lacks_are_drawn(unit: float) -> None:
     style = lettering.Style(unit, None)
 
     def ink(words: str, anchor: str = "ls") -> np.ndarray:
-        sheet = Image.new("L", (300, 200), 0)
-        lettering.set_type(sheet, (100, 100), words, style.font(), 255, anchor)  # type: ignore[arg-type]
+        sheet = Image.new("L", (1200, 200), 0)
+        lettering.set_type(sheet, (500, 100), words, style.font(), 255, anchor)  # type: ignore[arg-type]
         return np.asarray(sheet) > 100
 
     def box(found: np.ndarray) -> tuple[int, int, int, int]:
@@ -284,5 +284,5 @@ def test_signs_that_the_typeface_lacks_are_drawn(unit: float) -> None:
     # They take room, and anchors hold: what ends at a place ends there, its middle lies there.
     for words in ("heights ×1.3", "Wh/m²", "−7"):
         wide = lettering.length(style.font(), words)
-        assert box(ink(words, "rs"))[3] <= 101 and abs(box(ink(words, "ls"))[3] - 100 - wide) < 0.2 * unit
-        assert abs(sum(box(ink(words, "ms"))[2:]) / 2 - 100) < 0.15 * unit + 1
+        assert box(ink(words, "rs"))[3] <= 501 and abs(box(ink(words, "ls"))[3] - 500 - wide) < 0.2 * unit
+        assert abs(sum(box(ink(words, "ms"))[2:]) / 2 - 500) < 0.15 * unit + 1
