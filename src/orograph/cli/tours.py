@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, with_options
+from orograph.cli.options import FILE, Direction, F, Float, FloatRange, Numbers, with_options
 
 
 def tour_options(function: F) -> F:
@@ -53,9 +53,10 @@ def tour_options(function: F) -> F:
         click.option(
             "--side",
             "azimuth",
-            type=Float(),
+            type=Direction(),
             metavar="AZIMUTH",
-            help="The side from which an orbit begins, degrees clockwise from north.  [default: 180, the south]",
+            help="The side from which an orbit begins, degrees clockwise from north or a point of the "
+            "compass (NE).  [default: 180, the south]",
         ),
         click.option("--pitch", type=Float(), metavar="DEG", help="How far an orbit looks down.  [default: 35]"),
         click.option(

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import UsageError
+from orograph.scene.bearings import bearing
 from orograph.several import numbers
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
         way["line"] = longest(way["line"])
     if way["line"] is not None and not isinstance(way["line"], str | os.PathLike):
         way["points"], way["line"] = way["line"], None  # (places, not a file of them)
+    if way["azimuth"] is not None:
+        way["azimuth"] = bearing(way["azimuth"])
     way["points"] = tuple(numbers(point, "points") for point in way["points"])
     return way
 
