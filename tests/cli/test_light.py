@@ -75,7 +75,7 @@ def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tm
         (("hillshade", "--sun", "100,20"), {"sun": "azimuth 100, altitude 20 degrees", "exaggeration": "1"}),
         (
             ("hillshade", "--sun", "2026-03-21T12:00-08:00"),
-             {"sun": "azimuth 182.141, altitude 54.3441 degrees", "time": "2026-03-21T12:00:00-08:00",
+            {"sun": "azimuth 182.141, altitude 54.3441 degrees", "time": "2026-03-21T12:00:00-08:00",
              "exaggeration": "1"},
         ),
         (
