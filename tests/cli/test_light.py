@@ -74,6 +74,11 @@ def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tm
         (("visible-sky", "--azimuths", 5, "--radius", 200), swept),
         (("hillshade", "--sun", "100,20"), {"sun": "azimuth 100, altitude 20 degrees", "exaggeration": "1"}),
         (
+            ("hillshade", "--sun", "2026-03-21T12:00-08:00"),
+            {"sun": "azimuth 182.141, altitude 54.3441 degrees", "time": "2026-03-21T12:00:00-08:00",
+             "exaggeration": "1"},
+        ),
+        (
             ("hillshade", "--light", "100,20", "--light", "9,8,7"),
             {"lights": "azimuth 100, altitude 20 degrees, weight 1; azimuth 9, altitude 8 degrees, weight 7",
              "exaggeration": "1"},
@@ -81,6 +86,10 @@ def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tm
         (
             ("insolation", "--azimuths", 5, "--radius", 200, "--date", "2026-06", "--turbidity", 4, "--step", 60),
             {**swept, "date": "2026-06", "step": "60 minutes", "turbidity": "4"},
+        ),
+        (
+            ("sunshine", "--azimuths", 5, "--radius", 200, "--date", "2026-06", "--step", 60),
+            {**swept, "date": "2026-06", "step": "60 minutes"},
         ),
         (
             ("ambient-occlusion", "--azimuths", 5, "--radius", 200, "--rho", "linear", "--by", "rays", "--rays", 9),
@@ -212,6 +221,8 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "visible-sky", "--date", "2026"), "insolation"),
         (("--product", "insolation", "--date", "2026", "--rho", "linear"), "ambient-occlusion"),
         (("--product", "insolation"), "--date"),
+        (("--product", "sunshine", "--date", "2026", "--turbidity", "4"), "insolation"),
+        (("--product", "sun-hours"), "Did you mean sunshine"),
         (("--product", "horizon", "--refraction", "0.2"), "--curvature"),
         (("--product", "insolation", "--date", "2026-02-30"), "period"),
         (("--product", "insolation", "--date", "2026", "--turbidity", "nan"), "turbidity"),

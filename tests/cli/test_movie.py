@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from orograph.errors import OrographError
 from orograph.touring.encode import BT709, LIMITED
 
 av = pytest.importorskip("av")
@@ -276,3 +277,52 @@ def test_a_film_in_parts(run, hilly, tmp_path):
     assert code == 2 and "I/N" in err
     code, _, err = run(*said, "--part", "1/3", "--workers", 2)
     assert code == 2 and "exclude" in err
+
+
+DAY = "2026-10-15T06:30-07:00..18:00"
+
+
+def test_the_sun_of_a_day_without_a_tour_file(run, hilly, tmp_path):
+    """Still, along a line and in a tour; frames differ and are those of the moments; in Python the same."""
+    import orograph
+
+    few = ("--size", "120x80", "--seconds", 2, "--fps", 2, "--quiet")
+    code, _, err = run("movie", hilly, "--still", "--sun", DAY, *few, "-o", tmp_path / "a" / "%d.png")
+    assert code == 0, err
+    pictures = [np.asarray(Image.open(tmp_path / "a" / f"{k}.png")).astype(int) for k in range(4)]
+    assert np.abs(pictures[1] - pictures[3]).mean() > 3
+    tour = {"seconds": 2, "fps": 2, "keys": [{"time": 0}]}
+    (tmp_path / "t.json").write_text(json.dumps({**tour, "ease": False}))
+    of_file = ("--tour", tmp_path / "t.json", "--size", "120x80", "--quiet")
+    assert run("movie", hilly, *of_file, "--sun", DAY, "-o", tmp_path / "b" / "%d.png")[0] == 0
+    options = {"size": (120, 80), "progress": False}
+    orograph.movie(hilly, tmp_path / "c" / "%d.png", still=True, sun=DAY, seconds=2, fps=2, **options)
+    orograph.movie(hilly, tmp_path / "d" / "%d.png", {**tour, "sun": DAY}, **options)
+    # One frame is the picture of its moment: frame 2 of 4 lies in the middle of the day.
+    orograph.movie(hilly, tmp_path / "e" / "%d.png", tour, sun="2026-10-15T12:15-07:00", **options)
+    for folder, number in (("b", 2), ("c", 2), ("d", 2), ("e", 2), ("b", 3), ("c", 0), ("d", 1)):
+        np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / folder / f"{number}.png")), pictures[number])
+
+
+def test_a_moving_sun_where_there_is_none(run, hilly, tmp_path):
+    code, _, err = run("render", hilly, "--sun", DAY, "-o", tmp_path / "a.png")
+    assert code == 2 and "orograph movie" in err
+    code, _, err = run("movie", hilly, "--turntable", "--sun", DAY, "-o", tmp_path / "a.mp4")
+    assert code == 2 and "turntable" in err
+    code, _, err = run("movie", hilly, "--still", "--sun", "2026-10-15T18:00Z..06:00", "-o", tmp_path / "a.mp4")
+    assert code == 2 and "not after its beginning" in err
+
+
+def test_a_line_as_geojson_in_python(hilly, tmp_path):
+    import orograph
+
+    terrain = orograph.terrain(hilly)
+    west, south, east, north = terrain.grid.bounds()
+    y = (south + north) / 2
+    line = [(west + 0.2 * (east - west), y), (west + 0.8 * (east - west), y)]
+    crs = terrain.grid.crs
+    plain = orograph.tour(terrain, line=line, line_crs=crs)
+    geojson = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": line}}
+    assert orograph.tour(terrain, line=geojson, line_crs=crs) == plain
+    with pytest.raises(OrographError, match="no line in this GeoJSON"):
+        orograph.tour(terrain, line={"type": "Point", "coordinates": [1, 2]})

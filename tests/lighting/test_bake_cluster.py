@@ -77,7 +77,7 @@ CASES = {
     "swept": (["sky-view-factor", "aperture", "openness", "openness-negative", "horizon"], Options(azimuths=9)),
     "round": (["sky-view-horizontal", "ambient-occlusion"], Options(azimuths=5, curvature=True)),
     "radius": (["visible-sky", "sky-view-factor"], Options(azimuths=7, radius=700.0)),
-    "sun": (["insolation"], Options(azimuths=8, more={"date": "2026-06-21"})),
+    "sun": (["insolation", "sunshine"], Options(azimuths=8, more={"date": "2026-06-21"})),
     "walks": (["ambient-occlusion"], Options(azimuths=6, radius=300.0, more={"rho": "linear"})),
     "rays": (["ambient-occlusion"], Options(rays=8, radius=300.0, more={"method": "rays", "seed": 3})),
 }

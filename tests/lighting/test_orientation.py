@@ -18,7 +18,7 @@ from orograph.lighting.products import compute, names
 from orograph.store.memory import MemoryTerrain
 
 X, Y = 5e5, 4e6
-MORE = {"insolation": {"date": "2026-03-21", "step": 60.0}}
+MORE = {name: {"date": "2026-03-21", "step": 60.0} for name in ("insolation", "sunshine")}
 GROUND = ("normal", "slope", "aspect", "hillshade")
 ENDS = {"insolation": 1.0}
 """How far single values may lie apart, where not 0.001."""

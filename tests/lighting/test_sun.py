@@ -217,3 +217,13 @@ def test_one_sun_however_it_is_said():
             sun_of(wrong, grid)
     with pytest.raises(UsageError, match="no time zone"):
         sun_of(datetime.datetime(2026, 6, 21, 12), grid)
+
+
+def test_a_sun_says_where_it_stands_and_the_time_that_was_asked_for():
+    moment = sun_of("2026-09-21T18:30-06:00", grid_at(330_000.0, 4_120_000.0, "EPSG:32612"))
+    assert moment.when == datetime.datetime.fromisoformat("2026-09-21T18:30-06:00")
+    assert moment == Sun(moment.azimuth, moment.altitude)  # (what is drawn is the same)
+    assert Sun(263.14, 11.24, when=moment.when).words == "21 Sep 2026 18:30 −06:00, sun 263°, 11.2° high"
+    utc = datetime.datetime(2026, 1, 2, 3, 4, tzinfo=datetime.UTC)
+    assert Sun(359.7, -5.0, when=utc).words == "2 Jan 2026 03:04 UTC, sun 0°, 5° below the horizon"
+    assert Sun(315.0, 45.0).words == "Light from 315°, 45° high"

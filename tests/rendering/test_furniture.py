@@ -149,7 +149,7 @@ def test_ticks_are_round_within_and_enough(low: float, span: float, most: int) -
 
 def test_signs_without_a_glyph_get_a_plain_form(monkeypatch: pytest.MonkeyPatch) -> None:
     style = lettering.Style.of((1280, 720), "heights ×2, 45° · north")
-    assert style.face is None and style.text("×2 −1 45° ·") == "x2 -1 45° ·"
+    assert style.face is None and style.text("×2 −1 45° · m²") == "×2 −1 45° · m²"
     monkeypatch.setattr(lettering, "FALLBACKS", ())
     monkeypatch.setattr(lettering, "_shipped", list)
     lettering._face.cache_clear()
@@ -254,3 +254,35 @@ def test_a_plan_stands_beside_a_legend_with_a_long_title() -> None:
     views = [orograph.render(ground, "plan", size=(420, 400), data=one, furniture=True, samples=1).view
              for one in (data, data.but(name="T"))]  # fmt: skip
     assert views[0].pixel_metres > 1.03 * views[1].pixel_metres
+
+
+@pytest.mark.parametrize("unit", [9.0, 40.0])
+def test_signs_that_the_typeface_lacks_are_drawn(unit: float) -> None:
+    """× is a saltire, which an x with its feet is not: as high as wide, and the same turned by a quarter; − is a bar;
+    ² stands above the baseline. None is the box of a missing character."""
+    from PIL import Image
+
+    style = lettering.Style(unit, None)
+
+    def ink(words: str, anchor: str = "ls") -> np.ndarray:
+        sheet = Image.new("L", (1200, 200), 0)
+        lettering.set_type(sheet, (500, 100), words, style.font(), 255, anchor)  # type: ignore[arg-type]
+        return np.asarray(sheet) > 100
+
+    def box(found: np.ndarray) -> tuple[int, int, int, int]:
+        rows, cols = np.nonzero(found.any(1))[0], np.nonzero(found.any(0))[0]
+        return int(rows[0]), int(rows[-1]) + 1, int(cols[0]), int(cols[-1]) + 1
+
+    top, bottom, left, right = box(ink("×"))
+    cross, part = ink("×")[top:bottom, left:right], max(2, (right - left) // 4)
+    assert abs((bottom - top) - (right - left)) <= 1 + 0.05 * unit
+    assert all(corner.any() for corner in (cross[:part, :part], cross[:part, -part:], cross[-part:, -part:]))
+    assert not cross[0, cross.shape[1] // 2] and not cross[-1, cross.shape[1] // 2]
+    top, bottom, left, right = box(ink("−"))
+    assert right - left > 2 * (bottom - top) and bottom < 100
+    assert box(ink("²"))[1] <= 100 - round(0.25 * unit) and box(ink("²"))[1] - box(ink("²"))[0] < unit / 2 + 1
+    # They take room, and anchors hold: what ends at a place ends there, its middle lies there.
+    for words in ("heights ×1.3", "Wh/m²", "−7"):
+        wide = lettering.length(style.font(), words)
+        assert box(ink(words, "rs"))[3] <= 501 and abs(box(ink(words, "ls"))[3] - 500 - wide) < 0.2 * unit
+        assert abs(sum(box(ink(words, "ms"))[2:]) / 2 - 500) < 0.15 * unit + 1

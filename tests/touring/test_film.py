@@ -8,6 +8,7 @@ from pyproj import CRS
 
 from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
+from orograph.lighting.sun import passage
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory
@@ -31,3 +32,16 @@ def test_contours_have_one_interval_for_all_of_a_film_and_labels_that_fade() -> 
     asked = Film(Tour(tuple(keys)), Scene.of(terrain, keys[0].view, contours=Contours(30.0)))
     assert asked.scene(0).annotations.contours.interval == 30.0  # type: ignore[union-attr]
     assert Film(Tour(tuple(keys)), Scene.of(terrain, keys[0].view)).scene(0).annotations.contours is None
+
+
+def test_the_note_of_a_film_is_a_clock() -> None:
+    row, col = np.mgrid[:40, :40]
+    grid = Grid((40, 40), Affine(50.0, 0, 500_000, 0, -50.0, 5_000_000), CRS.from_epsg(32632))
+    terrain = in_memory(Dem((10.0 * row + 5.0 * np.sin(col / 9)).astype(np.float32), grid))
+    view = View((501_000.0, 4_997_000.0, 3000.0), (501_000.0, 4_999_000.0, 200.0))
+    moving = Tour((Key(view, 0.0),), seconds=2, fps=2, passage=passage("2026-06-21T06:00+02:00..18:00"))
+    film = Film(moving, Scene.of(terrain, view, relief=0.0))
+    said = [film.scene(number).lighting.sun.words for number in film.numbers]
+    assert [words.split(", sun")[0] for words in said] == [
+        f"21 Jun 2026 {hour:02}:00 +02:00" for hour in (6, 9, 12, 15)
+    ]

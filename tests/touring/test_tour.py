@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
 from orograph.geovis.layers import Layer
-from orograph.lighting.sun import Moment, Placed
+from orograph.lighting.sun import Moment, Passage, Placed, passage
 from orograph.touring import Key, Tour, moves
 from orograph.touring.ways import RHO, zoom_path
 from orograph.viewpoint import View
@@ -421,3 +421,76 @@ def test_the_length_of_a_ramp():
         assert Cruise.speed_for(length, seconds) == pytest.approx(speed)
     short = Cruise(10.0, 100.0, True, True)
     assert short(short.seconds / 2) == pytest.approx(5.0) and short(short.when(3.0)) == pytest.approx(3.0)
+
+
+DAY = "2026-10-15T06:00-07:00..2026-10-15T18:00-07:00"
+
+
+def test_a_passage_of_the_sun_is_even_in_time_and_goes_through_files(tmp_path):
+    keys = [{"time": 0, "eye": [0, 0, 9], "target": [5, 5, 0], "sun": "2020-01-01T00:00Z"}, {"time": 6}]
+    tour = Tour.from_dict({"sun": DAY, "seconds": 8, "keys": keys})
+    for time, hour in ((0, 6), (2, 9), (4, 12), (8, 18)):
+        assert tour.sun(time).when.isoformat() == f"2026-10-15T{hour:02}:00:00-07:00"
+    tour.save(tmp_path / "t.json")
+    back = Tour.load(tmp_path / "t.json")
+    assert back.passage == tour.passage == passage(DAY) and back.sun(4) == tour.sun(4)
+
+
+@pytest.mark.parametrize(
+    ("given", "ends"),
+    [
+        ("2026-10-15T06:00-07:00..18:00", ("2026-10-15T13:00+00:00", "2026-10-16T01:00+00:00")),
+        ("2026-10-15T06:00Z..18:00+02:00", ("2026-10-15T06:00+00:00", "2026-10-15T16:00+00:00")),
+        (("2026-10-15T06:00Z", "2026-10-16T06:00Z"), ("2026-10-15T06:00+00:00", "2026-10-16T06:00+00:00")),
+        (
+            (datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC), datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)),
+            ("2026-01-01T00:00+00:00", "2026-01-02T00:00+00:00"),
+        ),
+        ((315.0, 45.0), None),
+        ("2026-10-15T06:00Z", None),
+        (None, None),
+    ],
+)
+def test_what_a_passage_may_be_given_as(given, ends):
+    found = passage(given)
+    if ends is None:
+        assert found is None
+    else:
+        assert isinstance(found, Passage)
+        assert (found.begin.when, found.end.when) == tuple(map(datetime.datetime.fromisoformat, ends))
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ("2026-10-15T18:00Z..06:00", "not after its beginning"),
+        ("315,45..330,20", "'315,45' is not a time"),
+        ("2026-10-15T06:00..18:00", "no time zone"),
+        ("2026-10-15T06:00Z..noon", "'noon' is not a sun"),
+        ((datetime.datetime(2026, 1, 1), datetime.datetime(2026, 1, 2)), "no time zone"),
+    ],
+)
+def test_what_is_no_passage(given, says):
+    with pytest.raises(UsageError, match=says):
+        passage(given)
+
+
+def test_a_key_without_a_camera_has_that_of_the_key_before():
+    first = {"time": 0, "target": [-71.3, 44.27, 1500], "azimuth": 20, "pitch": 30, "distance": 900, "fov_y": 33}
+    values = {"crs": "EPSG:4326", "keys": [first, {"time": 1}, {"time": 2, "azimuth": 80}]}
+    a, b, c = (key.view for key in Tour.from_dict(values, crs="EPSG:32619").keys)
+    assert b == a and b.fov_y == 33
+    assert c.target == pytest.approx(a.target) and c.distance == pytest.approx(900) and c.eye[0] > a.eye[0] + 400
+    assert Tour.from_dict({"keys": [{**first, "crs": "EPSG:4326"}, {"time": 1}]}, crs="EPSG:32619").keys[1].view == a
+    seen = look((0, -900, 500), width=320, height=200)
+    asked = []
+
+    def whole(width, height):
+        asked.append((width, height))
+        return seen
+
+    values = {"crs": "EPSG:4326", "width": 320, "height": 200, "keys": [{"time": 0}, {"time": 1, "fov_y": 20}]}
+    views = [key.view for key in Tour.from_dict(values, crs="EPSG:32619", whole=whole).keys]
+    assert views == [seen, replace(seen, fov_y=20.0)] and asked == [(320, 200)]
+    with pytest.raises(UsageError, match="Key 0: The camera lacks 'eye'"):
+        Tour.from_dict({"keys": [{"time": 0}]})

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 @click.option(
     "--bits",
     type=click.Choice(["8", "16"]),
-    help="Bits per value in the store.  [default: 16 for apertures and insolation, else 8]",
+    help="Bits per value in the store.  [default: 16 for apertures, insolation and sunshine, else 8]",
 )
 @click.option("--overwrite", is_flag=True, help="Bake existing layers again; restart an interrupted bake.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -69,7 +69,7 @@ def command(
     sky-view-factor, sky-view-horizontal, visible-sky   what is seen of the sky
     ambient-occlusion    share of ambient light (--radius, --rho, --by)
     aperture             the sky that is seen as one cap
-    openness, openness-negative, horizon, insolation (--date)
+    openness, openness-negative, horizon, insolation and sunshine (--date)
 
     render --light ao and --light aperture use what is baked. A layer of the same name is replaced when the new one is
     complete. An interrupted bake continues when the same command is run again.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, ParamType, with_options
+from orograph.cli.options import FILE, Direction, F, Float, FloatRange, Numbers, ParamType, with_options
 from orograph.scene.sizes import read_size
 
 if TYPE_CHECKING:
@@ -61,9 +61,10 @@ def camera_options(function: F) -> F:
         click.option(
             "--from",
             "azimuth",
-            type=Float(),
+            type=Direction(),
             metavar="AZIMUTH",
-            help="Look from this side, degrees clockwise from north.  [default: 180, the south]",
+            help="Look from this side, degrees clockwise from north or a point of the compass (NE).  "
+            "[default: 180, the south]",
         ),
         click.option(
             "--pitch",

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from orograph.lighting.products import Product
     from orograph.lighting.raster import Band
     from orograph.lighting.raster_resume import Checkpoint
+    from orograph.lighting.sun import Sun
 
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
@@ -120,6 +121,7 @@ def command(
     aperture             the sky that is seen as one cap: its direction (east, north, up) and radius
     shadow               the part of the sun's disc that is seen (--sun), and a code
     insolation           energy of sun and sky, Wh/m² (--date)
+    sunshine             hours of direct sun (--date)
 
     A large DEM is built into a store first, which is kept. Memory stays within --max-memory, whatever the size; what
     does not fit goes to a scratch file in the temporary folder. The result depends neither on it nor on --jobs.
@@ -132,6 +134,7 @@ def command(
       orograph light area.oro --product openness --azimuths 8 --radius 500 -o openness.tif
       orograph light dem.tif --product shadow --sun 2026-12-21T08:00-08:00 -o shadow.tif
       orograph light dem.tif --product insolation --date 2026 --azimuths 64 -o year.tif
+      orograph light dem.tif --product sunshine --date 2026-10-15 --azimuths 64 -o hours.tif
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -173,7 +176,8 @@ def command(
         context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
         write(
             output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
-            overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average", tags=_tags(context, wanted),
+            overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average",
+            tags=_tags(context, wanted, place),
         )  # fmt: skip
     seconds = time.perf_counter() - began
     rows, cols = terrain.grid.shape
@@ -229,7 +233,7 @@ def _bands(products: list[Product], options: Options) -> list[Band]:
     return found
 
 
-def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
+def _tags(context: Context, wanted: list[str], sun: Sun) -> dict[str, str]:
     """What a file records about how it was made: the options that affect its products."""
     options, more = context.options, context.options.more
     lights = options.lights or ((*options.sun, 1.0),)
@@ -241,6 +245,7 @@ def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
         if options.curvature
         else "flat",
         "sun": f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees",
+        "time": "" if sun.when is None else sun.when.isoformat(),
         "lights": "; ".join(f"azimuth {a:g}, altitude {h:g} degrees, weight {w:g}" for a, h, w in lights),
         "exaggeration": f"{options.exaggeration:g}",
         "method": method,
@@ -253,6 +258,8 @@ def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
     if not options.lights:
         del said["lights"]
     elif "shadow" not in wanted:
-        del said["sun"]
-    used = {key: text for key, text in said.items() if text and set(USERS[key]) & set(wanted)}
+        del said["sun"], said["time"]
+    used = {
+        key: text for key, text in said.items() if text and set(USERS["sun" if key == "time" else key]) & set(wanted)
+    }
     return {"software": "orograph", "product": ", ".join(wanted), "terrain": context.terrain.name, **used}

@@ -30,8 +30,9 @@ from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
+from orograph.scene.parts import OPTIONS
 from orograph.scene.sizes import dpi_of
-from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
+from orograph.verbs.ways import WAY, check_passage, check_tour, chosen, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """The options about the film; all other options are about reading."""
@@ -59,7 +60,14 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
     help="Constant rate factor: lower is better and larger.  [default: 18 for H.264, 28 for VP9]",
 )
 @click.option("--overwrite", is_flag=True, help="Redraw existing pictures.")
-@scene_options()
+@scene_options(
+    sun={
+        "read": given.read_suns,
+        "metavar": "AZ,ALT|TIME|TIME..TIME",
+        "help": OPTIONS["sun"].help.rstrip(".") + "; or two times, between which it passes evenly over the whole film "
+        "(2026-06-21T06:00+02:00..20:00).",
+    }
+)
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
 @vertical_options
@@ -84,6 +92,7 @@ def command(
     Examples:
       orograph movie N44W072.hgt --orbit -o orbit.mp4
       orograph movie N44W072.hgt --around -71.303,44.270,3000 -o summit.mp4
+      orograph movie dem.tif --still --sun 2026-10-15T06:30-07:00..18:00 -o day.mp4
       orograph movie area.oro --tour tour.json -o tour.mp4 --size 1920x1080 --sky
       orograph movie dem.tif --line hike.gpx --height 200 -o hike.webm
       orograph movie dem.tif --tour tour.json -o frames/%05d.png --from 10 --to 20
@@ -95,6 +104,8 @@ def command(
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_tour(options)
+    options, passage = given.standing(options)
+    check_passage(passage, options)
     errors = check_scene(options, progress)
     if (tour_path is not None) == bool(chosen(options)):
         raise UsageError(
@@ -114,7 +125,7 @@ def command(
         from orograph.touring.encode import check_movie, is_numbered
         from orograph.touring.film import Film
         from orograph.verbs.filming import By, Shot, shoot_by
-        from orograph.verbs.movie import shoot, shoot_by_parts, without
+        from orograph.verbs.movie import shoot, shoot_by_parts, whole, without
 
     # Report errors of the command line before any work is done.
     check_movie(output, options["size"], crf)
@@ -129,7 +140,8 @@ def command(
     sun = given.sun(options["sun"], terrain)
     again = None
     if tour_path is not None:
-        tour = without(Tour.load(tour_path, crs=terrain.grid.crs), said)
+        first = partial(whole, terrain, options["size"], options["exaggeration"])
+        tour = without(Tour.load(tour_path, crs=terrain.grid.crs, whole=first), said)
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
     else:
         size = options["size"] or (1280, 720)
@@ -141,7 +153,7 @@ def command(
     looks = {**given_of(options), "max_memory": max_memory, "jobs": jobs}
     film = Film.of(
         tour, terrain, size, looks, draw=session(progress, backend=options["backend"]), fps=options["fps"],
-        first=options["begin"], last=options["end"], progress=progress, again=again,
+        first=options["begin"], last=options["end"], progress=progress, again=again, passage=passage,
     )  # fmt: skip
     how: dict[str, Any] = {"crf": crf, "overwrite": overwrite, "jobs": jobs, "progress": progress}
     how["dpi"] = dpi_of(options["size"])

@@ -89,6 +89,18 @@ class Float(click.types.FloatParamType):
         return _number(self, super().convert(value, param, ctx), param, ctx)
 
 
+class Direction(Float):
+    """Degrees clockwise from north, or a point of the compass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from orograph.scene.bearings import bearing
+
+        try:
+            return super().convert(bearing(value), param, ctx)
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+
+
 class Length(Float):
     """A number, or "inf" for no limit."""
 

@@ -20,7 +20,7 @@ MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 
 
 _SKY = ("sky-view-factor", "sky-view-horizontal", "visible-sky", "openness", "openness-negative")
-_SWEPT = ("horizon", *_SKY, "ambient-occlusion", "aperture", "shadow", "insolation")
+_SWEPT = ("horizon", *_SKY, "ambient-occlusion", "aperture", "shadow", "insolation", "sunshine")
 USERS = {
     "azimuths": tuple(name for name in _SWEPT if name != "shadow"),
     "radius": _SWEPT,
@@ -33,8 +33,8 @@ USERS = {
     "method": ("ambient-occlusion", "aperture"),
     "rho": ("ambient-occlusion",),
     "cones": ("ambient-occlusion",),
-    "date": ("insolation",),
-    "step": ("insolation",),
+    "date": ("insolation", "sunshine"),
+    "step": ("insolation", "sunshine"),
     "turbidity": ("insolation",),
 }
 """The products that an option affects."""
@@ -147,19 +147,20 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
 
 
 def insolation_options(function: F) -> F:
-    """Give a verb the options of insolation."""
+    """Give a verb the options of insolation and sunshine."""
     return with_options(
         function,
         click.option(
             "--date",
             metavar="DATE",
-            help="For insolation: a day, a month or a year (2026-06-21, 2026-06, 2026), in mean solar time.",
+            help="For insolation and sunshine: a day, a month or a year (2026-06-21, 2026-06, 2026), in mean solar "
+            "time.",
         ),
         click.option(
             "--step",
             type=Float(),
             metavar="MINUTES",
-            help="For insolation: time between two sun positions.  [default: 10]",
+            help="For insolation and sunshine: time between two sun positions.  [default: 10]",
         ),
         click.option(
             "--turbidity",

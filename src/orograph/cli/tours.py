@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, with_options
+from orograph.cli.options import FILE, Direction, F, Float, FloatRange, Numbers, with_options
 
 
 def tour_options(function: F) -> F:
@@ -15,7 +15,11 @@ def tour_options(function: F) -> F:
         click.option(
             "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain rotated."
         ),
-        click.option("--still", is_flag=True, help="The camera stays, all of the terrain in view: for data over time."),
+        click.option(
+            "--still",
+            is_flag=True,
+            help="The camera stays, all of the terrain in view: for data over time, or a moving sun.",
+        ),
         click.option("--plan", is_flag=True, help="The same straight down, as a map."),
         click.option(
             "--around",
@@ -49,9 +53,10 @@ def tour_options(function: F) -> F:
         click.option(
             "--side",
             "azimuth",
-            type=Float(),
+            type=Direction(),
             metavar="AZIMUTH",
-            help="The side from which an orbit begins, degrees clockwise from north.  [default: 180, the south]",
+            help="The side from which an orbit begins, degrees clockwise from north or a point of the "
+            "compass (NE).  [default: 180, the south]",
         ),
         click.option("--pitch", type=Float(), metavar="DEG", help="How far an orbit looks down.  [default: 35]"),
         click.option(

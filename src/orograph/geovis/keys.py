@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,6 +94,8 @@ UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "
 
 
 def written_unit(told: str) -> str:
-    """A file's unit as people write it."""
+    """A file's unit as people write it: Wh/m2 and Wh m-2 as Wh/m²."""
     bare = told.strip().strip("[]")
-    return UNITS.get(bare.lower(), bare)
+    known = UNITS.get(bare.lower(), bare)
+    known = re.sub(r"^(\S+) m(?:\*\*|\^)?-([23])$", r"\1/m\2", known)
+    return re.sub(r"(?<=m)\^?([23])(?!\d)", lambda found: {"2": "²", "3": "³"}[found[1]], known)

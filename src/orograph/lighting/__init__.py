@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         shadows,
         sky_view_factor,
         slope,
+        sunshine,
         visible_sky,
     )
 
@@ -43,6 +44,7 @@ __all__ = [
     "shadows",
     "sky_view_factor",
     "slope",
+    "sunshine",
     "visible_sky",
 ]
 

@@ -308,3 +308,16 @@ def insolation(data: Any, date: str, azimuths: int = 64, **options: Any) -> Any:
         UsageError: also if the data have no place on Earth, as plain arrays do not.
     """
     return make(data, "insolation", date=date, azimuths=azimuths, **options)
+
+
+def sunshine(data: Any, date: str, azimuths: int = 64, **options: Any) -> Any:
+    """Hours of direct sun on the ground, under a clear sky.
+
+    Args:
+        date: "2026", "2026-06" or "2026-06-21", in mean solar time.
+        data, options: and the result: ``make``. Further: ``step`` (minutes).
+
+    Raises:
+        UsageError: also if the data have no place on Earth, as plain arrays do not.
+    """
+    return make(data, "sunshine", date=date, azimuths=azimuths, **options)

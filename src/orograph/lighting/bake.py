@@ -5,8 +5,8 @@ made as for a map (``products``), several of the same horizons in one sweep, the
 averaged over blocks of 2 × 2, 4 × 4… samples, always out of the exact values of the full resolution, and quantised
 last, each level by itself. How a product is averaged:
 
-- *mean*: of the valid samples, for what adds up as light does (sky-view factors, occlusion, insolation) and for angles
-  that are near one another (horizons, openness);
+- *mean*: of the valid samples, for what adds up as light does (sky-view factors, occlusion, insolation, sunshine) and
+  for angles that are near one another (horizons, openness);
 - *cap*, for apertures: the area of a block's cap is the mean of its samples' areas, 1 − cos r = mean(1 − cos rᵢ), and
   its direction that of the mean of what the caps would give of a uniform sky, ∑ sin² rᵢ cᵢ (the first moment of a cap
   of direction c and radius r is π sin² r c): a light seen by half of the samples is seen by half of the cap.
@@ -78,6 +78,7 @@ BAKED: dict[str, Baked] = {
     "aperture": Baked("cap", 16, (("method", "horizon"),)),
     "horizon": Baked(),
     "insolation": Baked(bits=16, more=(("date", None), ("step", 10.0), ("turbidity", 3.0))),
+    "sunshine": Baked(bits=16, more=(("date", None), ("step", 10.0))),
 }
 """Products that can be baked. The others follow from heights at once, or hold for one sun only."""
 
@@ -145,7 +146,7 @@ def bake(
         store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
         names: of products, those in ``BAKED``: one, several, or a text ("openness,sky-view-factor").
         options: of the products.
-        bits: of a code: 8 or 16; None: what the product needs (16 for apertures and insolation, else 8).
+        bits: of a code: 8 or 16; None: what the product needs (16 for apertures, insolation and sunshine, else 8).
         overwrite: bake also what is there already, and begin anew what was interrupted.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.

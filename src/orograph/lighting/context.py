@@ -68,7 +68,8 @@ class Options:
         exaggeration: heights are multiplied by this for hillshade only.
         rays: per sample, for Monte Carlo products.
         more: options of single products, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
-            occlusion), ``strips``, ``diameter`` (shadow), ``date``, ``step``, ``turbidity`` (insolation).
+            occlusion), ``strips``, ``diameter`` (shadow), ``date``, ``step`` (insolation and
+            sunshine), ``turbidity`` (insolation).
     """
 
     azimuths: int = 32

@@ -46,9 +46,11 @@ TURBIDITY = 3.0
 STEP = 10.0
 """Minutes."""
 
-_FINE = 0.05
+FINE = 0.05
 """Degrees of altitude between the entries of a table."""
-_LOWEST = -1.0
+LOWEST = -1.0
+"""Degrees: the altitude of a table's first entry."""
+COUNT = round((90.0 - LOWEST) / FINE) + 1
 _LAYER = 500.0
 """Metres between the heights for which tables are made; the beam is interpolated between them (error below 2e-4)."""
 
@@ -85,14 +87,21 @@ def _checked(date: str, step: float, turbidity: float) -> tuple[datetime.datetim
     return begin, end
 
 
-def _asked(options: Options) -> tuple[str, float, float]:
-    """Period, step and turbidity of the options."""
+def asked(options: Options, what: str) -> tuple[str, float, float]:
+    """Period, step and turbidity of a product's options.
+
+    Args:
+        what: the product, for the message.
+
+    Raises:
+        UsageError: there is no period, or one of them makes no sense.
+    """
     more = options.more
     if "date" not in more:
-        raise UsageError("Insolation is over a period.", remedy='Give a year, a month or a day (`date="2026-06-21"`).')
-    asked = str(more["date"]), float(more.get("step", STEP)), float(more.get("turbidity", TURBIDITY))
-    _checked(*asked)
-    return asked
+        raise UsageError(f"{what} is over a period.", remedy='Give a year, a month or a day (`date="2026-06-21"`).')
+    found = str(more["date"]), float(more.get("step", STEP)), float(more.get("turbidity", TURBIDITY))
+    _checked(*found)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +134,8 @@ class Suns:
             longitude, latitude = place(grid)
         except UsageError as error:
             raise UsageError(
-                error.what, remedy="Insolation is of a place on Earth: give data with a CRS there (`assume_crs`)."
+                error.what,
+                remedy="The sun's path is that over a place on Earth: give data with a CRS there (`assume_crs`).",
             ) from None
         zone = datetime.timezone(datetime.timedelta(minutes=round(4 * longitude)))
         minutes = (end - begin).total_seconds() / 60
@@ -150,36 +160,51 @@ class Suns:
             (azimuths, heights, altitudes, 3) float32, Wh/m² east, north and up; the heights (h,), metres.
         """
         layers = np.linspace(low, high, max(2, math.ceil((high - low) / _LAYER) + 1))
-        count = round((90.0 - _LOWEST) / _FINE) + 1
         a, h = np.radians(self.azimuth), np.radians(self.altitude)
         sun = np.stack([np.sin(a) * np.cos(h), np.cos(a) * np.cos(h), np.sin(h)])
-        place_az = (self.azimuth % 360.0) * (azimuths / 360.0)
-        place_alt = np.clip((self.altitude - _LOWEST) / _FINE, 0.0, count - 1.001)
-        k, j = np.floor(place_az).astype(np.int64), np.floor(place_alt).astype(np.int64)
-        f, g = place_az - k, place_alt - j
-        mass = np.zeros((azimuths, len(layers), count, 3))
+        mass = np.zeros((azimuths, len(layers), COUNT, 3))
         for layer, height in enumerate(layers):
             energy = beam(self.normal, self.altitude, height, self.turbidity) * self.hours
             for c in range(3):
-                part = mass[:, layer, :, c]
-                for dk, u in ((0, 1 - f), (1, f)):
-                    for dj, v in ((0, 1 - g), (1, g)):
-                        np.add.at(part, ((k + dk) % azimuths, j + dj), energy * sun[c] * u * v)
+                self._spread(energy * sun[c], mass[:, layer, :, c])
         return _above(mass).astype(np.float32), layers
+
+    def hours_above(self, azimuths: int) -> NDArray[np.float32]:
+        """Hours in which suns stand above an altitude, by azimuth.
+
+        Args:
+            azimuths: how many, evenly spread from north.
+
+        Returns: (azimuths, altitudes) float32.
+        """
+        mass = np.zeros((azimuths, COUNT, 1))
+        self._spread(np.full(len(self.azimuth), self.hours), mass[..., 0])
+        return np.ascontiguousarray(_above(mass)[..., 0], np.float32)
+
+    def _spread(self, amounts: Array, table: Array) -> None:
+        """Add each sun's amount (n,) to the entries around it in a table (azimuths, altitudes), linearly."""
+        azimuths = len(table)
+        place_az = (self.azimuth % 360.0) * (azimuths / 360.0)
+        place_alt = np.clip((self.altitude - LOWEST) / FINE, 0.0, COUNT - 1.001)
+        k, j = np.floor(place_az).astype(np.int64), np.floor(place_alt).astype(np.int64)
+        f, g = place_az - k, place_alt - j
+        for dk, u in ((0, 1 - f), (1, f)):
+            for dj, v in ((0, 1 - g), (1, g)):
+                np.add.at(table, ((k + dk) % azimuths, j + dj), amounts * u * v)
 
 
 def _above(mass: Array) -> Array:
     """What stands above each altitude, of masses that are discs: (…, altitudes, 3), float64."""
     from orograph.lighting.shade import disc_fraction
 
-    reach = math.ceil(DIAMETER / 2 / _FINE)
+    reach = math.ceil(DIAMETER / 2 / FINE)
     count = mass.shape[-2]
     # Beyond the disc's reach a mass counts whole; within it by the part of the disc that stands above.
     whole = np.cumsum(mass[..., ::-1, :], axis=-2)[..., ::-1, :]
     out = np.zeros_like(mass)
     out[..., : count - reach - 1, :] = whole[..., reach + 1 :, :]
     for d in range(-reach, reach + 1):
-        share = float(disc_fraction(0.0, d * _FINE, DIAMETER))
+        share = float(disc_fraction(0.0, d * FINE, DIAMETER))
         out[..., max(-d, 0) : count - max(d, 0), :] += share * mass[..., max(d, 0) : count + min(d, 0), :]
     return out
 
@@ -215,7 +240,7 @@ def _add(
             out[1, i + row0, j + col0] += np.float32(2.0 * _open(-(g * east + h * north) * nz, nz, t))
             if not shine:
                 continue
-            x = (np.degrees(np.arctan(t)) - _LOWEST) / _FINE
+            x = (np.degrees(np.arctan(t)) - LOWEST) / FINE
             k = min(np.int64(x), count - 2)
             f = x - k
             y = min(max((heights[i, j] - low) / spacing, 0.0), most - 1.0)
@@ -234,7 +259,7 @@ def make(context: Context) -> Sweep:
     """The product: ``date`` (needed), ``step`` (minutes, 10) and ``turbidity`` (Linke's, 3) among the other options."""
     options = context.options
     grid = context.terrain.grid
-    suns = Suns.over(grid, *_asked(options))
+    suns = Suns.over(grid, *asked(options, "Insolation"))
     low, high = context.terrain.height_range
     if not math.isfinite(low):
         low = high = 0.0
@@ -290,7 +315,7 @@ def insolation(
 
 
 def _check(options: Options) -> None:
-    _asked(options)
+    asked(options, "Insolation")
 
 
 def _range(band: str, options: Options) -> dict[str, Any]:

@@ -39,6 +39,7 @@ _HOMES = {
     "aperture": "orograph.lighting.aperture",
     "shadow": "orograph.lighting.shadow",
     "insolation": "orograph.lighting.energy",
+    "sunshine": "orograph.lighting.sun_hours",
 }
 """The module of each product, by the product's name."""
 
@@ -73,7 +74,14 @@ class Product:
         from orograph.lighting.raster import Band
 
         known = {"unit": self.unit, "doc": self.doc, "byte": self.byte}
-        return tuple(Band(name, **{**known, **self.about(name, options)}) for name in self.bands(options))
+        return tuple(
+            Band(name, **{**known, "long_name": self._titled(name), **self.about(name, options)})
+            for name in self.bands(options)
+        )
+
+    def _titled(self, band: str) -> str:
+        """A band's name for legends: "sky-view-factor", "insolation: global"."""
+        return band if band.startswith(self.name) else f"{self.name}: {band}"
 
     def run(self, context: Context) -> Blocks:
         """Make it alone: blocks (row0, col0, values (bands, rows, cols)) that cover the raster once."""
@@ -98,6 +106,8 @@ MEANT = {
     **dict.fromkeys(("normals",), "normal"),
     **dict.fromkeys(("shadows", "cast-shadow"), "shadow"),
     **dict.fromkeys(("radiation", "solar", "irradiation"), "insolation"),
+    **dict.fromkeys(("sun-hours", "sunshine-hours", "sunshine-duration", "sun-duration", "hours"), "sunshine"),
+    **dict.fromkeys(("sun", "hours-of-sun", "direct-sun", "insolation-time", "duration"), "sunshine"),
 }  # fmt: skip
 """Names of products in other tools, and here."""
 

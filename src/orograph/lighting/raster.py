@@ -94,14 +94,17 @@ class Band:
         unit: of its values.
         doc: a sentence, in its tags.
         byte: the values that 8-bit files show as 1 and as 255.
-        codes: its values are codes from 1 to 255, which 8-bit files show as they are; 0 is missing.
+        codes: what its values mean, if they are codes: names of 0 (missing), 1… 8-bit files show them as they are, and
+            the tags of all files have them as CF's flags, by which ``--data`` knows classes.
+        long_name: for legends, in its tags; "": there is none.
     """
 
     name: str
     unit: str
     doc: str
     byte: tuple[float, float] = (0.0, 1.0)
-    codes: bool = False
+    codes: tuple[str, ...] = ()
+    long_name: str = ""
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -110,6 +113,16 @@ class Band:
             return 1.0, 0.0
         step = (self.byte[1] - self.byte[0]) / 254.0
         return step, self.byte[0] - step
+
+    @property
+    def tags(self) -> dict[str, str]:
+        """Its tags in a file."""
+        said = {"description": self.doc, **({"long_name": self.long_name} if self.long_name else {})}
+        if not self.codes:
+            return said
+        numbers = " ".join(map(str, range(len(self.codes))))
+        names = " ".join(name.replace(" ", "_") for name in self.codes)
+        return {**said, "flag_values": numbers, "flag_meanings": names}
 
     def to_bytes(self, values: Values) -> NDArray[np.uint8]:
         """Values (rows, cols) as in 8-bit files."""
@@ -171,7 +184,7 @@ def write(
             with rasterio.open(plain, "w", **profile) as file:
                 for k, band in enumerate(bands, 1):
                     file.set_band_description(k, band.name)
-                    file.update_tags(k, description=band.doc)
+                    file.update_tags(k, **band.tags)
                 file.units = tuple(band.unit for band in bands)
                 if byte:
                     file.scales = tuple(b.scale[0] for b in bands)

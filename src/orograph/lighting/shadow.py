@@ -36,6 +36,7 @@ from orograph.lighting.sun import Sun
 
 MISSING, LIT, PENUMBRA, SELF, CAST = range(5)
 """The codes of the second band."""
+MEANINGS = ("no data", "lit", "penumbra", "self-shadow", "cast shadow")
 
 BANDS = ["fraction", "code"]
 _STEEP = 89.0
@@ -157,6 +158,6 @@ PRODUCTS = [
         "1",
         "The part of the sun's disc that is seen, and a code: 0 missing, 1 lit, 2 penumbra, 3 self, 4 cast shadow.",
         make,
-        about=lambda band, options: {"codes": True} if band == "code" else {},
+        about=lambda band, options: {"codes": MEANINGS} if band == "code" else {},
     )
 ]

@@ -20,7 +20,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +40,9 @@ _STEP = 100.0
 """Metres walked on the ellipsoid to see which way an azimuth points on the grid."""
 
 
+MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+
+
 @named("A sun")
 @dataclass(frozen=True, slots=True)
 class Sun:
@@ -49,11 +52,13 @@ class Sun:
         azimuth: degrees clockwise from grid north, towards the sun.
         altitude: degrees above the horizon, apparent.
         diameter: degrees.
+        when: the moment at which it stands there; None: it was not given as one. Suns that differ in it are the same.
     """
 
     azimuth: float = 315.0
     altitude: float = 45.0
     diameter: float = DIAMETER
+    when: datetime.datetime | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.azimuth):
@@ -62,6 +67,17 @@ class Sun:
             raise UsageError(f"The sun's altitude must be between −90 and 90 degrees, not {self.altitude:g}.")
         if not 0 <= self.diameter < 90:
             raise UsageError(f"The sun's diameter must be an angle in degrees, not {self.diameter:g}.")
+
+    @property
+    def words(self) -> str:
+        """Where it stands, and when, for people: "21 Sep 2026 18:30 −06:00, sun 263°, 11.2° high"."""
+        high = f"{abs(round(self.altitude, 1)):g}° {'high' if round(self.altitude, 1) >= 0 else 'below the horizon'}"
+        if self.when is None:
+            return f"Light from {round(self.azimuth, 1):g}°, {high}"
+        zone = self.when.strftime("%z")  # ±hhmm, and seconds of historical zones
+        offset = f"{zone[:3]}:{zone[3:5]}".replace("-", "−") if self.when.utcoffset() else "UTC"
+        day = f"{self.when.day} {MONTHS[self.when.month - 1]} {self.when.year}"
+        return f"{day} {self.when:%H:%M} {offset}, sun {round(self.azimuth) % 360}°, {high}"
 
     @property
     def direction(self) -> tuple[float, float, float]:
@@ -89,7 +105,72 @@ class Moment:
 
     def over(self, grid: Grid) -> Sun:
         azimuth, altitude = position(self.when, *place(grid))
-        return Sun(grid_azimuth(grid, azimuth), altitude)
+        return Sun(grid_azimuth(grid, azimuth), altitude, when=self.when)
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """The real sun from one moment to a later one, as in a film.
+
+    Raises:
+        UsageError: the end is not after the beginning.
+    """
+
+    begin: Moment
+    end: Moment
+
+    def __post_init__(self) -> None:
+        if not self.end.when > self.begin.when:
+            raise UsageError(
+                f"The sun's passage ends at {self.end.when.isoformat()}, which is not after its beginning, "
+                f"{self.begin.when.isoformat()}."
+            )
+
+    def at(self, share: float) -> Moment:
+        """The moment after a share of it, 0 to 1, in the time zone of its beginning."""
+        return Moment(self.begin.when + share * (self.end.when.astimezone(self.begin.when.tzinfo) - self.begin.when))
+
+    def __str__(self) -> str:
+        return f"{self.begin.when.isoformat()}..{self.end.when.isoformat()}"
+
+
+def passage(given: object) -> Passage | None:
+    """A passage, however it is given; None if it is something else.
+
+    Args:
+        given: text ``A..B``, two times with their zones (``2026-10-15T06:30-07:00..2026-10-15T18:00-07:00``, or
+            ``…..18:00`` for the same day and zone), two such times or datetimes, or a ``Passage``.
+
+    Raises:
+        UsageError: one of two is no time with a zone, or they are in the wrong order.
+    """
+    if isinstance(given, Passage):
+        return given
+    if isinstance(given, str) and ".." in given:
+        first, _, last = (part.strip() for part in given.partition(".."))
+        begin = _moment(first)
+        try:
+            clock = datetime.time.fromisoformat(last)
+        except ValueError:
+            return Passage(begin, _moment(last))
+        clock = clock if clock.tzinfo is not None else clock.replace(tzinfo=begin.when.tzinfo)
+        return Passage(begin, Moment(datetime.datetime.combine(begin.when.date(), clock)))
+    if isinstance(given, tuple | list) and len(given) == 2:
+        ends = [_moment(one) if isinstance(one, str) else Moment(_zoned(one)) for one in given
+                if isinstance(one, str | datetime.datetime)]  # fmt: skip
+        if len(ends) == 2:
+            return Passage(*ends)
+    return None
+
+
+def _moment(text: str) -> Moment:
+    found = None if "," in text else parse(text)
+    if not isinstance(found, Moment):
+        raise UsageError(
+            f"{text!r} is not a time.",
+            remedy="A moving sun is A..B, two times with their zones: 2026-10-15T06:30-07:00..2026-10-15T18:00-07:00.",
+        )
+    return found
 
 
 def parse(text: str) -> Placed | Moment:
@@ -98,6 +179,11 @@ def parse(text: str) -> Placed | Moment:
     Raises:
         UsageError: it is neither, the time has no zone, or an angle is out of range.
     """
+    if ".." in text:
+        raise UsageError(
+            f"{text!r} is a sun that moves, but this has one sun.",
+            remedy=f'Give one time; for a film of the moving sun use orograph movie, which takes "{text}".',
+        )
     parts = text.split(",")
     if len(parts) == 2:
         try:

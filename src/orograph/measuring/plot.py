@@ -145,7 +145,7 @@ def _finish(
     figure.canvas.draw()
     box, (low, high) = axes.get_window_extent(), axes.get_ylim()
     stretch = (box.height / (high - low)) / (box.width / float(profile.distance[-1]))
-    told.append(f"heights × {stretch:.3g}")
+    told.append(f"heights ×{stretch:.3g}")
     axes.text(0.0, 1.03, "  ·  ".join(told), transform=axes.transAxes, ha="left", va="bottom", fontsize=8,
               color="#444444")  # fmt: skip
     with Beside(Path(path)) as part:

@@ -19,6 +19,7 @@ from orograph._named import answering
 from orograph.errors import NothingInViewError, UsageError, absent
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside, place
+from orograph.scene.bearings import Bearing, bearing
 from orograph.scene.parts import check_exaggeration
 from orograph.scene.sizes import Size, size_of
 from orograph.store.opening import takes_terrain
@@ -230,7 +231,7 @@ def whole(
     terrain: Terrain,
     size: Size = SIZE,
     *,
-    azimuth: float = 180.0,
+    azimuth: Bearing = 180.0,
     pitch: float = 42.0,
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
@@ -240,9 +241,11 @@ def whole(
     """A view that shows the whole terrain well: obliquely from the south, with a long lens.
 
     Args:
+        azimuth: the side from which it is seen: degrees clockwise from north, or a point of the compass ("NE").
         insets: parts of the picture to leave free, such as ``furniture.insets``.
         also: (n, 3) further positions to show, as ``outline`` (``rendering.standing.extent``).
     """
+    azimuth = bearing(azimuth)
     points = joined(outline(terrain), also)
     return fit(points, direction(azimuth, pitch), fov_y, size_of(size), exaggeration, insets, azimuth + 180.0)
 
@@ -257,7 +260,7 @@ def around(
     terrain: Terrain,
     size: Size = SIZE,
     *,
-    azimuth: float = 180.0,
+    azimuth: Bearing = 180.0,
     pitch: float = 42.0,
     distance: float | None = None,
     fov_y: float = 30.0,
@@ -273,6 +276,7 @@ def around(
     Raises:
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
     """
+    azimuth = bearing(azimuth)
     check_around(azimuth, pitch, distance, exaggeration)
     size = size_of(size)
     if distance is None:
@@ -337,18 +341,19 @@ def standing(
 
 @takes_terrain
 def plan(
-    terrain: Terrain, size: Size = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS,
+    terrain: Terrain, size: Size = SIZE, *, azimuth: Bearing = 180.0, insets: Insets = NO_INSETS,
     also: Array | None = None,
 ) -> View:  # fmt: skip
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:
-        azimuth: the side at the bottom of the picture, degrees clockwise from north; 180 has north up.
+        azimuth: the side at the bottom of the picture, as for ``whole``; 180 has north up.
         also: further positions to show, as for ``whole``.
 
     Raises:
         UsageError: the azimuth is not an angle, or an inset is not in [0, 0.5). NothingInViewError: no sample is valid.
     """
+    azimuth = bearing(azimuth)
     if not math.isfinite(azimuth):
         raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     size = size_of(size)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from orograph.errors import UsageError
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
-    from orograph.lighting.sun import Moment, Placed, Sun
+    from orograph.lighting.sun import Moment, Passage, Placed, Sun
     from orograph.scene.flying import Flight
     from orograph.scene.ghosts import Ghost
     from orograph.store.terrain import Terrain
@@ -86,6 +86,16 @@ def read_sun(text: str) -> Placed | Moment:
 
     try:
         return parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
+def read_suns(text: str) -> Placed | Moment | Passage:
+    """What ``read_sun`` reads, or a passage A..B."""
+    from orograph.lighting.sun import passage
+
+    try:
+        return passage(text) or read_sun(text)
     except UsageError as error:
         raise ValueError(str(error)) from None
 
@@ -186,6 +196,14 @@ def sun(value: Any, terrain: Terrain) -> Sun:
     from orograph.lighting.sun import Sun, sun_of
 
     return Sun() if value is None else sun_of(value, terrain.grid)
+
+
+def standing(options: Mapping[str, Any]) -> tuple[dict[str, Any], Passage | None]:
+    """Options of a scene with one sun, that of the beginning if theirs moves; and the passage of one that does."""
+    from orograph.lighting.sun import passage
+
+    moving = passage(options.get("sun"))
+    return dict(options) if moving is None else {**options, "sun": moving.begin}, moving
 
 
 def view(value: View | str | os.PathLike[str] | None, terrain: Terrain) -> View | None:

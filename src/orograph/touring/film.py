@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from orograph.errors import UsageError
+from orograph.lighting.sun import Passage
 from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
@@ -87,16 +88,22 @@ class Film:
     def of(
         cls, tour: Tour, terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], *, draw: Session,
         fps: float | None, first: float | None, last: float | None, progress: Progress,
-        again: Callable[..., Tour] | None = None,
+        again: Callable[..., Tour] | None = None, passage: Passage | None = None,
     ) -> Film:  # fmt: skip
         """The film of a tour over a terrain.
 
         Args:
             again: makes the tour, ``also`` being further positions (n, 3) to keep in view; None: its cameras are given.
+            passage: of the sun over the whole tour; None: the tour's own, or none.
             size: (width, height) of its frames. options: of its scene, by name. Others: as of a film.
 
         Raises: as ``Scene.of`` and ``Playing.of``; a UsageError also as a film.
         """
+
+        def lit(tour: Tour) -> Tour:
+            return tour if passage is None else replace(tour, passage=passage)
+
+        tour = lit(tour)
         moving = tour if fps is None else replace(tour, fps=fps)
         playing = Playing.of(options, terrain, len(moving), moving.fps)
         shown = options if playing is None else playing.at(playing.key(0), terrain.grid)
@@ -105,7 +112,7 @@ class Film:
         if again is not None and playing is not None and any("trail_s" in fact for fact in playing.facts):
             everything = Scene.of(terrain, scene.view, **playing.widest(terrain.grid))
         if again is not None and (standing := extent_of(everything)) is not None:
-            tour = again(also=standing)
+            tour = lit(again(also=standing))
             scene = scene.but(view=tour.keys[0].view.resized(*size))
         made = cls(tour, scene, draw=draw, fps=fps, first=first, last=last, playing=playing, progress=progress)
         if playing is not None:

@@ -152,6 +152,16 @@ def _layers(value: Any) -> tuple[Layer, ...]:
     return layers_of(made)
 
 
+def has_camera(values: Mapping[str, Any]) -> bool:
+    """Whether a key's JSON says where its camera is."""
+    return values.get("eye") is not None or values.get("target") is not None
+
+
+def staying(before: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """A key's JSON with the camera of the key before, in its CRS, but for what the key says of it itself."""
+    return {**{k: before[k] for k in (*CAMERA, *ANGLES) if k in before}, **values, "crs": before.get("crs")}
+
+
 def looking(heading: float, pitch: float) -> Point:
     """The unit vector towards ``heading`` (degrees clockwise from north), down by ``pitch`` degrees."""
     a, p = math.radians(heading), math.radians(pitch)

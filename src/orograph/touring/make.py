@@ -311,6 +311,22 @@ def read_line(path: str | Path, crs: Any, line_crs: Any = None) -> Array:
     return to_crs(max(lines, key=len), crs, line_crs)
 
 
+def longest(geojson: Any) -> list[tuple[float, float]]:
+    """The longest line (of most points) in GeoJSON: a mapping, or an object with ``__geo_interface__``.
+
+    Raises:
+        UsageError: it is not GeoJSON, or holds no line.
+    """
+    try:
+        lines = _geojson(dict(getattr(geojson, "__geo_interface__", geojson)))
+    except (ValueError, TypeError, KeyError, IndexError) as error:
+        raise UsageError(f"The line is not GeoJSON: {error}.") from error
+    found = max(lines, key=len, default=[])
+    if len(found) < 2:
+        raise UsageError("There is no line in this GeoJSON (a LineString of two points or more).")
+    return found
+
+
 def to_crs(places: Sequence[Sequence[float]], crs: Any, line_crs: Any = None) -> Array:
     """Places (n, 2), longitude and latitude or in ``line_crs``, in the terrain's CRS: (n, 2) float64.
 

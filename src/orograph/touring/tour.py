@@ -20,7 +20,7 @@ Units: seconds; metres and degrees as in ``View``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -30,9 +30,9 @@ from orograph.documents import load_object, naming, number, write
 from orograph.errors import UsageError
 from orograph.flight import SAME, Flight
 from orograph.geovis.layers import Layer, found_beside
-from orograph.lighting.sun import Moment, Placed
+from orograph.lighting.sun import Moment, Passage, Placed, passage
 from orograph.splines import Monotone
-from orograph.touring.keys import INHERITED, SETTINGS, Key
+from orograph.touring.keys import INHERITED, SETTINGS, Key, has_camera, staying
 from orograph.touring.schedule import Schedule
 from orograph.touring.ways import Way
 from orograph.viewpoint import View
@@ -41,6 +41,9 @@ DEFAULT_FPS = 30.0
 MOST_FRAMES = 1_000_000
 FORMAT = 1
 """The version of the file's format; ``"tour": 1`` in the file gives it, and may be omitted."""
+
+SIZE = (("width", 1280), ("height", 720))
+"""Pixels of a tour that does not say any."""
 
 OWN = ("tour", "fps", "seconds", "loop", "ease", "aim", "speed", "above_ground", "keys")
 
@@ -58,6 +61,7 @@ class Tour:
         ease: it begins and ends at rest (never in a loop).
         aim: what is interpolated: the "target", so that the target stays in view, or the "direction" of view.
         speed: metres per second of the eye; None: the keys have times.
+        passage: the sun's from beginning to end, evenly in time, whatever the keys say; None: the keys' suns.
         above_ground: metres that the eye stays above the ground, where a terrain is given (``course``); None: wherever
             the path leads.
 
@@ -74,6 +78,7 @@ class Tour:
     aim: Literal["target", "direction"] = "target"
     speed: float | None = None
     above_ground: float | None = None
+    passage: Passage | None = None
     _schedule: Schedule = field(init=False, repr=False, compare=False)
     _settings: dict[str, Monotone] = field(init=False, repr=False, compare=False)
     _sun: tuple[type | None, tuple[Monotone, ...]] = field(init=False, repr=False, compare=False)
@@ -194,13 +199,17 @@ class Tour:
     # ---- files ---------------------------------------------------------------------------------------------------
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], *, crs: Any = None) -> Self:
+    def from_dict(
+        cls, values: Mapping[str, Any], *, crs: Any = None, whole: Callable[[int, int], View] | None = None
+    ) -> Self:
         """A tour from its JSON.
 
         Args:
             values: ``keys`` (see ``Key.from_dict``); optionally what ``Tour`` has, and for all keys that do not say it
-                themselves, what ``keys.INHERITED`` lists.
+                themselves, what ``keys.INHERITED`` lists. Keys without an eye and a target have the camera of the key
+                before. The ``sun`` beside the keys may be a passage, A..B.
             crs: the terrain's CRS, as for ``View.from_dict``.
+            whole: (width, height) → the camera of a first key that has none; None: it needs one.
 
         Raises:
             UsageError: something is missing, unknown or of the wrong kind; of a key, its number is named.
@@ -223,15 +232,24 @@ class Tour:
                 'The list "keys" of the tour is empty.', remedy='Give it cameras, each with a "time" in seconds.'
             )
         common = {k: values[k] for k in INHERITED if values.get(k) is not None}
-        made = []
+        more: dict[str, Any] = {}
+        if (moving := passage(common.get("sun"))) is not None:
+            more["passage"] = moving
+            del common["sun"]
+        made: list[Key] = []
+        camera: Mapping[str, Any] | None = None
         for i, key in enumerate(keys):
             if not isinstance(key, Mapping):
                 raise UsageError(f'Key {i} is not a JSON object with a "time", an "eye" and a "target".')
             try:
-                made.append(Key.from_dict({**common, **key}, crs=crs))
+                said = {**common, **key}
+                if camera is None and whole is not None and not has_camera(key):
+                    width, height = (int(number(said.get(n, default), f'The "{n}"')) for n, default in SIZE)
+                    camera = whole(width, height).to_dict()
+                camera = said if camera is None or has_camera(key) else {**common, **staying(camera, key)}
+                made.append(Key.from_dict(camera, crs=crs))
             except UsageError as error:
                 raise UsageError(f"Key {i}: {error.what}", remedy=error.remedy) from error
-        more: dict[str, Any] = {}
         for name in ("seconds", "fps", "speed", "above_ground"):
             if values.get(name) is not None:
                 more[name] = number(values[name], f'"{name}"')
@@ -245,15 +263,15 @@ class Tour:
         return cls(tuple(made), **more)
 
     @classmethod
-    def load(cls, path: str | Path, *, crs: Any = None) -> Self:
-        """Read a tour's file.
+    def load(cls, path: str | Path, *, crs: Any = None, whole: Callable[[int, int], View] | None = None) -> Self:
+        """Read a tour's file. Arguments as for ``from_dict``.
 
         Raises:
             ReadError: the file cannot be read, or is not a JSON object. UsageError: as ``from_dict``, naming the file.
         """
         values = load_object(path, "tour", "keys")
         with naming(path):
-            tour = cls.from_dict(values, crs=crs)
+            tour = cls.from_dict(values, crs=crs, whole=whole)
         if all(key.layers is None for key in tour.keys):
             return tour
         folder = Path(path).parent  # paths in a file are meant as they are, or beside it
@@ -282,6 +300,8 @@ class Tour:
                 values[name] = getattr(self, name)
         if self.speed is None:
             values["seconds"] = self.seconds
+        if self.passage is not None:
+            values["sun"] = str(self.passage)
         return {**values, "keys": [key.to_dict() for key in self.keys]}
 
     # ---- at a time -----------------------------------------------------------------------------------------------
@@ -333,13 +353,16 @@ class Tour:
     def sun(self, time: float) -> Placed | Moment | None:
         """The sun at a time; None if no key says one."""
         time = self.moment(time)
+        if self.passage is not None:
+            return self.passage.at(time / self.duration if self.duration > 0 else 0.0)
         kind, channels = self._sun
         if kind is None:
             return None
         if kind is Moment:
             import datetime
 
-            return Moment(datetime.datetime.fromtimestamp(channels[0](time), datetime.UTC))
+            zone = next(key.sun.when.tzinfo for key in self.keys if isinstance(key.sun, Moment))
+            return Moment(datetime.datetime.fromtimestamp(channels[0](time), zone))
         return Placed(channels[0](time) % 360.0, channels[1](time))
 
     def frames(self) -> Iterator[View]:

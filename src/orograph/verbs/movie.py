@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,8 +26,10 @@ from orograph.store.terrain import Terrain
 from orograph.touring import Tour
 from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
+from orograph.touring.make import still
 from orograph.verbs.filming import MEMORY, By, Shot, shoot_by
-from orograph.verbs.ways import WAY, check_tour, chosen, said_of, tour_of
+from orograph.verbs.ways import WAY, check_passage, check_tour, chosen, said_of, tour_of
+from orograph.viewpoint import View
 
 
 def movie(
@@ -68,7 +70,8 @@ def movie(
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         sort_last: each worker has a part of the terrain, and all draw every frame together (``rendering.sort_last``).
         part: draw only this part of the frames, "3/64" or (3, 64), for job arrays. finish: make the film of its parts.
-        options: of the scene, as for ``orograph.render``; they apply to the whole film, whatever the tour says.
+        options: of the scene, as for ``orograph.render``; they apply to the whole film, whatever the tour says. A
+            ``sun`` may move: "A..B" or (A, B), two times with their zones, between which it passes evenly.
 
     Returns:
         the path of the film.
@@ -82,6 +85,7 @@ def movie(
     reading = {name: options.pop(name) for name in READING if name in options}
     way = said_of({name: options.pop(name) for name in WAY if name in options})
     check_names(options, "movie", (*WAY, *inspect.signature(movie).parameters))
+    options, passage = given.standing(options)
     check_options(options)
     if conservative:
         check_promise(options.get("method", "auto"), backend)
@@ -90,6 +94,7 @@ def movie(
     if tour is None and not chosen(way):
         way["orbit"] = True
     check_tour(way)
+    check_passage(passage, way)
     by = By.of(workers, dask, part, finish)
     if sort_last and backend != "cpu":
         raise UsageError("`sort_last` draws on the CPU.", remedy="Leave out `backend`.")
@@ -108,14 +113,15 @@ def movie(
         again = partial(tour_of, ground, way_size, way, (sun.azimuth, sun.altitude), stretch, furniture)
         keys = again()
     else:
-        keys = without(_tour_of(tour, ground), options)
+        stretched = options.get("exaggeration", 1.0)
+        keys = without(_tour_of(tour, ground, partial(whole, ground, size, stretched)), options)
     view = keys.keys[0].view
     pixels = size or (view.width, view.height)
     check_movie(path, pixels, crf)
     check_memory(pixels, max_memory)
     draw = session(heard, backend=backend)
     film = Film.of(keys, ground, pixels, options, draw=draw, fps=fps, first=begin, last=end, progress=heard,
-                   again=again)  # fmt: skip
+                   again=again, passage=passage)  # fmt: skip
     if by is None:
         shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
     elif sort_last:
@@ -128,20 +134,29 @@ def movie(
     return Path(path)
 
 
-def _tour_of(given: Tour | Mapping[str, Any] | str | os.PathLike[str], ground: Terrain) -> Tour:
+def _tour_of(
+    given: Tour | Mapping[str, Any] | str | os.PathLike[str], ground: Terrain, first: Callable[[int, int], View]
+) -> Tour:
     if isinstance(given, Tour):
         return given
     if isinstance(given, Mapping):
-        return Tour.from_dict(given, crs=ground.grid.crs)
+        return Tour.from_dict(given, crs=ground.grid.crs, whole=first)
     if isinstance(given, str | os.PathLike):
-        return Tour.load(os.fspath(given), crs=ground.grid.crs)
+        return Tour.load(os.fspath(given), crs=ground.grid.crs, whole=first)
     raise UsageError(f"A tour is made by orograph.tour, or is its file, not {type(given).__name__}.")
+
+
+def whole(ground: Terrain, size: tuple[int, int] | None, exaggeration: float, width: int, height: int) -> View:
+    """The camera of a tour's first key that has none: all of the terrain in view, in frames of ``size`` or else as
+    large as the tour says."""
+    return still(ground, size or (width, height), exaggeration=exaggeration).keys[0].view
 
 
 def without(tour: Tour, options: Iterable[str]) -> Tour:
     """A tour whose key frames do not set what ``options`` set for the whole film."""
     over: dict[str, Any] = dict.fromkeys(set(options) & set(spoken(tour)))
-    return replace(tour, keys=tuple(replace(key, **over) for key in tour.keys))
+    passage = None if "sun" in over else tour.passage
+    return replace(tour, keys=tuple(replace(key, **over) for key in tour.keys), passage=passage)
 
 
 def shoot(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
+from orograph.scene.bearings import Bearing
 from orograph.scene.sizes import Size, size_of
 from orograph.several import Numbers
 from orograph.store.opening import terrain as opened
@@ -27,7 +28,7 @@ def tour(
     line: Any = None,
     points: Sequence[Sequence[float] | str] = (),
     around: Numbers | None = None,
-    azimuth: float | None = None,
+    azimuth: Bearing | None = None,
     pitch: float | None = None,
     distance: float | None = None,
     fov: float | None = None,
@@ -47,16 +48,17 @@ def tour(
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
         size: (width, height) of the pictures.
         orbit: once around the terrain, all of it in view (the default). turntable: the same with the light turning too.
-            still: the camera stays, all of the terrain in view, for data that change. plan: the same straight down, as
-            a map.
-        line: a GPX or GeoJSON file: fly along its longest line; or places, as ``points``.
+            still: the camera stays, all of the terrain in view, for data that change or a sun that moves. plan: the
+            same straight down, as a map.
+        line: a GPX or GeoJSON file: fly along its longest line; GeoJSON as an object; or
+            places, as ``points``.
         points: (longitude, latitude): fly over them.
         line_crs: the CRS of the line or the points; None: EPSG:4326.
         around: (longitude, latitude[, radius]): orbit this place rather than the terrain, with a radius in metres of
             ground around it in view; by default a quarter of the terrain's shorter side.
-        azimuth: the side from which an orbit begins, degrees clockwise from north; None: 180. pitch: how far it looks
-            down; None: 35. distance: metres from the terrain's middle, or from the place in ``around``; None: such that
-            all of it is in view.
+        azimuth: the side from which an orbit begins, degrees clockwise from north or "NE"; None: 180. pitch: how far it
+            looks down; None: 35. distance: metres from the terrain's middle, or from the place in ``around``; None:
+            such that all of it is in view.
         fov: the vertical field of view, degrees; None: 30, along a line 45.
         seconds: how long it takes. height: metres above the ground, along a line. speed: metres per second, along a
         line.

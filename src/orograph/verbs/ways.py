@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import UsageError
+from orograph.scene.bearings import bearing
 from orograph.several import numbers
 
 if TYPE_CHECKING:
+    from orograph.lighting.sun import Passage
     from orograph.store.terrain import Terrain
     from orograph.touring.tour import Tour
 
@@ -33,8 +35,14 @@ def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
     way = {**dict.fromkeys(WAY), **flags, "points": (), **options}
     if way["around"] is not None:
         way["around"] = numbers(way["around"], "around")
+    if isinstance(way["line"], Mapping) or hasattr(way["line"], "__geo_interface__"):
+        from orograph.touring.make import longest
+
+        way["line"] = longest(way["line"])
     if way["line"] is not None and not isinstance(way["line"], str | os.PathLike):
         way["points"], way["line"] = way["line"], None  # (places, not a file of them)
+    if way["azimuth"] is not None:
+        way["azimuth"] = bearing(way["azimuth"])
     way["points"] = tuple(numbers(point, "points") for point in way["points"])
     return way
 
@@ -59,6 +67,15 @@ def check_tour(options: Mapping[str, Any]) -> None:
         raise UsageError("The radius in `around` and `distance` say the same twice: give one of them.")
     if kind == "points" and len(options["points"]) < 2:
         raise UsageError("A line to fly along needs at least two points: give `points` twice or more.")
+
+
+def check_passage(passage: Passage | None, options: Mapping[str, Any]) -> None:
+    """Raise UsageError if the sun moves by time and a turntable turns it, too."""
+    if passage is not None and options["turntable"]:
+        raise UsageError(
+            "A turntable turns the light itself, so its sun cannot also pass from one time to another.",
+            remedy="Give one time or direction, or an orbit in place of the turntable.",
+        )
 
 
 def tour_of(

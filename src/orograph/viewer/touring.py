@@ -22,6 +22,7 @@ from orograph.lighting.sun import Moment, Placed
 from orograph.scene.parts import HOMES, OPTIONS
 from orograph.touring.course import Course
 from orograph.touring.keys import Key
+from orograph.touring.make import still
 from orograph.touring.tour import DEFAULT_FPS, Tour
 from orograph.viewpoint import View
 
@@ -316,7 +317,7 @@ class Touring:
     def load(self, path: Path) -> bool:
         """Read a TOUR.json in place of the current tour; reports the outcome and returns whether it succeeded."""
         try:
-            tour = Tour.load(path, crs=self.session.terrain.grid.crs)
+            tour = Tour.load(path, crs=self.session.terrain.grid.crs, whole=self._whole)
         except OrographError as error:
             self.session.messages.say(f"The tour was not read: {error}", error=True)
             return False
@@ -325,13 +326,21 @@ class Touring:
         self.session.messages.say(f"{path.name}: {len(tour.keys)} stops, {tour.duration:.1f} s.{speed}")
         return True
 
+    def _whole(self, width: int, height: int) -> View:
+        """The camera of a first key that has none."""
+        exaggeration = self.session.settings.exaggeration
+        return still(self.session.terrain, (width, height), exaggeration=exaggeration).keys[0].view
+
     def take(self, tour: Tour) -> None:
         """Edit a tour."""
         times = list(tour.times)
         ends = [*times[1:], tour.duration if tour.loop else times[-1] + tour.keys[-1].hold + LEG]
         self.clear()
         self.stops = [
-            Stop(replace(key, time=None), max(end - time - key.hold, SHORTEST))
+            Stop(
+                replace(key, time=None, sun=tour.sun(time) if tour.passage else key.sun),
+                max(end - time - key.hold, SHORTEST),
+            )
             for key, time, end in zip(tour.keys, times, ends)
         ]
         self.loop, self.ease, self.aim, self.fps = tour.loop, tour.ease, tour.aim, tour.fps

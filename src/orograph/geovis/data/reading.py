@@ -185,7 +185,11 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         tags = file.tags(bands[0])
         unit = (file.units[bands[0] - 1] or tags.get("GRIB_UNIT") or tags.get("units") or "").strip()
         said = tags.get("long_name") or tags.get("GRIB_COMMENT") or ""
-        name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
+        described = "" if len(bands) > 1 else _description(file.descriptions[bands[0] - 1])
+        name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or described or Path(given.source).stem).replace(
+            "_", " "
+        )
+        chosen = "" if chosen == file.descriptions[bands[0] - 1] and (said or described) else chosen
         palette = file.colormap(bands[0]) if coloured else None
     values[~np.isfinite(values)] = np.nan
     if coded:
@@ -195,6 +199,12 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         )
     return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette,
                            named=named, coded=coded))  # fmt: skip
+
+
+def _description(told: str | None) -> str:
+    """A band's description, unless it only counts bands, as "Band 1" and "Layer_1" do."""
+    told = (told or "").strip()
+    return "" if re.fullmatch(r"(?i)(band|layer|b|channel)?[ _.-]*\d*", told) else told
 
 
 def _coded(file: Any, bands: list[int], where: Any) -> bool:

@@ -71,7 +71,7 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         metres /= stretch(scene)
     sun, parts = scene.lighting.sun, []
     if scene.lighting.light != "none":
-        parts.append(f"Light from {round(sun.azimuth, 1):g}°, {round(sun.altitude, 1):g}° high")
+        parts.append(sun.words)
     if scene.surface.exaggeration != 1:
         parts.append(f"heights ×{scene.surface.exaggeration:g}")
     if scene.surface.detail is not None:

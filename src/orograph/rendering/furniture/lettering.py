@@ -1,12 +1,14 @@
 """The lettering of a sheet: its sizes, a typeface that can show its words, and type set evenly at any size.
 
-Pillow's own typeface (Aileron) is used if it has the characters; typographic characters and accents that it lacks are
-replaced by plain ones, and if that would lose too much (other scripts) another typeface is searched for. Units: pixels.
+Pillow's own typeface (Aileron) is used if it has the characters, or ones that can be drawn (×, −, ², ³); other
+typographic characters and accents that it lacks are replaced by plain ones, and if that would lose too much (other
+scripts) another typeface is searched for. Units: pixels.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import unicodedata
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,8 +17,10 @@ from typing import Any
 Color = tuple[int, int, int]
 
 FALLBACKS = ("DejaVuSans.ttf", "NotoSans-Regular.ttf", "Arial.ttf", "Arial Unicode.ttf")
-PLAIN = {"×": "x", "−": "-", "–": "-", "—": "-", "…": "...", "’": "'", "“": '"', "”": '"', "′": "'", "″": '"'}
-PLAIN |= {"²": "2", "³": "3"}
+PLAIN = {"–": "-", "—": "-", "…": "...", "’": "'", "“": '"', "”": '"', "′": "'", "″": '"'}
+RAISED = {"²": "2", "³": "3"}
+STROKES = {"×": ((0.16, 0.16, 0.84, 0.84), (0.16, 0.84, 0.84, 0.16)), "−": ((0.1, 0.5, 0.88, 0.5),)}
+"""Signs that are drawn where the typeface lacks them: small figures, and strokes in the box of a plus sign."""
 
 UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn")
 """Unicode categories without a shape: control codes, surrogates and the like."""
@@ -81,13 +85,17 @@ def _shows(face: str | None, sign: str) -> bool:
     return mask.size != none.size or bytes(mask) != bytes(none)
 
 
+def _drawn(sign: str) -> bool:
+    return sign in RAISED or sign in STROKES
+
+
 @lru_cache(maxsize=256)
 def _plain(face: str | None, sign: str) -> str:
     if sign.isspace():
         return " "
     if unicodedata.category(sign) in UNSEEN:
         return ""
-    if _shows(face, sign):
+    if _shows(face, sign) or (face is None and _drawn(sign)):
         return sign
     if sign in PLAIN:
         return PLAIN[sign]
@@ -98,7 +106,7 @@ def _plain(face: str | None, sign: str) -> str:
 @lru_cache(maxsize=64)
 def _face(signs: frozenset[str]) -> str | None:
     """None for Pillow's own typeface if it can show the words (with plain characters), else one that can."""
-    if all(_shows(None, s) or s in PLAIN for s in signs):
+    if all(_shows(None, s) or _drawn(s) or s in PLAIN for s in signs):
         return None
     best, most = None, sum(_shows(None, s) for s in signs)
     for name in [*FALLBACKS, *_shipped()]:
@@ -131,7 +139,40 @@ def _large(font: Any) -> tuple[int, Any]:
 def length(font: Any, words: str) -> float:
     """The extent of the words when set."""
     s, large = _large(font)
-    return float(large.getlength(words)) / s
+    return (_compose(None, (0.0, 0.0), words, large) if _composed(words, font) else float(large.getlength(words))) / s
+
+
+def _composed(words: str, font: Any) -> bool:
+    """Whether some of the words' signs must be drawn: in Pillow's own typeface, those that it lacks."""
+    own = font.getname() == _font(None, 24.0).getname()
+    return own and any(_drawn(sign) and not _shows(None, sign) for sign in words)
+
+
+def _compose(draw: Any, at: tuple[float, float], words: str, font: Any) -> float:
+    """Draw words from a place on their baseline, signs that the typeface lacks included; returns their extent.
+
+    Args:
+        draw: an ``ImageDraw``; None: only measure. font: drawn at its own size.
+    """
+    (x, y), size = at, font.size
+    for run in re.split(f"([{''.join((*RAISED, *STROKES))}])", words):
+        if run in RAISED:
+            small = font.font_variant(size=0.62 * size)
+            if draw is not None:
+                draw.text((x, y - 0.32 * size), RAISED[run], 255, small, "ls")
+            x += small.getlength(RAISED[run])
+        elif run in STROKES:
+            left, top, right, bottom = font.getbbox("+", anchor="ls")
+            for x0, y0, x1, y1 in STROKES[run] if draw is not None else ():
+                ends = [x + left + x0 * (right - left), y + top + y0 * (bottom - top),
+                        x + left + x1 * (right - left), y + top + y1 * (bottom - top)]  # fmt: skip
+                draw.line(ends, 255, max(1, round(0.085 * size)))
+            x += font.getlength("+")
+        elif run:
+            if draw is not None:
+                draw.text((x, y), run, 255, font, "ls")
+            x += font.getlength(run)
+    return float(x - at[0])
 
 
 def cut(words: str, font: Any, widest: float, style: Style) -> str:
@@ -146,16 +187,29 @@ def cut(words: str, font: Any, widest: float, style: Style) -> str:
 
 
 def set_type(sheet: Any, place: tuple[float, float], words: str, font: Any, color: Color, anchor: str) -> None:
-    """Set words on an image with their baseline at ``place``."""
+    """Set words on an image, ``place`` being on their baseline (anchors "ls", "ms", "rs") or in the middle ("mm")."""
     from PIL import Image, ImageDraw
 
     s, large = _large(font)
+    composed = _composed(words, font)
+    if composed:
+        s, large = 4, font.font_variant(size=font.size * 4)
+        aside = {"l": 0.0, "m": 0.5, "r": 1.0}[anchor[0]] * length(font, words)
+        ascent, descent = font.getmetrics()
+        below = (ascent - descent) / 2 if anchor[1] == "m" else 0.0
+        place, anchor = (place[0] - aside, place[1] + below), "ls"
     x, y = round(place[0] * s), round(place[1]) * s
     x0, y0, x1, y1 = large.getbbox(words, anchor=anchor)
+    if composed:
+        x1 = x0 + _compose(None, (0.0, 0.0), words, large) + s
     left, top = (x + math.floor(x0)) // s - 1, (y + math.floor(y0)) // s - 1
     w, h = math.ceil((x1 - x0) / s) + 3, math.ceil((y1 - y0) / s) + 3
     mask = Image.new("L", (w * s, h * s))
-    ImageDraw.Draw(mask).text((x - left * s, y - top * s), words, 255, large, anchor)
+    draw, at = ImageDraw.Draw(mask), (x - left * s, y - top * s)
+    if composed:
+        _compose(draw, at, words, large)
+    else:
+        draw.text(at, words, 255, large, anchor)
     if s > 1:
         mask = mask.resize((w, h), Image.Resampling.BOX)
     sheet.paste(color, (left, top, left + w, top + h), mask)

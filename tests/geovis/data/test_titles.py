@@ -1,0 +1,60 @@
+"""What a legend calls data: the words of their band, if it has any, and units as people write them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from pyproj import CRS
+
+from orograph import lighting
+from orograph.dem import Dem
+from orograph.geo.grid import Grid
+from orograph.geovis.data.classes import ClassTable, says_classes
+from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.reading import read
+from orograph.geovis.keys import written_unit
+
+
+@pytest.mark.parametrize(
+    ("told", "written"),
+    [
+        ("Wh/m2", "Wh/m²"), ("W m-2", "W/m²"), ("J m**-2", "J/m²"), ("kg m^-3", "kg/m³"), ("km2", "km²"), ("m^3", "m³"),
+        ("m s-1", "m/s"), ("mm", "mm"), ("m21", "m21"), ("CO2", "CO2"), ("1", ""),
+    ],
+)  # fmt: skip
+def test_units_as_people_write_them(told, written):
+    assert written_unit(told) == written
+
+
+@pytest.mark.parametrize(
+    ("description", "name"),
+    [("sky-view factor", "sky-view factor"), ("Band 1", "some file"), ("Layer_1", "some file"), (None, "some file")],
+)
+def test_a_band_is_called_as_it_is_described(tmp_path, description, name):
+    path = tmp_path / "some_file.tif"
+    profile = {"driver": "GTiff", "width": 5, "height": 4, "count": 2, "dtype": "float32", "crs": "EPSG:32611"}
+    with rasterio.open(path, "w", **profile, transform=Affine(30, 0, 5e5, 0, -30, 4e6)) as file:
+        file.write(np.random.default_rng(1).random((2, 4, 5), np.float32))
+        if description is not None:
+            file.set_band_description(1, description)
+    field = read(Dataset(str(path), band=1), Grid((4, 5), Affine(30, 0, 5e5, 0, -30, 4e6), CRS.from_epsg(32611)))
+    assert field.name == name and field.chosen in ("", "band 1", description if name == "some file" else "")
+
+
+def test_maps_of_light_say_what_they_are(tmp_path):
+    rows, cols = 20, 30
+    heights = np.add.outer(np.arange(rows) * 3.0, np.abs(np.arange(cols) - 15) * 25.0).astype(np.float32)
+    grid = Grid((rows, cols), Affine(30, 0, 4e5, 0, -30, 3.8e6), CRS.from_epsg(32611))
+    dem = Dem(heights, grid)
+    lighting.shadows(dem, (90.0, 20.0)).save(tmp_path / "s.tif")
+    code = read(Dataset(str(tmp_path / "s.tif"), band=2), grid)
+    assert code.name == "shadow: code" and code.unit == "" and says_classes(code)
+    names = ClassTable.of_tags(code.tags).names
+    assert names == {0: "no data", 1: "lit", 2: "penumbra", 3: "self-shadow", 4: "cast shadow"}
+    assert set(np.unique(code.values)) <= set(names)
+    assert not says_classes(read(Dataset(str(tmp_path / "s.tif"), band=1), grid))
+    lighting.insolation(dem, "2026-06-21", 8).save(tmp_path / "i.tif")
+    energy = read(Dataset(str(tmp_path / "i.tif"), band=3), grid)
+    assert (energy.name, energy.unit, energy.chosen) == ("insolation: global", "Wh/m²", "")
