@@ -122,6 +122,7 @@ def test_what_texts_mean():
     assert bytes_of("1GiB") == 1 << 30 and bytes_of(1e9) == 10**9 and bytes_of(None) is None
     assert size_of("1280x720") == (1280, 720) == size_of([1280, 720]) and dpi_of(size_of("2x1in@100")) == 100
     assert size_of("2x1in@100") == (200, 100)
+    assert size_of(2400) == size_of("2400") == (2400, 1350) and size_of("16cm@254") == (1600, 900)
     assert words("exact, midpoint") == ("exact", "midpoint") and words("none") == () == words(())
     assert numbers("1,2.5", "x") == (1.0, 2.5) and numbers(3, "x") == (3.0,) == numbers([3], "x")
     for wrong in (0, -1, True, 1.5, "0", "many", [1]):

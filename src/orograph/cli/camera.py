@@ -31,7 +31,7 @@ CAMERA = (*PLACES, "projection", "size")
 """All parameters that ``camera_options`` adds."""
 
 
-SIZES = ": pixels, or on paper 20x15cm, 8x6in@150 (dots per inch, else 300), which the file records"
+SIZES = ": pixels (a width alone: 2400), or on paper 20x15cm, 8x6in@150 (dots per inch, else 300; recorded)"
 """The text about sizes in the help of every ``--size``."""
 
 

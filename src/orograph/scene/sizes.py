@@ -8,15 +8,19 @@ from typing import Any
 
 from orograph.errors import UsageError
 
-Size = tuple[int, int] | str
-"""A picture's size: (width, height) in pixels, or a text such as "1280x720", or "20x15cm@300" on paper."""
+Size = tuple[int, int] | int | str
+"""A picture's size: (width, height) in pixels, or a text such as "1280x720", or "20x15cm@300" on paper. A width alone
+(2400, "30cm") has a height of 9/16 of it."""
+
+SHAPE = 9 / 16
+"""Height over width where only the width is given."""
 
 DPI = 300.0
 """Default dots per inch of a size on paper."""
 
 INCHES = {"cm": 1 / 2.54, "mm": 1 / 25.4, "in": 1.0}
 
-SPELT = re.compile(r"(\d+(?:\.\d+)?)\s*[x×]\s*(\d+(?:\.\d+)?)\s*(cm|mm|in)?\s*(?:@\s*(\d+(?:\.\d+)?))?")
+SPELT = re.compile(r"(\d+(?:\.\d+)?)\s*(?:[x×]\s*(\d+(?:\.\d+)?))?\s*(cm|mm|in)?\s*(?:@\s*(\d+(?:\.\d+)?))?")
 
 
 class Pixels(tuple[int, int]):
@@ -46,10 +50,11 @@ def read_size(text: str) -> Pixels:
         ValueError: it is not a size, or less than a pixel.
     """
     found = SPELT.fullmatch(text.strip().lower())
-    if found is None or (found[3] is None and "." in found[1] + found[2]):
-        raise ValueError(f"{text!r} is not a size such as 1280x720 (pixels) or 20x15cm@300 (cm, mm or in).")
+    if found is None or (found[3] is None and "." in found[1] + (found[2] or "")):
+        raise ValueError(f"{text!r} is not a size such as 1280x720 (pixels), 2400 or 20x15cm@300 (cm, mm or in).")
     dpi = None if found[4] is None else float(found[4])
-    size = Pixels.of(float(found[1]), float(found[2]), found[3], dpi)
+    width = float(found[1])
+    size = Pixels.of(width, width * SHAPE if found[2] is None else float(found[2]), found[3], dpi)
     if min(size) < 1:
         raise ValueError(f"{text!r} is less than a pixel.")
     return size
@@ -66,6 +71,8 @@ def size_of(size: Any) -> tuple[int, int]:
             return read_size(size)
         except ValueError as error:
             raise UsageError(str(error)) from None
+    if isinstance(size, Integral):
+        size = (size, max(1, round(int(size) * SHAPE)))
     whole_numbers = isinstance(size, tuple | list) and all(isinstance(n, Integral) and int(n) > 0 for n in size)
     if not whole_numbers or len(size) != 2:
         raise UsageError(f"A size must be (width, height) in pixels, such as (1280, 720), or '1280x720', not {size!r}.")
