@@ -88,7 +88,7 @@ def command(
       orograph difference after.tif before.tif -o change.tif -o change.png
       orograph difference surface.tif ground.tif --onto finer -o heights.tif
       orograph difference copernicus.tif srtm.tif --to-vertical ellipsoidal --geoid egm96_15.gtx
-      orograph difference 2016.tif 2012.tif --sigma 0.1 --sigma 0.15 --range 20 -o change.tif -o change.png
+      orograph difference 2016.tif 2012.tif --sigma 0.1 --sigma 0.15 --range 20 -o change.tif
       orograph difference a.tif b.tif --json
     """
     began = time.perf_counter()
