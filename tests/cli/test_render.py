@@ -214,7 +214,7 @@ def test_the_sun_may_be_a_time(run, dem, tmp_path):
 
 @pytest.mark.parametrize(
     "options",
-    [("--size", "12"), ("--size", "0x5"), ("--sun", "1"), ("--sun", "10,100"), ("--sun", "nan,10"),
+    [("--size", "12x"), ("--size", "0"), ("--size", "0x5"), ("--sun", "1"), ("--sun", "10,100"), ("--sun", "nan,10"),
      ("--sun", "2026-06-21T12:00"), ("--lonlat", "1,2"), ("--fov", "0"), ("--water", "wet"), ("--samples", "0"),
      ("--projection", "map"), ("--nope",)],
 )  # fmt: skip

@@ -316,7 +316,7 @@ def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Pat
     np.testing.assert_array_equal(orograph.render(dem, tmp_path / "v.json", **plain), wanted)
     for call, words in (
         (lambda: orograph.render(dem, 5), "A view must be .*camera"),
-        (lambda: orograph.render(dem, size=300), "A size must be"),
+        (lambda: orograph.render(dem, size=-300), "A size must be"),
         (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size must be"),
         (lambda: orograph.open(dem), "A store must .*build"), (lambda: orograph.bake(dem, "aperture"), "A store must"),
         (lambda: orograph.check(dem), "A store must"), (lambda: orograph.read(dem), "orograph.terrain"),
