@@ -146,7 +146,7 @@ def main(argv: list[str] | None = None) -> None:
         _fail(error, debug)
 
 
-_ELSE = {"-h", "--help", "gpu", "--backend=gpu", "--method", "--methods"}
+_OTHERWISE = {"-h", "--help", "gpu", "--backend=gpu", "--method", "--methods"}
 """Words of a command that needs other kernels than its verb usually does."""
 
 
@@ -207,7 +207,7 @@ def _shortened(text: str) -> str:
 def _expect(args: list[str]) -> None:
     """Have the kernels compiled that a verb surely needs, while it reads its options and its modules are loaded."""
     verb = next((a for a in args if not a.startswith("-")), "")
-    if verb in ("demo", "render", "build", "tessellate", "tin", "compare") and not _ELSE & set(args):
+    if verb in ("demo", "render", "build", "tessellate", "tin", "compare") and not _OTHERWISE & set(args):
         expect("render" if verb == "demo" else verb)
 
 

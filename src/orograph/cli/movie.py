@@ -101,6 +101,7 @@ def command(
       orograph movie area.oro --tour tour.json -o tour.mp4 --part 3/64
       orograph movie area.oro --tour tour.json -o tour.mp4 --finish
     """
+    # (One function, though long: most of it is its options and their help.)
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_tour(options)

@@ -90,7 +90,7 @@ def command(
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **reading)
     mesh = tin(
         terrain, max_error=max_error, triangles=triangles, bound=bound, breaklines=breaklines, output=output,
-        origin=origin, surface=surface,         **model, max_memory=max_memory, jobs=jobs, progress=progress,
+        origin=origin, surface=surface, **model, max_memory=max_memory, jobs=jobs, progress=progress,
     )  # fmt: skip
     stats, count = mesh.stats, len(mesh.triangles)
     if as_json:

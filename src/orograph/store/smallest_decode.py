@@ -46,6 +46,7 @@ from orograph.store.codec_head import (
     read_words,
     u32,
 )
+from orograph.store.smallest_head import FACTORS, MARKS, mark_steps, put_factors, read_cells
 from orograph.store.smallest_rows import (
     BINS,
     CAP,
@@ -54,25 +55,19 @@ from orograph.store.smallest_rows import (
     GROUPS,
     HEADER,
     LAG,
-    OCTAVE,
+    LOWEST,
     SETS,
     SIGNS,
     SMALL,
     VERSION,
     WEIGHTS,
-    begin_of,
-    class_of,
-    own_factors,
+    WORDS,
     period_of,
     steps_of,
 )
 
-MARKS = np.uint16  # a bit of each lane
 BLOCK = 64  # steps between two looks at whether the words have run out
 PAST = 5  # steps that are looked back at
-WORDS = 4  # that one sample takes at most
-FACTORS = WEIGHTS + SIGNS + 1  # of a lane: weights, shares, and where its class begins among the cells
-LOWEST = (127 + OCTAVE - 1) * 4  # quarter octaves below the first group, as the bits of a float count them
 
 Flat = NDArray[np.int32]
 
@@ -143,12 +138,7 @@ def _ago(o, steps):
 def _predicted(factors, at, front, o, nee, nnee):
     """What the two rows above give for the predictions, in 1/4096."""
     above, beyond = front.above, front.beyond
-    o1, o2, o3, o4 = (
-        o - np.uint64(LANES32),
-        o - np.uint64(2 * LANES32),
-        o - np.uint64(3 * LANES32),
-        o - np.uint64(4 * LANES32),
-    )
+    o1, o2, o3, o4 = _ago(o, 1), _ago(o, 2), _ago(o, 3), _ago(o, 4)
     near = _times(factors, at, 2, load32(above, o4)) + _times(factors, at, 3, load32(above, o3))
     near += _times(factors, at, 4, load32(above, o1)) + _times(factors, at, 5, nee)
     near += _times(factors, at, 11, load32(above, o2))
@@ -161,12 +151,7 @@ def _predicted(factors, at, front, o, nee, nnee):
 def _active(factors, at, front, o, e_nee, e_nn, across):
     """What the rows above give for the activities, in 1/256."""
     errors, down = front.errors, front.down
-    o1, o2, o3, o4 = (
-        o - np.uint64(LANES32),
-        o - np.uint64(2 * LANES32),
-        o - np.uint64(3 * LANES32),
-        o - np.uint64(4 * LANES32),
-    )
+    o1, o2, o3, o4 = _ago(o, 1), _ago(o, 2), _ago(o, 3), _ago(o, 4)
     of_errors = _times(factors, at, 12, load32(errors, o2)) + _times(factors, at, 13, load32(errors, o3))
     of_errors += _times(factors, at, 14, load32(errors, o1)) + _times(factors, at, 15, load32(errors, o4))
     of_errors += _times(factors, at, 16, e_nee) + _times(factors, at, 17, e_nn)
@@ -276,63 +261,6 @@ def _decode_block(count, step, period, p, words, tables, deep, factors, coded, s
 
 
 @kernel
-def _put_factors(band, classes, weights, shares, factors):
-    """Fill in the factors of all lanes, for rows of the first band of sixteen, or of others."""
-    own_weights, own_shares = np.empty(WEIGHTS, np.int32), np.empty(SIGNS, np.int32)
-    for parity in range(2):
-        for i in range(LANES32):
-            k = class_of(i, parity + i, classes)  # (the step and the lane tell the parity of the column)
-            own_factors(band * LANES32 + i, weights[k], shares[k], own_weights, own_shares)
-            at = parity * FACTORS * LANES32 + i
-            for m in range(WEIGHTS):
-                factors[at + m * LANES32] = own_weights[m]
-            for m in range(SIGNS):
-                factors[at + (WEIGHTS + m) * LANES32] = own_shares[m]
-            factors[at + (FACTORS - 1) * LANES32] = k * GROUPS * BINS
-
-
-@kernel
-def _mark_steps(marks, rows, cols, classes, coded, starts):
-    """Fill in which lanes have a sample in each step, and which are two before a row."""
-    for row in range(rows):
-        begin, bit = begin_of(row, cols), MARKS(1 << row % LANES32)
-        if begin >= 2:
-            starts[begin - 2] |= bit
-        every = 2 if classes == CLASSES and row & 1 == 0 else 1
-        if marks.size:
-            for col in range(every - 1, cols, every):
-                coded[begin + col] |= bit if marks[row, col] == 0 else MARKS(0)
-        else:
-            for col in range(every - 1, cols, every):
-                coded[begin + col] |= bit
-
-
-@kernel
-def _read_cells(data, at, classes, tables, cells):
-    """Read where the table of each class, group and bin begins; where that ends, or -1."""
-    bit, last = at * 8, data.size * 8
-    for cell in range(classes * GROUPS * BINS):
-        if bit + 1 > last:
-            return -1
-        same = data[bit >> 3] >> (bit & 7) & 1
-        bit += 1
-        if same:
-            inner = cell % (GROUPS * BINS)
-            cells[cell] = cells[cell - BINS] if inner >= BINS else (cells[cell - 1] if inner else 0)
-            continue
-        if bit + 6 > last:
-            return -1
-        value = np.int64(0)
-        for k in range(6):
-            value |= np.int64(data[(bit + k) >> 3] >> ((bit + k) & 7) & 1) << k
-        bit += 6
-        if value >= tables:
-            return -1
-        cells[cell] = value * TOTAL
-    return (bit + 7) >> 3
-
-
-@kernel
 def _begun(period, first):
     """The front before the first step, with a value above the first row; factors; and samples of a block."""
     size, line = (BLOCK + PAST) * LANES32, 64 // 4
@@ -360,14 +288,14 @@ def _decode_steps(words, count, tables, classes, weights, shares, marks, first, 
     rows, cols = out.shape
     period, steps = period_of(cols), steps_of(rows, cols)
     coded, starts = np.zeros(steps, MARKS), np.zeros(steps, MARKS)
-    _mark_steps(marks, rows, cols, classes, coded, starts)
+    mark_steps(marks, rows, cols, classes, coded, starts)
     front, factors, block = _begun(period, first)
     front.last[3 * LANES32 :] = LEAST
     front.last[3 * LANES32 : 3 * LANES32 + states.size] = states
     deep, p, step = tables.depths.any(), np.int64(0), np.int64(0)
     while step < steps:
         if step == 0 or step == period:
-            _put_factors(step // period, classes, weights, shares, factors)
+            put_factors(step // period, classes, weights, shares, factors)
         size = min(BLOCK, (period if step < period else steps) - step)
         p = _decode_block(size, step, period, p, words, tables, deep, factors, coded, starts, front, block)
         if p > count:
@@ -435,7 +363,7 @@ def decode(data, out):
         shares[k] = data[at : at + SIGNS]
         at += SIGNS
     cells = np.zeros(CLASSES * GROUPS * BINS, np.int32)
-    at = _read_cells(data, at, classes - skipped, number, cells[skipped * GROUPS * BINS :])
+    at = read_cells(data, at, classes - skipped, number, cells[skipped * GROUPS * BINS :])
     if at < 0:
         return TABLES
     entries = np.empty(number * TOTAL, np.uint32)

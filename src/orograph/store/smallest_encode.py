@@ -39,13 +39,13 @@ from orograph.store.smallest_rows import (
     SIGNS,
     VERSION,
     WEIGHTS,
+    WORDS,
     begin_of,
     steps_of,
 )
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
 RARE = 6  # values that one in 2^6 exceeds are ranges: shorter tables are worth more than what is lost
-WORDS = 4  # that one sample takes at most
 
 
 @kernel

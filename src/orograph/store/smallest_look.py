@@ -17,7 +17,7 @@ from orograph.store.smallest_rows import (
     CAP,
     CLASSES,
     GROUPS,
-    OCTAVE,
+    LOWEST,
     SIGNS,
     SMALL,
     WEIGHTS,
@@ -26,7 +26,6 @@ from orograph.store.smallest_rows import (
 )
 
 Row = NDArray[np.int32]
-LOWEST = (127 + OCTAVE - 1) * 4
 
 
 class Rows(NamedTuple):

@@ -185,7 +185,8 @@ def compare(
             if not found and choice is choices[-1]:
                 raise
             found.left_out[str(choice)] = str(error)
-            panels += [Panel(str(choice), None, ("left out",), True)] * (str(choice) in drawn)
+            if str(choice) in drawn:
+                panels.append(Panel(str(choice), None, ("left out",), True))
             heard.warn(f"{choice} is left out: {error}")
     for name, m in found.items():
         if m.beyond is not None and goal.triangles is not None:

@@ -56,8 +56,7 @@ def _listed(told: Any) -> str:
 def says_classes(field: Field) -> bool:
     """Whether a source says by itself that its numbers are classes: by a colour table, CF's flags, or a table or names
     beside it; or they seem to be codes."""
-    said = field.palette is not None or field.named is not None or "flag_meanings" in field.tags
-    return len(field.values) == 1 and (said or field.coded)
+    return len(field.values) == 1 and field.classified
 
 
 def classes_over(field: Field, over: Grid) -> Values:
@@ -124,11 +123,12 @@ def own_colors(given: Any, names: Mapping[int, str], source: str) -> dict[str, s
     """
     if not isinstance(given, Mapping):
         return {}
-    found = {}
+    found, known = {}, list(dict.fromkeys(names.values()))
     for key, color in given.items():
-        number = int(key) if re.fullmatch(r"-?\d+", str(key)) else None
-        if key not in names.values() and number is None:
-            known = list(dict.fromkeys(names.values()))
+        if key in known:
+            found[key] = color
+        elif re.fullmatch(r"-?\d+", str(key)):
+            found[names.get(int(key), str(key))] = color
+        else:
             raise UsageError(f"There is no class {key!r} to colour.", path=source, remedy=remedy(str(key), known))
-        found[key if key in names.values() else names.get(number or 0, str(key))] = color
     return found

@@ -73,6 +73,12 @@ class Field:
     coded: bool = False
 
     @property
+    def classified(self) -> bool:
+        """Whether its numbers stand for names, as the source says or as they seem to."""
+        said = self.palette is not None or self.named is not None or "flag_meanings" in self.tags
+        return said or self.coded
+
+    @property
     def mean(self) -> Values:
         """(rows, cols): of the members that are known at a sample."""
         return np.asarray(self.values[0]) if len(self.values) == 1 else statistic(self.values, "mean")
@@ -141,8 +147,7 @@ def _between(given: Dataset | Uncertainty, grid: Grid, before: str, after: str, 
 
 def has_classes(given: Dataset | Uncertainty, found: Field) -> bool:
     """Whether values stand for names, which have nothing between them."""
-    said = found.palette is not None or found.named is not None or "flag_meanings" in found.tags
-    return said or found.coded or getattr(given, "style", None) == "classes"
+    return found.classified or getattr(given, "style", None) == "classes"
 
 
 def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
