@@ -1,4 +1,4 @@
-"""A compressed chunk in plain Python, as ``store.chunk_code`` describes it; who is whose neighbour, places say.
+"""A compressed chunk in plain Python, as ``store.chunk_code`` describes it; which vertex is met again, places say.
 
 ``decode`` gives the vertices (row, column, height, height in the coarser mesh, lower end of the skirt) and the
 triangles, in the order in which the words have them. Heights are in steps, None where there is none; the lower end of
@@ -7,33 +7,31 @@ the skirt at vertex v is ~v.
 
 from __future__ import annotations
 
-BLOCK, PARTS, VOIDS = 16, 64, 1 << 16
+PARTS, VOIDS, ONES, RAW = 64, 1 << 16, 8, 20
 
 
-class Words:
-    """Parts of words, one after the other."""
+class Bits:
+    """The bits of words, one after the other."""
 
     def __init__(self, words):
         self.number, self.at = 0, 0
         for k, word in enumerate(words):
             self.number |= int(word) << 32 * k
 
-    def take(self, widths):
-        """Numbers of so many bits each; then on to the next whole word."""
-        found, bit = [], 32 * self.at
-        for width in widths:
-            found.append(self.number >> bit & (1 << width) - 1)
-            bit += width
-        self.at += -(-sum(widths) // 32)
+    def take(self, width):
+        found = self.number >> self.at & (1 << width) - 1
+        self.at += width
         return found
 
+    def rice(self, k):
+        ones = 0
+        while ones < ONES and self.take(1):
+            ones += 1
+        return self.take(RAW) if ones == ONES else ones << k | self.take(k)
 
-def signed(word):
-    return word - (1 << 32) if word >> 31 else word
 
-
-def height(word):
-    return None if word == 1 << 31 else signed(word)
+def signed(zigzag):
+    return zigzag >> 1 ^ -(zigzag & 1)
 
 
 def between(ends, left, right, own, last):
@@ -64,72 +62,120 @@ def target(a, b, own, last):
     return own
 
 
+class Chunk:
+    """What is the same for all runs. Args: as of ``decode``."""
+
+    def __init__(self, words, shape, side, first, corners):
+        _, self.triangles, _, runs, self.leaves, flags, base, bits = (int(w) for w in words[:8])
+        self.drop, self.voids = flags >> 8 & 255, bool(flags & VOIDS)
+        self.base, self.high, self.moved = base - (base >> 31 << 32), bits & 255, bits >> 8
+        self.last, self.depth, self.corners = (shape[0] - 1, shape[1] - 1), 2 * (side.bit_length() - 1), corners
+        self.sides = ((0, first[0]), (1, first[1]), (0, first[0] + side), (1, first[1] + side))
+        told = Bits(words[8:])
+        self.rices = [told.take(8) for _ in range(-(-self.depth // 4) * 4)]
+        self.runs = [[told.take(16) for _ in range(4)] for _ in range(runs)]
+        self.begin = 8 + told.at // 32
+
+    def beside(self, v):
+        return {k for k, (axis, at) in enumerate(self.sides) if v[axis] == at}
+
+    def area(self, *corners):
+        (a, b), (c, d), (e, f) = ((min(v[0], self.last[0]), min(v[1], self.last[1])) for v in corners)
+        return (c - a) * (f - b) - (d - b) * (e - a)
+
+
+class Run:
+    """A run: its vertices, triangles and skirt, numbers of vertices from 0."""
+
+    def __init__(self, chunk, words):
+        self.chunk, self.bits = chunk, Bits(words)
+        self.vertices, self.triangles, self.hung, self.left = [], [], [], chunk.leaves
+        self.known = {}  # vertices by place
+        self.shift = self.bits.take(3) - 4
+        root = self.bits.take(1)
+        places = [chunk.corners[k] for k in ((0, 1, 3), (2, 3, 1))[root]]
+        depth = self.bits.take(6)
+        for _ in range(depth):
+            a, e, f = places
+            middle = tuple((p + q) >> 1 for p, q in zip(e, f, strict=True))
+            places = [middle, a, f] if self.bits.take(1) else [middle, e, a]
+        self.path = [self.bits.take(1) for _ in range(self.bits.take(6))]
+        for place in places:
+            self.corner(place)
+        self.node(0, 1, 2, depth)
+
+    def add(self, place, height, to):
+        low = None
+        if height is not None and self.chunk.beside(place):
+            down = self.bits.take(self.chunk.drop)
+            low = None if down == 0 else height - down + 1
+        self.known[tuple(place)] = len(self.vertices)
+        self.vertices.append((*place, height, to, low))
+
+    def missing(self):
+        return self.chunk.voids and self.bits.take(1)
+
+    def corner(self, place):
+        height = to = None
+        if not self.missing():
+            height = self.chunk.base + self.bits.take(self.chunk.high)
+            code = 1 if self.bits.take(1) else self.bits.take(self.chunk.moved)
+            to = PARTS * height + signed(code - 1) if code else None
+        self.add(place, height, to)
+
+    def middle(self, e, f, depth):
+        """The vertex between two others."""
+        a, b = self.vertices[e], self.vertices[f]
+        place = (a[0] + b[0]) >> 1, (a[1] + b[1]) >> 1
+        if place not in self.known:
+            height = to = None
+            if not self.missing():
+                kept = self.bits.take(1)
+                known = [h for h in (a[2], b[2]) if h is not None]
+                k = max(self.chunk.rices[depth] + self.shift, 0)
+                height = (sum(known) >> (len(known) == 2)) + signed(self.bits.rice(k))
+                to = PARTS * height if kept else target(a, b, PARTS * height, self.chunk.last)
+            self.add(place, height, to)
+        return self.known[place]
+
+    def node(self, a, e, f, depth):
+        on_path = bool(self.path)
+        over = self.path.pop(0) if on_path else 0
+        if on_path or (depth < self.chunk.depth and self.bits.take(1)):
+            b = self.middle(e, f, depth)
+            if not over:
+                self.node(b, e, a, depth + 1)
+            if self.left:
+                self.node(b, a, f, depth + 1)
+            return
+        self.left -= 1
+        gone = self.chunk.voids and self.bits.take(1)
+        corners = (a, f, e) if depth & 1 else (a, e, f)
+        at = [self.vertices[v] for v in corners]
+        if gone or None in [v[2] for v in at] or self.chunk.area(*at) == 0:
+            return
+        self.triangles.append(corners)
+        for k in range(3):
+            p, q = corners[k], corners[(k + 1) % 3]
+            u, v = self.vertices[p], self.vertices[q]
+            if self.chunk.beside(u) & self.chunk.beside(v) and None not in (u[4], v[4]):
+                self.hung += [(q, p, ~p), (q, ~p, ~q)]
+
+
 def decode(words, shape, side, first, corners):
     """
     Args:
         shape: of the raster. side: cells of the chunk. first: its first row and column. corners: 4 (row, col).
     """
-    count, _, _, _, owners, on_sides, flags = (int(w) for w in words[:7])
-    drop, last = flags >> 8 & 255, (shape[0] - 1, shape[1] - 1)
-    reader = Words(words)
-    reader.at = 15
-    splits, kept = reader.take([1] * owners), reader.take([1] * (count - 4))
-    missing = reader.take([1] * count) if flags & VOIDS else [0] * count
-    widths = reader.take([8] * (-(-(count - 4) // BLOCK)))
-    drops = reader.take([drop] * on_sides)
-    rests = reader.take([widths[k // BLOCK] for k in range(count - 4)])
-    gone = reader.take([1] * (32 * (len(words) - reader.at))) if flags & VOIDS else None
-
-    ends = ((0, first[0]), (1, first[1]), (0, first[0] + side), (1, first[1] + side))
-
-    def beside(v):
-        return {k for k, (axis, at) in enumerate(ends) if v[axis] == at}
-
-    def with_low(v):
-        if beside(v):
-            down = drops.pop(0)
-            return (*v, None if down == 0 else v[2] - down + 1)
-        return (*v, None)
-
-    own = [height(int(w)) for w in words[7:15]]
-    vertices = [with_low((*corners[k], own[k], own[4 + k])) for k in range(4)]
-    level, triangles, hung, seen = [(0, 1, 3), (2, 3, 1)], [], [], 0
-
-    def lies(v):
-        return min(vertices[v][0], last[0]), min(vertices[v][1], last[1])
-
-    def area(t):
-        (a, b), (c, d), (e, f) = map(lies, t)
-        return (c - a) * (f - b) - (d - b) * (e - a)
-
-    depth = 2 * (side.bit_length() - 1)
-    for number in range(depth + 1):
-        split = {}  # by the two ends of the hypotenuse: the vertex in its middle, or None
-        made = {}
-        for _, e, f in level:
-            edge = frozenset((e, f))
-            if edge not in split and number < depth:
-                split[edge] = splits.pop(0)
-                if split[edge]:
-                    k, (a, b) = len(vertices) - 4, (vertices[e], vertices[f])
-                    known = [h for h in (a[2], b[2]) if h is not None]
-                    guess = sum(known) >> (len(known) == 2)
-                    z = None if missing[k + 4] else guess + (rests[k] >> 1 ^ -(rests[k] & 1))
-                    to = None if z is None else PARTS * z if kept[k] else target(a, b, PARTS * z, last)
-                    made[edge] = len(vertices)
-                    vertices.append(with_low(((a[0] + b[0]) >> 1, (a[1] + b[1]) >> 1, z, to)))
-        below = []
-        for k, (a, e, f) in enumerate(level):
-            middle = made.get(frozenset((e, f)))
-            if middle is not None:
-                below += [(middle, a, e), (middle, f, a)]
-                continue
-            missed = any(vertices[v][2] is None for v in (a, e, f))
-            if missed or area((a, e, f)) == 0 or (gone and gone[seen + k]):
-                continue
-            triangles.append((a, e, f))
-            for p, q in ((a, e), (e, f), (f, a)):
-                if beside(vertices[p]) & beside(vertices[q]) and None not in (vertices[p][4], vertices[q][4]):
-                    hung += [(q, p, ~p), (q, ~p, ~q)]
-        seen, level = seen + len(level), below
+    chunk = Chunk(words, shape, side, first, corners)
+    vertices, triangles, hung, at = [], [], [], chunk.begin
+    for size, *counts in chunk.runs:
+        run = Run(chunk, words[at : at + size])
+        assert counts == [len(run.vertices), len(run.triangles), len(run.hung) // 2]
+        n = len(vertices)
+        for into, some in ((triangles, run.triangles), (hung, run.hung)):
+            into += [tuple(v + n if v >= 0 else v - n for v in t) for t in some]
+        vertices += run.vertices
+        at += size
+    assert at == len(words)
     return vertices, triangles + hung

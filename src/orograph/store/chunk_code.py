@@ -1,19 +1,30 @@
-"""Chunks' meshes in few bytes that a GPU can decode: bits of splits level by level, quantised heights.
+"""Chunks' meshes in few bytes that a GPU can decode: runs of triangles, each decoded by a thread, quantised heights.
 
 After Dick, Schneider & Westermann, *Efficient Geometry Compression for GPU-based Decoding in Realtime Terrain
-Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, whose positions follow from how
-triangles were split, and whose heights are stored as differences from predictions. There a mesh is a strip along a
-path, with one code per triangle. Here it is the binary tree of right triangles level by level: all triangles of a level
-are halved at once, and prefix sums tell each where its bit, its vertex and its neighbours are. So a workgroup decodes a
-chunk, and no chain of look-ups is longer than the tree is deep. The next coarser mesh, to which vertices move, is
-encoded too.
+Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, along a path with one code per
+triangle, whose positions follow from how triangles were split, and whose heights are differences from predictions. Here
+the path is the Sierpinski curve through the binary tree of right triangles (``chunk_code_kernels``), cut into *runs* of
+at most ``LEAVES`` leaves, which know nothing of each other: vertices between two runs are in both.
 
-*Words* (uint32) of a chunk: 15 of ``HEADER``, then, each filled up to whole words: a bit for each owner of a
-hypotenuse (``chunk_code_kernels``) in each level but the finest, whether it is split; a bit for each vertex but the
-corners, whether the coarser mesh has it; with ``VOIDS`` a bit for each vertex, whether it is missing; a byte for each
-``BLOCK`` vertices but the corners, the bits of their steps; how low the skirt hangs below the vertices on the chunk's
-sides, in ``drop`` bits each: 0, none does, or 1 + steps; the vertices' steps (zigzag); with ``VOIDS`` a bit for each
-node, whether it has no ground. Vertices are in the order in which levels make them. All arithmetic is of int32.
+*Words* (uint32) of a chunk: 8 of ``HEADER``; a byte for each depth of the tree but the last, the Rice parameter of
+residuals there, filled up to whole words; 8 bytes for each run, how many words, vertices, triangles and edges with a
+skirt it has; the runs, each filled up to whole words. A *run*, numbers of bits in parentheses, the lowest first:
+
+- 4 + what its Rice parameters are above those of the chunk (3);
+- the node that all of its leaves lie in: which of the two roots (1), its depth (6), the halves that lead to it (1
+  each);
+- the nodes between that and the first leaf, which are all split: how many (6), the halves (1 each); what lies before
+  the second halves belongs to earlier runs;
+- the three corners of that node: how high above ``base``; whether that is the height in the coarser mesh, too (1), or
+  else 0 where that has none, or 1 + the difference in ``PARTS`` (zigzag);
+- the walk, up to ``leaves`` leaves. Of each node, unless told before or as deep as nodes get, whether it is split (1).
+  Of a vertex that is new in the run: whether the coarser mesh has it (1); how it differs from the middle of its two
+  ends (zigzag), as a Rice code: as many ones as its higher bits tell, a zero, its lower bits; after ``ONES`` ones
+  the number itself (``RAW``).
+
+Corners and vertices on the chunk's sides go on with how low the skirt hangs below them, in ``drop`` bits: 0, none does,
+or 1 + steps. With ``VOIDS`` they begin with whether they are missing (1; then nothing follows), and of each leaf there
+is whether it has no ground (1). All arithmetic is of int32.
 
 A *step* is a power of two, in metres: the largest of which all heights of the chunk are multiples, up to 1 km, or the
 terrain's own (``step_of``). Then heights are off by half of it at most. It is one lattice for all chunks, so those of
@@ -41,19 +52,22 @@ from orograph.store.chunked import (
     with_skirt,
 )
 
-HEADER = (
-    "vertices", "triangles", "hung", "widest", "bits", "sides", "flags", "height0", "height1", "height2", "height3",
-    "coarse0", "coarse1", "coarse2", "coarse3",
-)  # fmt: skip
-"""Of a chunk: vertices, triangles, edges that a skirt hangs from, the nodes of the largest level, bits of splits,
-vertices on its sides; ``flags``: 64 + log2 of the step (8 bits), ``drop`` (8 bits), ``VOIDS``, ``EXACT``; the corners'
-heights in steps, and in the coarser mesh in ``PARTS`` of a step."""
+HEADER = ("vertices", "triangles", "hung", "runs", "leaves", "flags", "base", "bits")
+"""Of a chunk: vertices, triangles, edges that a skirt hangs from, runs, leaves of a run; ``flags``: 64 + log2 of the
+step (8 bits), ``drop`` (8 bits), ``VOIDS``, ``EXACT``; the lowest height, steps; bits of a corner's height above that
+(8 bits) and of its difference in the coarser mesh (8 bits)."""
 
 VOIDS, EXACT = 1 << 16, 1 << 17
 """Flags: heights may be missing; heights are exact."""
 
-BLOCK = 16
-"""Vertices whose steps have the same number of bits."""
+LEAVES = 128
+"""Leaves of a run."""
+
+DEPTH, MET, WORDS = 48, 192, 320
+"""The tree is at most this deep; no run has more vertices, or words."""
+
+ONES, RAW = 8, 20
+"""A residual whose higher bits take this many ones is written in so many bits."""
 
 FINER = 4
 """The error of the finest chunks is at least this many steps."""
@@ -96,108 +110,102 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
     Args:
         step: of the terrain, metres (``step_of``).
     """
-    from orograph.store.chunk_code_kernels import replay, walk_levels
+    from orograph.store.chunk_code_kernels import choose_rices, replay, settle, survey, write_runs
 
     codes, count = int(words[0]), int(words[1]) + 4
     at = 2 - (-codes // PER_WORD)
-    told = (words[2:at, None] >> np.arange(0, 2 * PER_WORD, 2, dtype=np.uint32) & 3).reshape(-1)[:codes]
+    walk = (words[2:at, None] >> np.arange(0, 2 * PER_WORD, 2, dtype=np.uint32) & 3).reshape(-1)[:codes]
     numbers = words[at:].view(np.float32)
     metres, hanging, coarse = numbers[:count], numbers[count:-4], numbers[-4:]
     step, exact = _lattice(metres, step)
     corners = layout.corners(level, i, j)
     slots = np.full((1 << max(2 * codes, 16).bit_length(), 2), -1, np.int64)
-    known, kept = np.empty((count, 2), np.int64), np.empty(count, np.uint8)
-    replay(told.astype(np.uint8), corners, known, kept, slots)
-    bits, dropped = np.zeros(codes + 2, np.uint8), np.zeros(2 * codes + 2, np.uint8)
-    places, ends, order = np.empty((count, 2), np.int64), np.empty((count, 2), np.int64), np.empty(count, np.int64)
-    leaves, nodes, beyond = np.empty((codes, 3), np.int32), *np.empty((2, codes + 2, 8), np.int64)
-    depth = 2 * (layout.p + level)
-    _, made, owners, seen, widest = walk_levels(
-        bits, dropped, slots, corners, depth, places, ends, order, leaves, nodes, beyond
-    )
-    metres, kept = metres[order], kept[order]
-    missing = np.asarray(np.isnan(metres), np.bool_)
-    heights = np.where(missing, MISSING, np.rint(np.where(missing, 0, metres) / step)).astype(np.int64)
-    e, f = heights[ends].T
-    without = np.where(e == MISSING, np.where(f == MISSING, 0, f), e)
-    rests = np.where(missing, 0, heights - np.where((e == MISSING) | (f == MISSING), without, (e + f) >> 1))[4:]
-    zigzag = (rests << 1 ^ rests >> 63).astype(np.uint32)
-    widths = _lengths(np.append(zigzag, np.zeros(-len(zigzag) % BLOCK, np.uint32)).reshape(-1, BLOCK).max(1, initial=0))
-    side = np.asarray(on_sides(known, layout.side(level), i, j).any(0), np.bool_)
+    places, kept = np.empty((count, 2), np.int64), np.empty(count, np.uint8)
+    replay(walk.astype(np.uint8), corners, places, kept, slots)
+    missing = np.isnan(metres)
+    heights = np.where(missing, MISSING, np.rint(np.where(missing, 0, metres) / step)).astype(np.int32)
+    side = np.asarray(on_sides(places, layout.side(level), i, j).any(0), np.bool_)
     hangs = np.full(count, np.nan)
     hangs[side] = hanging
-    hangs, side = hangs[order], side[order]
     with np.errstate(invalid="ignore"):
-        down = np.where(np.isnan(hangs) | missing, 0, heights - np.floor(hangs / step) + 1).astype(np.uint32)
-    drop = int(_lengths(down[side].max(initial=0)))
-    raised = np.where(np.isnan(coarse), MISSING, np.rint(np.nan_to_num(coarse) * (PARTS / step)))
-    voids = bool(missing.any() or dropped[:seen].any())
-    low = np.where(down > 0, heights - down.astype(np.int64) + 1, MISSING).astype(np.int32)
-    found = _alive(leaves[:made], places, heights, layout)
-    edges = _hung(found, on_sides(places, layout.side(level), i, j), low)
+        down = np.where(np.isnan(hangs) | missing, 0, heights - np.floor(hangs / step) + 1).astype(np.int64)
+    low = np.where(down > 0, heights - down + 1, MISSING).astype(np.int32)
+    told, paths = np.zeros((count, 8), np.int64), np.empty((codes, 2), np.int64)
+    ends, targets = np.empty((count, 2), np.int64), np.empty(count, np.int32)
+    levels = layout.levels(level)
+    leaves = survey(slots, places, levels, ends, told, paths)
+    targets[:4] = np.where(np.isnan(coarse), MISSING, np.rint(np.nan_to_num(coarse) * (PARTS / step)))
+    about = _about(layout, level, i, j)
+    settle(places, ends, heights, kept, about, targets)
+
+    base = int(heights[~missing].min(initial=MOST)) if not missing.all() else 0
+    moved = np.where(targets == MISSING, 0, 1 + _zigzag(targets.astype(np.int64) - PARTS * heights.astype(np.int64)))
+    told[:, 0], told[:, 1], told[:, 2], told[:, 3] = missing, np.where(missing, 0, heights - base), kept, moved
+    told[4:, 4] = _zigzag(np.where(missing, 0, heights - _guessed(heights, ends))[4:])
+    told[:, 6], told[:, 7] = side, down
+    rices = np.zeros(levels, np.uint8)
+    choose_rices(told, rices)
+    voids = bool(missing.any() or (slots[:, 1] == -2).any())
+    high, drop = (int(told[:, k].max(initial=0)).bit_length() for k in (1, 7))
+    width = int(moved[moved != 1].max(initial=0)).bit_length()
+    about[6:] = voids, drop, base, high, width
+    spans, size = _spans(*leaves)
+    table = np.zeros((len(spans), 4), np.int64)
+    room = np.zeros(len(spans) * WORDS, np.uint32)
+    used = write_runs(slots, places, heights, low, told, about, rices, paths, spans, room, table)
     flags = 64 + int(math.log2(step)) | drop << 8 | VOIDS * voids | EXACT * exact
-    head = np.array([count, len(found), len(edges), widest, owners, side.sum(), flags], np.uint32)
-    parts = [_bits(bits[:owners]), _bits(kept[4:])]
-    parts += [_bits(missing)] if voids else []
-    parts += [_filled(widths.astype(np.uint8)), _bits(_spread(down[side], np.full(side.sum(), drop)))]
-    parts += [_bits(_spread(zigzag, np.repeat(widths, BLOCK)[: count - 4]))]
-    parts += [_bits(dropped[:seen])] if voids else []
-    own = np.concatenate([heights[:4], raised]).astype(np.int32).view(np.uint32)
-    return np.concatenate([head, own, *parts])
+    _, vertices, triangles, hung = table.sum(0).tolist()
+    head = np.array(
+        [vertices, triangles, hung, len(spans), size, flags, base & 0xFFFFFFFF, high | width << 8], np.uint32
+    )
+    return np.concatenate([head, _filled(rices), table.astype(np.uint16).reshape(-1).view(np.uint32), room[:used]])
 
 
 def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded:
-    """A chunk's mesh from its words, skirts left out.
+    """A chunk's mesh from its words, skirts left out; vertices between runs are there more than once.
 
     Raises:
         ValueError: they are not those of a chunk.
     """
-    from orograph.store.chunk_code_kernels import raise_vertices, walk_levels
+    from orograph.store.chunk_code_kernels import read_runs
 
-    count, _, _, widest, owners, sides, flags = words[:7].astype(np.int64).tolist()
-    step, drop = 2.0 ** ((flags & 255) - 64), flags >> 8 & 255
-    own = words[7:15].view(np.int32)
-    reader = _Reader(words, 15)
-    bits, kept = reader.bits(owners), reader.bits(count - 4)
-    missing = reader.bits(count) if flags & VOIDS else np.zeros(count, np.uint8)
-    blocks = -(-(count - 4) // BLOCK)
-    widths = reader.bytes(blocks)
-    down = reader.numbers(np.full(sides, drop))
-    zigzag = reader.numbers(np.repeat(widths, BLOCK)[: count - 4])
-    dropped = reader.bits(32 * (len(words) - reader.at)) if flags & VOIDS else np.zeros(0, np.uint8)
-    places, ends, order = np.empty((count, 2), np.int64), np.empty((count, 2), np.int64), np.empty(count, np.int64)
-    leaves, nodes, beyond = np.empty((2 * count + 2, 3), np.int32), *np.empty((2, widest, 8), np.int64)
-    found, all_leaves, *_ = walk_levels(
-        bits, dropped, np.empty((0, 2), np.int64), layout.corners(level, i, j), 2 * (layout.p + level), places, ends,
-        order, leaves, nodes, beyond,
+    count, made, _, _, leaves, flags, _, bits = words[: len(HEADER)].astype(np.int64).tolist()
+    levels = layout.levels(level)
+    rices = words[len(HEADER) :].view(np.uint8)[:levels]
+    begin, _ = runs_of(words, layout, level)
+    about = _about(layout, level, i, j)
+    about[6:] = bool(flags & VOIDS), flags >> 8 & 255, words[6].astype(np.int32), bits & 255, bits >> 8
+    places, triangles = np.empty((count, 2), np.int64), np.empty((made, 3), np.int32)
+    heights, targets, low = np.empty((3, count), np.int32)
+    found = read_runs(
+        np.append(words, np.zeros(2, np.uint32)), begin, leaves, about, rices, layout.corners(level, i, j), places,
+        heights, targets, low, triangles,
     )  # fmt: skip
-    if found != count:
+    if found != (count, made):
         raise ValueError("These are not the words of a chunk.")
-    rests = np.zeros(count, np.int32)
-    rests[4:] = (zigzag >> 1).astype(np.int32) ^ -(zigzag & 1).astype(np.int32)
-    heights, targets = np.empty(count, np.int32), np.empty(count, np.int32)
-    heights[:4], targets[:4] = own[:4], own[4:]
-    last_row, last_col = (size - 1 for size in layout.shape)
-    raise_vertices(rests, missing, np.append(np.ones(4, np.uint8), kept), places, ends, last_row, last_col, heights,
-                   targets)  # fmt: skip
-    low = np.full(count, MISSING, np.int32)
-    side = np.flatnonzero(on_sides(places, layout.side(level), i, j).any(0))
-    hung = side[down > 0]
-    low[hung] = heights[hung] - down[down > 0].astype(np.int32) + 1
-    triangles = _alive(leaves[:all_leaves], places, heights, layout)
-    return Decoded(places, heights, targets, low, triangles, step, bool(flags & EXACT))
+    return Decoded(places, heights, targets, low, triangles, 2.0 ** ((flags & 255) - 64), bool(flags & EXACT))
+
+
+def runs_of(words: Words, layout: Layout, level: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The words where a chunk's runs begin, and (r, 4) how many words, vertices, triangles and hung edges they have."""
+    at = len(HEADER) - (-layout.levels(level) // 4)
+    end = at + 2 * int(words[HEADER.index("runs")])
+    table = words[at:end].view(np.uint16).astype(np.int64).reshape(-1, 4)
+    return end + np.cumsum(table[:, 0]) - table[:, 0], table
 
 
 def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
     """A chunk's mesh in metres, with its skirt."""
     mesh = decoded(words, layout, level, i, j)
-    last = np.array(layout.shape)[::-1] - 1
+    _, first, of = np.unique(mesh.places[:, 0] << 32 | mesh.places[:, 1], return_index=True, return_inverse=True)
+    places, last = mesh.places[first], np.array(layout.shape)[::-1] - 1
     heights, targets, low = (
-        np.where(a == MISSING, np.nan, a * (mesh.step / of))
-        for a, of in ((mesh.heights, 1), (mesh.targets, PARTS), (mesh.low, 1))
+        np.where(a == MISSING, np.nan, a * (mesh.step / parts))[first]
+        for a, parts in ((mesh.heights, 1), (mesh.targets, PARTS), (mesh.low, 1))
     )
-    vertices = np.column_stack([np.minimum(mesh.places[:, ::-1], last), heights])
-    return with_skirt(vertices, targets, mesh.triangles, mesh.places, low, layout.side(level), i, j)
+    vertices = np.column_stack([np.minimum(places[:, ::-1], last), heights])
+    triangles = of.reshape(-1)[mesh.triangles].astype(np.int32)
+    return with_skirt(vertices, targets, triangles, places, low, layout.side(level), i, j)
 
 
 def mesh_of(words: Words, layout: Layout, compressed: bool, level: int, i: int, j: int) -> Chunk:
@@ -226,15 +234,6 @@ def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
     return min(least * (every & -every or 1 << 40), 1024.0), True
 
 
-def _alive(leaves: NDArray[np.int32], places: Corners, heights: NDArray[np.int64] | NDArray[np.int32],
-           layout: Layout) -> NDArray[np.int32]:  # fmt: skip
-    """The triangles that have three heights and, if vertices beyond the raster lie on its border, an area."""
-    at = np.minimum(places, np.array(layout.shape) - 1)[leaves]
-    u, v = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]
-    found: NDArray[np.int32] = leaves[(heights[leaves] != MISSING).all(1) & (u[:, 0] * v[:, 1] != u[:, 1] * v[:, 0])]
-    return found
-
-
 def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.int32]) -> NDArray[np.int32]:
     """(e, 2) the edges on a side from which a skirt hangs."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -242,48 +241,37 @@ def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.i
     return found
 
 
-# ---- bits -----------------------------------------------------------------------------------------------------------
+def _about(layout: Layout, level: int, i: int, j: int) -> NDArray[np.int64]:
+    """What kernels know of a chunk but what its words tell (``chunk_code_kernels``)."""
+    from orograph.store.chunk_code_kernels import ABOUT
+
+    side, about = layout.side(level), np.zeros(ABOUT, np.int64)
+    about[:6] = i * side, j * side, side, layout.shape[0] - 1, layout.shape[1] - 1, layout.levels(level)
+    return about
 
 
-def _lengths(numbers: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """The bit lengths of numbers."""
-    return np.ceil(np.log2(np.asarray(numbers, np.float64) + 1)).astype(np.int64)
+def _spans(*leaves: int) -> tuple[NDArray[np.int64], int]:
+    """(r, 2) the first leaf of each run and the one after its last, given how many each root has; leaves of a run."""
+    size = max(-(-count // -(-count // LEAVES)) for count in leaves)
+    firsts, begin = [], 0
+    for count in leaves:
+        starts = begin + np.arange(0, count, size)
+        firsts.append(np.stack([starts, np.minimum(starts + size, begin + count)], 1))
+        begin += count
+    return np.concatenate(firsts), size
+
+
+def _zigzag(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    return numbers << 1 ^ numbers >> 63
+
+
+def _guessed(heights: NDArray[np.int32], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Heights expected between two others; not of the corners."""
+    ends[:4] = 0
+    e, f = heights.astype(np.int64)[ends].T
+    one = np.where(e == MISSING, np.where(f == MISSING, 0, f), e)
+    return np.where((e == MISSING) | (f == MISSING), one, (e + f) >> 1)
 
 
 def _filled(data: NDArray[np.uint8]) -> Words:
     return np.append(data, np.zeros(-len(data) % 4, np.uint8)).view(np.uint32)
-
-
-def _bits(bits: NDArray[np.generic]) -> Words:
-    return _filled(np.packbits(bits.astype(bool), bitorder="little"))
-
-
-def _spread(numbers: NDArray[np.uint32], widths: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """The bits of numbers, the lowest first, one number after the other."""
-    places = np.arange(int(widths.max(initial=0)))
-    of: NDArray[np.uint8] = (numbers[:, None] >> places.astype(np.uint32) & 1).astype(np.uint8)
-    return of[places < widths[:, None]]
-
-
-class _Reader:
-    """Reads parts of words one after the other."""
-
-    def __init__(self, words: Words, at: int) -> None:
-        self.data, self.at = words, at
-
-    def bytes(self, count: int) -> NDArray[np.int64]:
-        size = -(-count // 4)
-        self.at += size
-        return self.data[self.at - size : self.at].view(np.uint8)[:count].astype(np.int64)
-
-    def bits(self, count: int) -> NDArray[np.uint8]:
-        size = -(-count // 32)
-        self.at += size
-        return np.unpackbits(self.data[self.at - size : self.at].view(np.uint8), count=count, bitorder="little")
-
-    def numbers(self, widths: NDArray[np.int64]) -> NDArray[np.uint32]:
-        places = np.arange(int(widths.max(initial=0)))
-        mask = places < widths[:, None]
-        of = np.zeros(mask.shape, np.uint32)
-        of[mask] = self.bits(int(widths.sum()))
-        return np.asarray((of << places.astype(np.uint32)).sum(1), np.uint32)

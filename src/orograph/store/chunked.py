@@ -138,6 +138,10 @@ class Layout:
         """Samples along a side."""
         return 1 << (self.p + level)
 
+    def levels(self, level: int) -> int:
+        """How many times the two triangles of a chunk may be halved."""
+        return 2 * (self.p + level)
+
     def chunks(self, level: int) -> Shape:
         """Rows and columns of a level's chunks that contain a cell of the raster."""
         rows, cols = (-((1 - size) >> (self.p + level)) for size in self.shape)

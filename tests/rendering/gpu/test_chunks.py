@@ -17,7 +17,7 @@ from orograph.lod.registry import chosen
 from orograph.rendering.cpu.draw import draw as draw_cpu
 from orograph.rendering.gpu.draw import draw
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.surface.chunks import HARDWARE, SOFTWARE, Chunks, Decoder
+from orograph.rendering.gpu.surface.chunks import Chunks, Decoder
 from orograph.scene.camera import whole
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
@@ -31,17 +31,11 @@ SHAPES = [(65, 65), (100, 77), (33, 140), (3, 3), (2, 3)]
 CODED = "chunked-lod,cells=16,compressed=yes"
 
 
-@pytest.mark.parametrize("how", ["usual", "as hardware", "portable", "by the CPU"])
-def test_meshes_are_those_of_the_description_to_the_bit(
-    device: Device, monkeypatch: pytest.MonkeyPatch, how: str
-) -> None:
+@pytest.mark.parametrize("how", ["usual", "portable"])
+def test_meshes_are_those_of_the_description_to_the_bit(device: Device, how: str) -> None:
     own = open_device(portable=True) if how == "portable" else device
-    if how == "by the CPU":
-        monkeypatch.setattr("orograph.rendering.gpu.surface.chunks.LARGE", (0, 0))
-    if how == "as hardware":
-        monkeypatch.setattr("orograph.rendering.gpu.surface.chunks.SOFTWARE", HARDWARE)
     decoder = Decoder(own)
-    for shape in SHAPES if how in ("usual", "as hardware") else SHAPES[1:2]:
+    for shape in SHAPES if how == "usual" else SHAPES[1:2]:
         for gaps in (0.0, 0.06):
             chunks = MemoryChunks(
                 plain.terrain(plain.rough(np.random.default_rng(shape), shape, gaps=gaps)), Kind(16, 0.0, True)
@@ -62,13 +56,8 @@ def test_meshes_are_those_of_the_description_to_the_bit(
             np.testing.assert_array_equal(got_t.reshape(-1, 3), corners)
 
 
-@pytest.mark.parametrize(("large", "threads"), [(1 << 18, SOFTWARE), (1 << 18, HARDWARE), (1000, SOFTWARE)])
-def test_large_chunks_are_decoded_whole(
-    device: Device, monkeypatch: pytest.MonkeyPatch, large: int, threads: tuple[int, int]
-) -> None:
-    """A chunk of 60,000 triangles, by the GPU, and where that is too many for it by the CPU."""
-    monkeypatch.setattr("orograph.rendering.gpu.surface.chunks.LARGE", (large, large))
-    monkeypatch.setattr("orograph.rendering.gpu.surface.chunks.SOFTWARE", threads)
+def test_large_chunks_are_decoded_whole(device: Device) -> None:
+    """A chunk of 60,000 triangles."""
     chunks = MemoryChunks(plain.terrain(plain.rough(np.random.default_rng(1), (257, 257))), Kind(128, 0.01, True))
     name, layout = (chunks.layout.top, 0, 0), chunks.layout
     words = chunks.words(*name)

@@ -1,162 +1,176 @@
-// Meshes of chunks from their words (store/chunk_code.py): a workgroup a chunk, a level of its triangles after the other.
-// What a thread needs of those before its own comes from prefix sums. All arithmetic is of 32-bit integers.
-//
-// A thread takes a run of RUN triangles at a time. On hardware that is one, so that neighbouring threads read neighbouring
-// memory; on software, where barriers cost more than memory, it is a share of the whole level (0).
+// Meshes of chunks from their words (store/chunk_code.py): a thread a run, for all chunks at once. No thread waits for
+// another, and none takes more steps than its run has triangles, halves and vertices. All arithmetic is of 32-bit integers.
 
-struct Job {
+struct Chunk {
   words: u32,      // where they begin
-  scratch: u32,    // words of it: an offset for each block, then two levels of nodes
-  vertex: u32,     // numbers of the chunk's first vertex and triangle
-  triangle: u32,
   row: i32,        // of its first sample
   col: i32,
   kind: u32,       // bits 0–7: log2 of its side; from bit 8 on two for each corner: whether at the end of the side, row and column
-  spare: u32,
 };
 
-@group(0) @binding(0) var<storage, read> jobs: array<Job>;              // of the first, row and col are the raster's last
-@group(0) @binding(1) var<storage, read> coded: array<u32>;
-@group(0) @binding(2) var<storage, read_write> scratch: array<i32>;
+struct Run {
+  chunk: u32,
+  words: u32,      // where they begin
+  vertex: u32,     // numbers of its first vertex and triangle, and of its skirt's first
+  triangle: u32,
+  fringe: u32,
+  base: u32,       // number of the chunk's first vertex
+};
+
+@group(0) @binding(0) var<storage, read> chunks: array<Chunk>;          // of the first, row and col are the raster's last
+@group(0) @binding(1) var<storage, read> runs: array<Run>;
+@group(0) @binding(2) var<storage, read> coded: array<u32>;
 @group(0) @binding(3) var<storage, read_write> vertices: array<i32>;    // 5 each: row, column, height, target, low
 @group(0) @binding(4) var<storage, read_write> triangles: array<u32>;   // 3 each
 
-const THREADS: u32 = {{THREADS}}u;
-const RUN: u32 = {{RUN}}u;
-const HEADER: u32 = 15u;
-const BLOCK: u32 = {{BLOCK}}u;
+const HEADER: u32 = 8u;
 const VOIDS: u32 = 0x10000u;
 const MISSING: i32 = -2147483647 - 1;
 const PARTS: i32 = {{PARTS}};
+const ONES: u32 = {{ONES}}u;
+const RAW: u32 = {{RAW}}u;
 const HUNG: u32 = 0x80000000u;     // of a corner: the skirt's lower end
 
-var<workgroup> sums: array<vec4<u32>, {{THREADS}}>;
-var<workgroup> more: array<u32, {{THREADS}}>;
-var<workgroup> total: array<u32, 5>;
+// ---- bits ----
 
-struct Before { counts: vec4<u32>, more: u32 };   // sums over the threads before
+var<private> cursor: u32;          // the next bit of the words
+var<private> ahead: vec2<u32>;     // the word that it is in, and the next
 
-fn before(k: u32, counts: vec4<u32>, others: u32) -> Before {
-  sums[k] = counts;
-  more[k] = others;
-  workgroupBarrier();
-  for (var step = 1u; step < THREADS; step <<= 1u) {
-    var left = vec4<u32>(0u);
-    var also = 0u;
-    if (k >= step) {
-      left = sums[k - step];
-      also = more[k - step];
-    }
-    workgroupBarrier();
-    sums[k] += left;
-    more[k] += also;
-    workgroupBarrier();
-  }
-  if (k == THREADS - 1u) {
-    total = array<u32, 5>(sums[k].x, sums[k].y, sums[k].z, sums[k].w, more[k]);
-  }
-  return Before(sums[k] - counts, more[k] - others);
+fn seek(bit: u32) {
+  cursor = bit;
+  ahead = vec2<u32>(coded[bit >> 5u], coded[(bit >> 5u) + 1u]);
 }
 
-// Some bits, at most 32, of the words from a place on.
-fn number(at: u32, bit: u32, width: u32) -> u32 {
-  if (width == 0u) {
-    return 0u;
-  }
-  let word = at + (bit >> 5u);
-  let shift = bit & 31u;
-  var found = coded[word] >> shift;
-  if (shift + width > 32u) {
-    found |= coded[word + 1u] << (32u - shift);
-  }
-  return found & (0xffffffffu >> (32u - width));
+fn peek() -> u32 {
+  let shift = cursor & 31u;
+  return select((ahead.x >> shift) | (ahead.y << (32u - shift)), ahead.x, shift == 0u);
 }
 
-fn words_of(bits: u32) -> u32 {
-  return (bits + 31u) / 32u;
+fn skip(width: u32) {
+  let word = cursor >> 5u;
+  cursor += width;
+  if ((cursor >> 5u) != word) {
+    ahead = vec2<u32>(ahead.y, coded[(cursor >> 5u) + 1u]);
+  }
 }
+
+// At most 31 bits.
+fn take(width: u32) -> u32 {
+  let found = peek() & ((1u << width) - 1u);
+  skip(width);
+  return found;
+}
+
+fn rice(k: u32) -> u32 {
+  let next = peek();
+  let ones = min(countTrailingZeros(~next), ONES);
+  let long = ones == ONES;
+  let width = select(k, RAW, long);
+  let before = select(ones + 1u, ONES, long);
+  skip(before + width);
+  return select(ones << k, 0u, long) | ((next >> before) & ((1u << width) - 1u));
+}
+
+fn signed(zigzag: u32) -> i32 {
+  return i32(zigzag >> 1u) ^ -i32(zigzag & 1u);
+}
+
+// ---- the chunk and its run ----
+
+var<private> first: vec2<i32>;     // the chunk's first and last sample
+var<private> last: vec2<i32>;
+var<private> edge: vec2<i32>;      // the raster's last
+var<private> voids: bool;          // heights may be missing
+var<private> ragged: bool;         // that, or the chunk ends beyond the raster
+var<private> drop: u32;            // bits of the skirt's depths
+var<private> vertex: u32;          // number of the run's first
 
 // include: chunk_heights.wgsl
 
-struct Chunk {
-  vertex: u32,
-  first: vec2<i32>,
-  last: vec2<i32>,
-  drop: u32,
-  kept: u32,       // where parts of the words begin
-  missing: u32,    // 0: none is
-  widths: u32,
-  drops: u32,
-  rests: u32,
-  dropped: u32,    // 0: none is
-  offsets: u32,    // in the scratch
-};
-
-fn place(c: Chunk, v: i32) -> vec2<i32> {
-  let at = 5u * (c.vertex + u32(v));
+fn place(v: u32) -> vec2<i32> {
+  let at = 5u * (vertex + v);
   return vec2<i32>(vertices[at], vertices[at + 1u]);
 }
 
-fn height(c: Chunk, v: i32) -> i32 {
-  return vertices[5u * (c.vertex + u32(v)) + 2u];
+fn height(v: u32) -> i32 {
+  return vertices[5u * (vertex + v) + 2u];
 }
 
-// On which of the chunk's sides a vertex lies: a bit each.
-fn sides(c: Chunk, at: vec2<i32>) -> u32 {
-  return select(0u, 1u, at.x == c.first.x) | select(0u, 2u, at.y == c.first.y)
-    | select(0u, 4u, at.x == c.last.x) | select(0u, 8u, at.y == c.last.y);
+fn target_of(v: u32) -> i32 {
+  return vertices[5u * (vertex + v) + 3u];
 }
 
-fn hangs(c: Chunk, a: i32, b: i32) -> bool {
-  return vertices[5u * (c.vertex + u32(a)) + 4u] != MISSING && vertices[5u * (c.vertex + u32(b)) + 4u] != MISSING
-    && (sides(c, place(c, a)) & sides(c, place(c, b))) != 0u;
+fn low(v: u32) -> i32 {
+  return vertices[5u * (vertex + v) + 4u];
 }
 
-fn put(c: Chunk, v: u32, at: vec2<i32>, height: i32, target_: i32, rank: u32) {
-  let to = 5u * (c.vertex + v);
-  vertices[to] = at.x;
-  vertices[to + 1u] = at.y;
-  vertices[to + 2u] = height;
-  vertices[to + 3u] = target_;
-  var low = MISSING;
-  if (sides(c, at) != 0u) {
-    let down = number(c.drops, rank * c.drop, c.drop);
-    low = select(height - i32(down) + 1, MISSING, down == 0u);
+// On which of the chunk's sides a place lies: a bit each.
+fn sides(at: vec2<i32>) -> u32 {
+  return select(0u, 1u, at.x == first.x) | select(0u, 2u, at.y == first.y)
+    | select(0u, 4u, at.x == last.x) | select(0u, 8u, at.y == last.y);
+}
+
+fn put(v: u32, at: vec2<i32>, own: i32, to: i32) {
+  let here = 5u * (vertex + v);
+  vertices[here] = at.x;
+  vertices[here + 1u] = at.y;
+  vertices[here + 2u] = own;
+  vertices[here + 3u] = to;
+  var below = MISSING;
+  if (own != MISSING && sides(at) != 0u) {
+    let down = take(drop);
+    below = select(own - i32(down) + 1, MISSING, down == 0u);
   }
-  vertices[to + 4u] = low;
+  vertices[here + 4u] = below;
 }
 
-// The vertex v that splits the hypotenuse between e and f, the rank-th on a side.
-fn make(c: Chunk, v: u32, e: i32, f: i32, rank: u32) {
-  let a = place(c, e);
-  let b = place(c, f);
-  let k = v - 4u;
-  let block = k / BLOCK;
-  let width = (coded[c.widths + (block >> 2u)] >> (8u * (block & 3u))) & 255u;
-  let zigzag = number(c.rests, u32(scratch[c.offsets + block]) + (k % BLOCK) * width, width);
-  var own = guess(height(c, e), height(c, f)) + (i32(zigzag >> 1u) ^ -i32(zigzag & 1u));
-  var to = PARTS * own;
-  if (c.missing != 0u && number(c.missing, v, 1u) == 1u) {
-    own = MISSING;
-    to = MISSING;
-  } else if (number(c.kept, k, 1u) == 0u) {
-    to = halfway(a, b, vertices[5u * (c.vertex + u32(e)) + 3u], vertices[5u * (c.vertex + u32(f)) + 3u], to);
+fn missed() -> bool {
+  return voids && take(1u) == 1u;
+}
+
+// A corner of the node that the run lies in.
+fn read_corner(v: u32, at: vec2<i32>, base: i32, bits: u32) {
+  var own = MISSING;
+  var to = MISSING;
+  if (!missed()) {
+    own = base + i32(take(bits & 255u));
+    var moved = 1u;
+    if (take(1u) == 0u) {
+      moved = take(bits >> 8u);
+    }
+    if (moved != 0u) {
+      to = PARTS * own + signed(moved - 1u);
+    }
   }
-  put(c, v, (a + b) >> vec2<u32>(1u), own, to, rank);
+  put(v, at, own, to);
+}
+
+// The vertex between two others, k the Rice parameter.
+fn read_vertex(v: u32, e: u32, f: u32, a: vec2<i32>, b: vec2<i32>, k: u32) {
+  var own = MISSING;
+  var to = MISSING;
+  if (!missed()) {
+    let kept = take(1u) == 1u;
+    own = guess(height(e), height(f)) + signed(rice(k));
+    to = PARTS * own;
+    if (!kept) {
+      to = halfway(a, b, target_of(e), target_of(f), to);
+    }
+  }
+  put(v, (a + b) >> vec2<u32>(1u), own, to);
 }
 
 // Whether a triangle is drawn: it has three heights, and an area where vertices beyond the raster lie on its border.
-fn drawn(c: Chunk, a: i32, e: i32, f: i32) -> bool {
-  if (c.missing != 0u && (height(c, a) == MISSING || height(c, e) == MISSING || height(c, f) == MISSING)) {
+fn drawn(a: u32, e: u32, f: u32) -> bool {
+  if (voids && (height(a) == MISSING || height(e) == MISSING || height(f) == MISSING)) {
     return false;
   }
-  let last = vec2<i32>(jobs[0].row, jobs[0].col);
-  if (all(c.last <= last)) {
+  if (all(last <= edge)) {
     return true;
   }
-  let o = min(place(c, a), last);
-  let u = vec2<f32>(min(place(c, e), last) - o);
-  let v = vec2<f32>(min(place(c, f), last) - o);
+  let o = min(place(a), edge);
+  let u = vec2<f32>(min(place(e), edge) - o);
+  let v = vec2<f32>(min(place(f), edge) - o);
   let flat = all(u == vec2<f32>(0.0)) || all(v == vec2<f32>(0.0)) || all(u == v);
   return !(flat || (u.x == 0.0 && v.x == 0.0) || (u.y == 0.0 && v.y == 0.0));
 }
@@ -167,221 +181,205 @@ fn emit(at: u32, a: u32, b: u32, c: u32) {
   triangles[3u * at + 2u] = c;
 }
 
-// The skirt below an edge, if there is one; where the next goes.
-fn hang(first: u32, at: u32, there: bool, p: u32, q: u32) -> u32 {
-  if (!there) {
+// The skirt below an edge, if there is one; where the next goes. before: vertices of the chunk before the run's.
+fn hang(at: u32, p: u32, q: u32, before: u32) -> u32 {
+  if ((sides(place(p)) & sides(place(q))) == 0u || low(p) == MISSING || low(q) == MISSING) {
     return at;
   }
-  emit(first + at, q, p, p | HUNG);
-  emit(first + at + 1u, q, p | HUNG, q | HUNG);
+  let a = before + p;
+  let b = before + q;
+  emit(at, b, a, a | HUNG);
+  emit(at + 1u, b, a | HUNG, b | HUNG);
   return at + 2u;
 }
 
-// Of a neighbour, one half.
-fn half_of(nodes: u32, n: i32, which: i32) -> i32 {
-  if (n < 0) {
-    return -1;
-  }
-  let rank = scratch[nodes + 8u * u32(n) + 6u];
-  return select(2 * (rank - 1) + which, -1, rank == 0);
+// ---- the walk: store/chunk_code_kernels.py ----
+
+var<private> apex: u32;            // the node: its corners, its depth
+var<private> entry: u32;
+var<private> exit: u32;
+var<private> depth: u32;
+var<private> fresh: vec3<u32>;     // whether its hypotenuse, the leg at the entry and that at the exit are met again
+var<private> stack: array<u32, {{DEPTH}}>;
+var<private> top: u32;
+var<private> waiting: array<u32, {{MET}}>;   // of the nodes of even depth from the front, of odd depth from the back
+var<private> counts: vec2<u32>;
+
+fn slot_of(side: u32, k: u32) -> u32 {
+  return select(k, {{MET}}u - 1u - k, side == 1u);
 }
 
-fn owner(nodes: u32, i: u32) -> bool {
-  let across = scratch[nodes + 8u * i + 5u];
-  return across < 0 || i < u32(across);
+// The vertex at the middle of the hypotenuse, if the run has it, or {{MET}}.
+fn met(middle: vec2<i32>) -> u32 {
+  let side = depth & 1u;
+  var k = select(counts.x, counts.y, side == 1u);
+  if (fresh.x == 1u || k == 0u) {
+    return {{MET}}u;
+  }
+  k -= 1u;
+  var v = waiting[slot_of(side, k)];
+  if (ragged) {
+    while (any(place(v) != middle)) {
+      if (k == 0u) {
+        return {{MET}}u;
+      }
+      k -= 1u;
+      v = waiting[slot_of(side, k)];
+    }
+  }
+  counts = select(vec2<u32>(k, counts.y), vec2<u32>(counts.x, k), side == 1u);
+  return v;
 }
 
-fn split(nodes: u32, i: u32) -> bool {
-  let own = owner(nodes, i);
-  return scratch[nodes + 8u * select(u32(scratch[nodes + 8u * i + 5u]), i, own) + 6u] != 0;
+fn pending(b: u32, a: u32, f: u32, new_: u32, second: u32) -> u32 {
+  return b | (a << 8u) | (f << 16u) | (new_ << 24u) | (second << 25u) | (depth << 26u);
 }
 
-// Where the steps of each block begin, and what of the words comes after them.
-fn offsets_of(k: u32, c: Chunk, count: u32) -> u32 {
-  let blocks = (count - 4u + BLOCK - 1u) / BLOCK;
-  let share = (blocks + THREADS - 1u) / THREADS;
-  let end = min((k + 1u) * share, blocks);
-  var size = 0u;
-  for (var b = k * share; b < end; b++) {
-    size += BLOCK * ((coded[c.widths + (b >> 2u)] >> (8u * (b & 3u))) & 255u);
+fn halve(b: u32, over: bool) {
+  let a = apex;
+  apex = b;
+  depth += 1u;
+  if (over) {
+    if (fresh.x == 1u) {
+      stack[top] = pending(b, b, 0u, 0u, 0u);
+      top += 1u;
+    }
+    entry = a;
+    fresh = vec3<u32>(fresh.z, 0u, fresh.x);
+    return;
   }
-  var at = before(k, vec4<u32>(size, 0u, 0u, 0u), 0u).counts.x;
-  for (var b = k * share; b < end; b++) {
-    scratch[c.offsets + b] = i32(at);
-    at += BLOCK * ((coded[c.widths + (b >> 2u)] >> (8u * (b & 3u))) & 255u);
+  stack[top] = pending(b, a, exit, fresh.z, fresh.x);
+  top += 1u;
+  exit = a;
+  fresh = vec3<u32>(fresh.y, fresh.x, 1u);
+}
+
+// On to the node after a leaf; whether there is one.
+fn onward() -> bool {
+  while (top > 0u) {
+    let next = stack[top - 1u];
+    let b = next & 255u;
+    let a = (next >> 8u) & 255u;
+    let second = (next >> 25u) & 1u;
+    depth = next >> 26u;
+    if (a != b) {
+      if (second == 1u) {
+        stack[top - 1u] = pending(b, b, 0u, 0u, 0u);
+      } else {
+        top -= 1u;
+      }
+      apex = b;
+      entry = a;
+      exit = (next >> 16u) & 255u;
+      fresh = vec3<u32>((next >> 24u) & 1u, 0u, second);
+      return true;
+    }
+    let side = (depth & 1u) ^ 1u;
+    waiting[slot_of(side, select(counts.x, counts.y, side == 1u))] = b;
+    counts += select(vec2<u32>(1u, 0u), vec2<u32>(0u, 1u), side == 1u);
+    top -= 1u;
   }
-  let all_ = workgroupUniformLoad(&total)[0];
-  let lacking = blocks * BLOCK - (count - 4u);   // of the last block
-  let last = blocks - select(1u, 0u, blocks == 0u);
-  return all_ - lacking * ((coded[c.widths + (last >> 2u)] >> (8u * (last & 3u))) & 255u);
+  return false;
+}
+
+// The places of the corners of the node that the run lies in; its depth.
+fn read_root(c: Chunk) -> array<vec2<i32>, 3> {
+  let side = i32(1u << (c.kind & 255u));
+  let root = take(1u);
+  let which = select(vec3<u32>(0u, 1u, 3u), vec3<u32>(2u, 3u, 1u), root == 1u);
+  var at: array<vec2<i32>, 3>;
+  for (var k = 0u; k < 3u; k++) {
+    let end = vec2<u32>(c.kind >> (8u + 2u * which[k]), c.kind >> (9u + 2u * which[k])) & vec2<u32>(1u);
+    at[k] = first + side * vec2<i32>(end);
+  }
+  depth = take(6u);
+  for (var k = 0u; k < depth; k++) {
+    let middle = (at[1] + at[2]) >> vec2<u32>(1u);
+    if (take(1u) == 1u) {
+      at[1] = at[0];
+    } else {
+      at[2] = at[0];
+    }
+    at[0] = middle;
+  }
+  return at;
 }
 
 @compute @workgroup_size({{THREADS}})
-fn main(@builtin(local_invocation_index) k: u32, @builtin(workgroup_id) group: vec3<u32>) {
-  let job = jobs[group.x + 1u];
-  let h = job.words;
-  let count = coded[h];
-  let widest = coded[h + 3u];
-  let flags = coded[h + 6u];
-  let side = i32(1u << (job.kind & 255u));
-  let levels = 2u * (job.kind & 255u);
-  let bits = h + HEADER;
-  let blocks = (count - 4u + BLOCK - 1u) / BLOCK;
-  var c = Chunk(
-    job.vertex, vec2<i32>(job.row, job.col), vec2<i32>(job.row, job.col) + side, (flags >> 8u) & 255u,
-    bits + words_of(coded[h + 4u]), 0u, 0u, 0u, 0u, 0u, job.scratch);
-  c.widths = c.kept + words_of(count - 4u);
-  if ((flags & VOIDS) != 0u) {
-    c.missing = c.widths;
-    c.widths += words_of(count);
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+  if (id.x >= arrayLength(&runs)) {
+    return;
   }
-  c.drops = c.widths + (blocks + 3u) / 4u;
-  c.rests = c.drops + words_of(coded[h + 5u] * c.drop);
-  let size = offsets_of(k, c, count);
-  if ((flags & VOIDS) != 0u) {
-    c.dropped = c.rests + words_of(size);
-  }
-  var nodes = job.scratch + blocks;
-  var beyond = nodes + 8u * widest;
-  if (k < 4u) {
-    let end = vec2<u32>(job.kind >> (8u + 2u * k), job.kind >> (9u + 2u * k)) & vec2<u32>(1u);
-    put(c, k, c.first + side * vec2<i32>(end), i32(coded[h + 7u + k]), i32(coded[h + 11u + k]), k);
-  }
-  if (k < 2u) {
-    let root = array<vec3<i32>, 2>(vec3<i32>(0, 1, 3), vec3<i32>(2, 3, 1))[k];
-    let to = nodes + 8u * k;
-    scratch[to] = root.x;
-    scratch[to + 1u] = root.y;
-    scratch[to + 2u] = root.z;
-    scratch[to + 3u] = -1;
-    scratch[to + 4u] = -1;
-    scratch[to + 5u] = 1 - i32(k);
-  }
-  storageBarrier();
-  var width = 2u;         // nodes of the level
-  var told = 0u;          // what was met in the levels before: bits, vertices, those on sides, triangles, hung edges, nodes
-  var made = 4u;
-  var beside = 4u;
-  var out = 0u;
-  var hung = 0u;
-  var seen = 0u;
-  for (var level = 0u; level <= levels && width > 0u; level++) {
-    let run = select(RUN, (width + THREADS - 1u) / THREADS, RUN == 0u);
-    for (var tile = 0u; tile < width; tile += run * THREADS) {
-      let begin = min(tile + k * run, width);
-      let end = min(begin + run, width);
-      var owners = 0u;
-      for (var i = begin; i < end; i++) {
-        owners += select(0u, 1u, owner(nodes, i));
-      }
-      var rank = told + before(k, vec4<u32>(owners, 0u, 0u, 0u), 0u).counts.x;
-      for (var i = begin; i < end; i++) {
-        if (owner(nodes, i)) {
-          var bit = 0u;
-          if (level < levels) {
-            bit = number(bits, rank, 1u);
-          }
-          scratch[nodes + 8u * i + 6u] = i32(bit);
-          rank += 1u;
-        }
-      }
-      told += workgroupUniformLoad(&total)[0];
-    }
-    storageBarrier();
+  let run = runs[id.x];
+  let c = chunks[run.chunk];
+  let flags = coded[c.words + 5u];
+  let levels = 2u * (c.kind & 255u);
+  first = vec2<i32>(c.row, c.col);
+  last = first + i32(1u << (c.kind & 255u));
+  edge = vec2<i32>(chunks[0].row, chunks[0].col);
+  voids = (flags & VOIDS) != 0u;
+  ragged = voids || !all(last <= edge);
+  drop = (flags >> 8u) & 255u;
+  vertex = run.vertex;
 
-    var splits = 0u;
-    for (var tile = 0u; tile < width; tile += run * THREADS) {
-      let begin = min(tile + k * run, width);
-      let end = min(begin + run, width);
-      var counts = vec4<u32>(0u);   // splits, vertices, those on sides, triangles
-      var edges = 0u;
-      for (var i = begin; i < end; i++) {
-        let at = nodes + 8u * i;
-        let a = scratch[at];
-        let e = scratch[at + 1u];
-        let f = scratch[at + 2u];
-        if (split(nodes, i)) {
-          counts.x += 1u;
-          if (owner(nodes, i)) {
-            counts.y += 1u;
-            counts.z += select(0u, 1u, sides(c, (place(c, e) + place(c, f)) >> vec2<u32>(1u)) != 0u);
-          }
-        } else if (!(c.dropped != 0u && number(c.dropped, seen + i, 1u) == 1u) && drawn(c, a, e, f)) {
-          let hung = select(0u, 1u, hangs(c, a, e)) | select(0u, 2u, hangs(c, e, f)) | select(0u, 4u, hangs(c, f, a));
-          counts.w += 1u;
-          edges += countOneBits(hung);
-          scratch[at + 7u] = i32(8u | hung);
-        } else {
-          scratch[at + 7u] = 0;
-        }
-      }
-      let first = before(k, counts, edges);
-      let all_ = workgroupUniformLoad(&total);
-      var now = first.counts;
-      var fringe = coded[h + 1u] + 2u * (hung + first.more);
-      for (var i = begin; i < end; i++) {
-        let at = nodes + 8u * i;
-        let a = scratch[at];
-        let e = scratch[at + 1u];
-        let f = scratch[at + 2u];
-        if (split(nodes, i)) {
-          now.x += 1u;
-          if (owner(nodes, i)) {
-            let v = made + now.y;
-            make(c, v, e, f, beside + now.z);
-            scratch[at + 7u] = i32(v);
-            now.y += 1u;
-            now.z += select(0u, 1u, sides(c, place(c, i32(v))) != 0u);
-          }
-          scratch[at + 6u] = i32(splits + now.x);
-        } else {
-          if (!owner(nodes, i)) {
-            scratch[at + 6u] = 0;
-          }
-          let there = u32(scratch[at + 7u]);   // of a leaf: 8, and its edges that hang
-          if (there != 0u) {
-            emit(job.triangle + out + now.w, u32(a), u32(e), u32(f));
-            now.w += 1u;
-            fringe = hang(job.triangle, fringe, (there & 1u) != 0u, u32(a), u32(e));
-            fringe = hang(job.triangle, fringe, (there & 2u) != 0u, u32(e), u32(f));
-            fringe = hang(job.triangle, fringe, (there & 4u) != 0u, u32(f), u32(a));
-          }
-        }
-      }
-      splits += all_[0];
-      made += all_[1];
-      beside += all_[2];
-      out += all_[3];
-      hung += all_[4];
-    }
-    storageBarrier();
+  seek(32u * run.words);
+  let shift = i32(take(3u)) - 4;
+  let at = read_root(c);
+  var path = take(6u);
+  let halves = vec2<u32>(cursor, path);
+  seek(cursor + path);
+  for (var k = 0u; k < 3u; k++) {
+    read_corner(k, at[k], i32(coded[c.words + 6u]), coded[c.words + 7u]);
+  }
+  apex = 0u;
+  entry = 1u;
+  exit = 2u;
 
-    for (var i = k; i < width; i += THREADS) {
-      let at = nodes + 8u * i;
-      let own = scratch[at + 6u];
-      if (own == 0) {
-        continue;
-      }
-      let mid = scratch[nodes + 8u * select(u32(scratch[at + 5u]), i, owner(nodes, i)) + 7u];
-      let to = beyond + 16u * u32(own - 1);
-      scratch[to] = mid;
-      scratch[to + 1u] = scratch[at];
-      scratch[to + 2u] = scratch[at + 1u];
-      scratch[to + 3u] = 2 * own - 1;
-      scratch[to + 4u] = half_of(nodes, scratch[at + 5u], 1);
-      scratch[to + 5u] = half_of(nodes, scratch[at + 3u], 1);
-      scratch[to + 8u] = mid;
-      scratch[to + 9u] = scratch[at + 2u];
-      scratch[to + 10u] = scratch[at];
-      scratch[to + 11u] = half_of(nodes, scratch[at + 5u], 0);
-      scratch[to + 12u] = 2 * own - 2;
-      scratch[to + 13u] = half_of(nodes, scratch[at + 4u], 0);
+  let before = run.vertex - run.base;
+  var made = 3u;
+  var out = run.triangle;
+  var fringe = run.fringe;
+  var left = coded[c.words + 4u];
+  loop {
+    var split = path > 0u;
+    var over = false;
+    if (split) {
+      let bit = halves.x + halves.y - path;
+      over = ((coded[bit >> 5u] >> (bit & 31u)) & 1u) == 1u;
+      path -= 1u;
+    } else if (depth < levels) {
+      split = take(1u) == 1u;
     }
-    storageBarrier();
-    seen += width;
-    width = 2u * splits;
-    let other = nodes;
-    nodes = beyond;
-    beyond = other;
+    if (split) {
+      let a = place(entry);
+      let b = place(exit);
+      var middle = met((a + b) >> vec2<u32>(1u));
+      if (middle == {{MET}}u) {
+        let rices = coded[c.words + HEADER + (depth >> 2u)];
+        let k = max(i32((rices >> (8u * (depth & 3u))) & 255u) + shift, 0);
+        middle = made;
+        read_vertex(middle, entry, exit, a, b, u32(k));
+        made += 1u;
+      }
+      halve(middle, over);
+      continue;
+    }
+    let gone = voids && take(1u) == 1u;
+    if (!gone && drawn(apex, entry, exit)) {
+      let odd = (depth & 1u) == 1u;
+      let e = select(entry, exit, odd);
+      let f = select(exit, entry, odd);
+      emit(out, before + apex, before + e, before + f);
+      out += 1u;
+      if (drop > 0u) {
+        fringe = hang(fringe, apex, e, before);
+        fringe = hang(fringe, e, f, before);
+        fringe = hang(fringe, f, apex, before);
+      }
+    }
+    left -= 1u;
+    if (left == 0u || !onward()) {
+      break;
+    }
   }
 }

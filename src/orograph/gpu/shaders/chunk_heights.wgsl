@@ -30,15 +30,14 @@ fn halfway(a: vec2<i32>, b: vec2<i32>, left: i32, right: i32, own: i32) -> i32 {
   if (left == MISSING || right == MISSING) {
     return own;
   }
-  let last = vec2<i32>(jobs[0].row, jobs[0].col);
-  if (all(max(a, b) <= last)) {
+  if (all(max(a, b) <= edge)) {
     return (left + right) >> 1u;
   }
   if (a.x == b.x) {
-    return along(a.y, b.y, left, right, own, last.y);
+    return along(a.y, b.y, left, right, own, edge.y);
   }
   if (a.y == b.y) {
-    return along(a.x, b.x, left, right, own, last.x);
+    return along(a.x, b.x, left, right, own, edge.x);
   }
   return own;
 }

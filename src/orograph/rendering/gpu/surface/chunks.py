@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
 from orograph.lod.selection import CodedChunks
-from orograph.rendering.gpu.surface.resident import ROOM, ResidentMeshes, RunPass, runs_of
-from orograph.store.chunk_code import BLOCK, HEADER, Decoded, decoded, hung_edges
+from orograph.rendering.gpu.surface import resident
+from orograph.rendering.gpu.surface.resident import ROOM, ResidentMeshes, RunPass
+from orograph.store.chunk_code import DEPTH, HEADER, MET, ONES, RAW, runs_of
 from orograph.store.chunked import PARTS, Layout, Words
 
-JOB = np.dtype(
-    [
-        ("words", "<u4"), ("scratch", "<u4"), ("vertex", "<u4"), ("triangle", "<u4"), ("row", "<i4"), ("col", "<i4"),
-        ("kind", "<u4"), ("spare", "<u4"),
-    ]
-)  # fmt: skip
-"""A chunk to be decoded: ``Job`` of ``shaders/chunk_code.wgsl``."""
+CHUNK = np.dtype([("words", "<u4"), ("row", "<i4"), ("col", "<i4"), ("kind", "<u4")])
+"""A chunk to be decoded: ``Chunk`` of ``shaders/chunk_code.wgsl``."""
+
+PIECE = np.dtype(
+    [("chunk", "<u4"), ("words", "<u4"), ("vertex", "<u4"), ("triangle", "<u4"), ("fringe", "<u4"), ("base", "<u4")]
+)
+"""A run of it: ``Run`` there."""
 
 INSTANCE = np.dtype([("first", "<u4"), ("count", "<u4"), ("vertex", "<u4"), ("step", "<f4"), ("left", "<f4")])
 """A run of triangles: ``Run`` of ``shaders/chunk_draw.wgsl``."""
@@ -42,28 +43,16 @@ RUNS = {
     ],
 }
 
-LARGE = 1 << 18, 1 << 22
-"""Triangles of a chunk, on software and on hardware, that are left to the CPU: a workgroup would take long. (And Mesa's
-software Vulkan ends a thread's loops without a word when they have gone round 65,535 times, all together: here 10 for
-every 64 triangles.)"""
+THREADS = 64
+"""Of a workgroup; each decodes a run."""
 
-SOFTWARE, HARDWARE = (64, 0), (256, 1)
-"""Threads that decode a chunk, and how many triangles in a row each takes at a time (0: its share of a level)."""
-
-VERTEX, TRIANGLE, NODE = 20, 12, 32
+VERTEX, TRIANGLE = 20, 12
 """Bytes."""
-
-HUNG = np.uint32(1 << 31)
-"""Of a corner: the lower end of the skirt."""
-
-SCRATCH = 32 << 20, 512 << 20
-"""Bytes of scratch that one dispatch takes, on software and on hardware, where dispatches wait for one another; the
-last of its chunks may need more."""
 
 COARSER = 1.25
 """By how much a tolerance grows until its chunks fit."""
 
-VERTICES, TRIANGLES, EDGES, WIDEST = (HEADER.index(name) for name in ("vertices", "triangles", "hung", "widest"))
+VERTICES, TRIANGLES, EDGES = (HEADER.index(name) for name in ("vertices", "triangles", "hung"))
 FLAGS = HEADER.index("flags")
 
 
@@ -96,15 +85,13 @@ class DecodedChunks(ResidentMeshes):
 
 
 class Decoder:
-    """Decodes chunks on a device (``shaders/chunk_code.wgsl``); very large ones on the CPU."""
+    """Decodes chunks on a device (``shaders/chunk_code.wgsl``)."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        software = device.adapter.software
-        threads, run = SOFTWARE if software else HARDWARE
-        self._large, scratch = (of[0 if software else 1] for of in (LARGE, SCRATCH))
-        self._scratch = min(scratch, device.largest // 2)
-        self._program = Program(device, "chunk_code", BLOCK=BLOCK, PARTS=PARTS, THREADS=threads, RUN=run)
+        self._program = Program(
+            device, "chunk_code", PARTS=PARTS, ONES=ONES, RAW=RAW, DEPTH=DEPTH, MET=MET, THREADS=THREADS
+        )
         self._pipeline: Any = None
 
     def decode(
@@ -116,65 +103,77 @@ class Decoder:
         Args:
             names, coded: of the chunks, and their words. places: the numbers of their first vertices and triangles.
         """
+        if not len(coded):
+            return
+        ends = np.cumsum([len(words) for words in coded])
+        for share in np.split(
+            np.arange(len(coded)), np.flatnonzero(np.diff(4 * ends // (self.device.largest // 2))) + 1
+        ):
+            some = share.tolist()
+            group, count = self.prepare(
+                layout,
+                [names[k] for k in some],
+                [coded[k] for k in some],
+                [places[k] for k in some],
+                vertices,
+                triangles,
+            )
+            encoder = self.device.handle.create_command_encoder()
+            self.record(encoder, group, count)
+            self.device.queue.submit([encoder.finish()])
+
+    def prepare(
+        self, layout: Layout, names: Sequence[tuple[int, int, int]], coded: Sequence[Words],
+        places: Sequence[tuple[int, int]], vertices: Any, triangles: Any,
+    ) -> tuple[Any, int]:  # fmt: skip
+        """Bring what is to be decoded to the device. Args: as of ``decode``. Returns: a bind group, how many runs."""
         if self._pipeline is None:
             self._pipeline = self._program.compute()
-        jobs: list[tuple[int, int]] = []
-        size = 0
-        for k, words in enumerate(coded):
-            if int(words[TRIANGLES]) > self._large:
-                self._on_cpu(decoded(words, layout, *names[k]), places[k], layout, names[k], vertices, triangles)
-                continue
-            jobs.append((k, size))
-            size += -(-(int(words[VERTICES]) - 4) // BLOCK) + 2 * int(words[WIDEST]) * NODE // 4
-            if 4 * size > self._scratch:
-                self._dispatch(jobs, size, layout, names, coded, places, vertices, triangles)
-                jobs, size = [], 0
-        if jobs:
-            self._dispatch(jobs, size, layout, names, coded, places, vertices, triangles)
-
-    def _dispatch(
-        self, jobs: list[tuple[int, int]], size: int, layout: Layout, names: Sequence[tuple[int, int, int]],
-        coded: Sequence[Words], places: Sequence[tuple[int, int]], vertices: Any, triangles: Any,
-    ) -> None:  # fmt: skip
-        """Decode some chunks. ``jobs``: their numbers, and where their scratch begins; ``size``: words of it."""
-        which, scratch = np.array(jobs).T
-        some = [coded[k] for k, _ in jobs]
-        table = np.zeros(1 + len(jobs), JOB)
-        table[0]["row"], table[0]["col"] = (side - 1 for side in layout.shape)
-        rows = table[1:]
-        rows["words"] = np.cumsum([0, *map(len, some[:-1])])
-        rows["scratch"] = scratch
-        rows["vertex"], rows["triangle"] = np.array(places)[which].T
-        level, i, j = np.array(names)[which].T
-        side = layout.side(level)
-        rows["row"], rows["col"] = i * side, j * side
-        ends = np.array([[_ends(layout, a, b) for b in (0, 1)] for a in (0, 1)])
-        rows["kind"] = layout.p + level | ends[i & 1, j & 1] << 8
+        chunks, pieces = pieces_of(layout, names, coded, places)
         bound = {
-            "jobs": self.device.buffer(table, "STORAGE", "chunks to decode"),
-            "coded": self.device.buffer(np.concatenate([*some, np.zeros(2, np.uint32)]), "STORAGE", "coded chunks"),
-            "scratch": self.device.buffer(4 * size, "STORAGE", "nodes of chunks"),
+            "chunks": self.device.buffer(chunks, "STORAGE", "chunks to decode"),
+            "runs": self.device.buffer(pieces, "STORAGE", "runs to decode"),
+            "coded": self.device.buffer(np.concatenate([*coded, np.zeros(2, np.uint32)]), "STORAGE", "coded chunks"),
             "vertices": vertices, "triangles": triangles,
         }  # fmt: skip
-        encoder = self.device.handle.create_command_encoder()
+        return self._program.bind(bound), len(pieces)
+
+    def record(self, encoder: Any, group: Any, count: int, times: int = 1) -> None:
+        """Record the decoding of what was prepared; more than once to measure it."""
         pass_ = encoder.begin_compute_pass()
         pass_.set_pipeline(self._pipeline)
-        pass_.set_bind_group(0, self._program.bind(bound))
-        pass_.dispatch_workgroups(len(jobs))
+        pass_.set_bind_group(0, group)
+        for _ in range(times):
+            pass_.dispatch_workgroups(-(-count // THREADS))
         pass_.end()
-        self.device.queue.submit([encoder.finish()])
 
-    def _on_cpu(
-        self, mesh: Decoded, place: tuple[int, int], layout: Layout, name: tuple[int, int, int], vertices: Any,
-        triangles: Any,
-    ) -> None:  # fmt: skip
-        """Bring a chunk that the CPU decoded."""
-        rows = np.column_stack([mesh.places, mesh.heights, mesh.targets, mesh.low]).astype(np.int32)
-        p, q = hung_edges(mesh, layout, *name).astype(np.uint32).T
-        skirt = np.stack([q, p, p | HUNG, q, p | HUNG, q | HUNG], 1).reshape(-1, 3)
-        corners = np.concatenate([mesh.triangles.astype(np.uint32), skirt])
-        self.device.queue.write_buffer(vertices, place[0] * VERTEX, rows)
-        self.device.queue.write_buffer(triangles, place[1] * TRIANGLE, corners)
+
+def pieces_of(
+    layout: Layout, names: Sequence[tuple[int, int, int]], coded: Sequence[Words], places: Sequence[tuple[int, int]]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """What the shader is told of chunks (``CHUNK``; the raster's last row and column first), and of their runs."""
+    chunks = np.zeros(1 + len(names), CHUNK)
+    chunks[0]["row"], chunks[0]["col"] = (side - 1 for side in layout.shape)
+    rows = chunks[1:]
+    rows["words"] = np.cumsum([0, *map(len, coded[:-1])])
+    level, i, j = np.array(names).T
+    rows["row"], rows["col"] = i << (layout.p + level), j << (layout.p + level)
+    ends = np.array([[_ends(layout, a, b) for b in (0, 1)] for a in (0, 1)])
+    rows["kind"] = layout.p + level | ends[i & 1, j & 1] << 8
+
+    begins, tables = zip(*(runs_of(words, layout, k) for words, (k, _, _) in zip(coded, names, strict=True)))
+    of, table = np.repeat(np.arange(len(names)), list(map(len, tables))), np.concatenate(tables)
+    head = np.cumsum([0, *map(len, tables[:-1])])  # of each chunk the first run
+    before = np.cumsum(table, 0) - table
+    before -= before[head[of]]
+    pieces = np.zeros(len(of), PIECE)
+    first, triangle = np.array(places).T
+    bodies = np.array([int(words[TRIANGLES]) for words in coded])
+    pieces["chunk"], pieces["words"] = of + 1, np.concatenate(begins) + rows["words"][of]
+    pieces["base"], pieces["vertex"] = first[of], first[of] + before[:, 1]
+    pieces["triangle"] = triangle[of] + before[:, 2]
+    pieces["fringe"] = (triangle + bodies)[of] + 2 * before[:, 3]
+    return chunks, pieces
 
 
 def _ends(layout: Layout, i: int, j: int) -> int:
@@ -195,7 +194,7 @@ class Chunks:
     def __init__(self, device: Device, most: int) -> None:
         self.device = device
         share = min(most, 2 * device.largest)
-        self.most = int(share * 0.45) // VERTEX, int(share * 0.55) // TRIANGLE
+        self.most = int(share * 0.54) // VERTEX, int(share * 0.46) // TRIANGLE
         self._decoder = Decoder(device)
         self._meshes: Meshes | None = None
 
@@ -216,7 +215,7 @@ class Chunks:
         meshes = self._made(selection, heads)
         at = np.array([meshes.places[name] for name in selection.names], np.int64).reshape(-1, 2)
         counts = heads[:, TRIANGLES] + (2 * heads[:, EDGES] if selection.skirts else 0)
-        runs, of = runs_of(INSTANCE, at[:, 1], counts, at[:, 0])
+        runs, of = resident.runs_of(INSTANCE, at[:, 1], counts, at[:, 0])
         runs["step"] = 2.0 ** ((heads[of, FLAGS] & 255) - 64)
         runs["left"] = selection.left[of]
         return DecodedChunks(
