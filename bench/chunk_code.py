@@ -1,14 +1,18 @@
 """Chunks that the GPU decodes: bytes a triangle, triangles a second, and beside heights in the codec *compact*.
 
-    python bench/chunk_code.py [PATH …] [--cells 32] [--times 5] [--tolerance 1] [--size 1280x720]
+    python bench/chunk_code.py [PATH …] [--synthetic 4097] [--cells 32] [--times 5] [--batch 4] [--tolerance 1]
+        [--size 1280x720] [--no-views]
 
-Of each terrain, a raster, a store is built with compressed chunks, one with chunks that are not, and one with heights
-in *compact*. Told are, of the chunks of each level (some, evenly spaced): bytes a triangle, of indexed triangles (12
-bytes each and 12 a vertex), and of the same with what words have besides (skirts, 4 bytes a vertex for morphs). Then,
-in turns, the fastest of ``--times``: decoding them on the GPU, uploading the same vertices and triangles as they are
-decoded there, and decoding them on the CPU; triangles a second. Then two views, each with nothing in memory but the
-system's cache of files: MB read, and ms until it is read and decoded on the CPU, brought to the GPU (and decoded there)
-and drawn, by ``triangle-patches`` of *compact*, by compressed chunks, and by chunks that are not.
+Of each terrain some chunks are made, evenly spaced: of a raster, or of a synthetic one made on the spot. Told are bytes
+a triangle, of indexed triangles (12 bytes each and 12 a vertex), and of the same with what words have besides (skirts,
+4 bytes a vertex for morphs). Then triangles a second: of the GPU's decoder, for the chunks of a frame (about 300,000
+triangles) and for a batch of ``--batch`` million (chunks repeated if need be), by the GPU's clock, the mean of many in
+one submission; the same with all that a call does (bringing words to the GPU, Python); bringing the same vertices and
+triangles as they are decoded there; and decoding on one thread of the CPU. The fastest of ``--times``.
+
+Of rasters, unless ``--no-views``, three stores are built: with compressed chunks, with chunks that are not, and with
+heights in *compact*. Two views of each are read, with nothing in memory but the system's cache of files: MB read, and
+ms until it is read and decoded on the CPU, brought to the GPU (and decoded there) and drawn.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import argparse
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,17 +29,22 @@ import numpy as np
 
 import orograph
 from orograph.dem import Dem
+from orograph.gpu.clock import Clock
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.recording import write
 from orograph.lod.method import Goal
 from orograph.lod.registry import chosen
+from orograph.parallel import map_ordered
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.gpu.surface.chunks import Chunks, Decoder
 from orograph.rendering.gpu.surface.meshes import packed
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.scene import Scene
+from orograph.store import terrain as in_memory
 from orograph.store.chunk_code import HEADER, decoded
+from orograph.store.chunked import MISSING, Kind, Layout, Words
+from orograph.store.chunked_build import MemoryChunks
 from orograph.viewpoint import Camera
 from view import FLIGHTS
 
@@ -43,86 +53,111 @@ PATHS = [
     DATA / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif",
     DATA / "nrw-dom1-1m" / "dom1_32_356_5699_1_nw_2020.tif",
 ]
-SOME, TILE = 400, 256
-VERTICES, TRIANGLES, HUNG = (HEADER.index(name) for name in ("vertices", "triangles", "hung"))
+SOME, TILE, FRAME, SHARE = 400, 256, 3e5, 0.2
+"""Chunks of a level; samples of a tile; triangles of a frame; seconds that the GPU is measured."""
+VERTICES, TRIANGLES, HUNG, RUNS = (HEADER.index(name) for name in ("vertices", "triangles", "hung", "runs"))
+Name = tuple[int, int, int]
 
 
-def some_chunks(chunks: Any) -> list[tuple[int, int, int]]:
-    """Chunks of all levels, evenly spaced."""
-    found = []
+def some_chunks(chunks: Any, most: int) -> tuple[list[Name], list[Words]]:
+    """Chunks of all levels, evenly spaced, at most so many of each, and their words."""
+    names: list[Name] = []
     for level in range(chunks.layout.top + 1):
-        names = [(level, i, j) for i, j in np.ndindex(chunks.layout.chunks(level))]
-        found += names[:: -(-len(names) // SOME)]
-    return found
+        every = [(level, i, j) for i, j in np.ndindex(chunks.layout.chunks(level))]
+        names += every[:: -(-len(every) // most)]
+    return names, list(map_ordered(lambda name: chunks.words(*name), names))
 
 
-def sizes(chunks: Any, names: list[tuple[int, int, int]]) -> None:
-    """Bytes a triangle by level, and of all."""
+def sizes(layout: Layout, names: list[Name], words: list[Words]) -> None:
+    """Bytes a triangle, levels weighted by how many chunks they have."""
     rows: dict[int, list[Any]] = {}
-    for name in names:
-        words = chunks.words(*name)
-        v, t, e, s = (int(words[k]) for k in (VERTICES, TRIANGLES, HUNG, HEADER.index("sides")))
+    for name, coded in zip(names, words, strict=True):
+        mesh = decoded(coded, layout, *name)
+        _, first = np.unique(mesh.places, axis=0, return_index=True)
+        t, e, v, s = len(mesh.triangles), int(coded[HUNG]), len(first), int((mesh.low[first] != MISSING).sum())
         bare, whole = 12 * t + 12 * v, 12 * (t + 2 * e) + 16 * v + 12 * s
-        share = np.prod(chunks.layout.chunks(name[0])) / sum(n[0] == name[0] for n in names)
-        rows.setdefault(name[0], []).append(np.array([t, 4 * len(words), bare, whole]) * share)
-    total = np.zeros(4)
-    for level, each in rows.items():
-        t, coded, bare, whole = np.sum(each, 0)
-        total += (t, coded, bare, whole)
-        if level < 3:
-            print(f"  level {level}: {t:,.0f} triangles, {coded / t:.2f} bytes each, indexed {bare / t:.1f}")
-    t, coded, bare, whole = total
+        share = np.prod(layout.chunks(name[0])) / sum(n[0] == name[0] for n in names)
+        numbers = t, 4 * len(coded), bare, whole, v, len(mesh.places), int(coded[RUNS])
+        rows.setdefault(name[0], []).append(np.array(numbers) * share)
+    t, coded_, bare, whole, v, there, runs = np.sum([np.sum(each, 0) for each in rows.values()], 0)
     print(
-        f"  all: {t:,.0f} triangles, {coded / t:.3f} bytes each; indexed {bare / t:.2f} ({bare / coded:.1f} ×), "
-        f"with morphs and skirts {whole / t:.2f} ({whole / coded:.1f} ×)"
+        f"  {t:,.0f} triangles, {coded_ / t:.3f} bytes each; indexed {bare / t:.2f} ({bare / coded_:.1f} ×), "
+        f"with morphs and skirts {whole / t:.2f} ({whole / coded_:.1f} ×); {t / runs:.0f} triangles a run, "
+        f"{there / v:.2f} vertices in place of one"
     )
 
 
-def rates(device: Device, chunks: Any, names: list[tuple[int, int, int]], times: int) -> None:
+class Batch:
+    """Chunks to be decoded, repeated until there are so many triangles, and the buffers for them."""
+
+    def __init__(self, device: Device, layout: Layout, names: list[Name], words: list[Words], most: float) -> None:
+        self.device, self.layout, self.decoder = device, layout, Decoder(device)
+        ends = np.cumsum([int(one[TRIANGLES]) for one in words])
+        count = int(np.searchsorted(ends, most)) + 1
+        times = max(round(most / int(ends[-1])), 1)
+        self.names, self.words = names[:count] * times, words[:count] * times
+        counts = np.array([(int(w[VERTICES]), int(w[TRIANGLES]) + 2 * int(w[HUNG])) for w in self.words])
+        ends = np.cumsum(counts, 0)
+        self.places = [(v, t) for v, t in (ends - counts).tolist()]
+        self.triangles, self.bytes = int(ends[-1, 1]), 4 * sum(map(len, self.words))
+        self.buffers = [
+            device.buffer(size * int(end), "STORAGE|COPY_SRC") for size, end in zip((20, 12), ends[-1], strict=True)
+        ]
+
+    def call(self) -> None:
+        """Decode all, as a frame has it done."""
+        self.decoder.decode(self.layout, self.names, self.words, self.places, *self.buffers)
+        self.device.wait()
+
+    def by_clock(self, times: int) -> float:
+        """Seconds of the GPU for one decoding, by its own clock if it has one."""
+        clock = Clock(self.device)
+        group, count = self.decoder.prepare(self.layout, self.names, self.words, self.places, *self.buffers)
+
+        def some(repeats: int) -> float:
+            self.device.wait()
+            begun = time.perf_counter()
+            clock.begin()
+            encoder = self.device.handle.create_command_encoder()
+            self.decoder.record(encoder, group, count, repeats)
+            self.device.queue.submit([encoder.finish()])
+            clock.end()
+            self.device.wait()
+            wall = time.perf_counter() - begun
+            return (clock.seconds() or wall) / repeats
+
+        some(1)
+        repeats = int(min(max(SHARE / some(1), 1), 500))
+        return min(some(repeats) for _ in range(times))
+
+    def upload(self, plain: list[Any]) -> None:
+        """Bring what was decoded."""
+        for buffer, data in zip(self.buffers, plain, strict=True):
+            write(self.device, buffer, data)
+        self.device.wait()
+
+
+def rates(device: Device, layout: Layout, names: list[Name], words: list[Words], options: argparse.Namespace) -> None:
     """Triangles a second: decoded by the GPU, brought to it as they are, decoded by the CPU."""
-    words = [chunks.words(*name) for name in names]
-    counts = np.array([(int(w[VERTICES]), int(w[TRIANGLES]) + 2 * int(w[HUNG])) for w in words])
-    ends = np.cumsum(counts, 0)
-    places = [(v, t) for v, t in (ends - counts).tolist()]
-    vertices = device.buffer(20 * int(ends[-1, 0]), "STORAGE|COPY_SRC")
-    triangles = device.buffer(12 * int(ends[-1, 1]), "STORAGE|COPY_SRC")
-    decoder, layout = Decoder(device), chunks.layout
-
-    def by_gpu() -> None:
-        decoder.decode(layout, names, words, places, vertices, triangles)
-        device.wait()
-
-    by_gpu()
-    plain = [device.read_buffer(buffer).copy() for buffer in (vertices, triangles)]
-
-    def upload() -> None:
-        for buffer, data in zip((vertices, triangles), plain, strict=True):
-            write(device, buffer, data)
-        device.wait()
-
-    def by_cpu() -> None:
-        for name, word in zip(names, words, strict=True):
-            decoded(word, layout, *name)
-
-    took: dict[str, list[tuple[float, float]]] = {}
-    for _ in range(times):
-        for what in (by_gpu, upload, by_cpu):
-            begun, worked = time.perf_counter(), time.process_time()
-            what()
-            spent = time.perf_counter() - begun, time.process_time() - worked
-            took.setdefault(what.__name__, []).append(spent)
-    t = int(ends[-1, 1])
-    rate = {name: t / np.min(of, 0) / 1e6 for name, of in took.items()}
-    size = sum(map(len, words)) * 4, sum(p.nbytes for p in plain)
-    print(
-        f"  {t:,} triangles, {size[0] / 1e6:.2f} MB, decoded {size[1] / 1e6:.1f} MB; M triangles/s by the clock (and "
-        f"for a second of the processors): GPU {told(rate['by_gpu'])}, uploading {told(rate['upload'])}, "
-        f"CPU, one thread, {told(rate['by_cpu'])}"
-    )
-
-
-def told(rate: Any) -> str:
-    return f"{rate[0]:.2f} ({rate[1]:.2f})"
+    order = np.random.default_rng(1).permutation(len(names)).tolist()
+    names, words = [names[k] for k in order], [words[k] for k in order]
+    for what, most in (("a frame", FRAME), ("a batch", options.batch * 1e6)):
+        batch = Batch(device, layout, names, words, most)
+        own = batch.by_clock(options.times)
+        batch.call()
+        plain = [device.read_buffer(buffer).copy() for buffer in batch.buffers]
+        call = min(timed(batch.call)[1] for _ in range(options.times)) / 1e3
+        upload = min(timed(partial(batch.upload, plain))[1] for _ in range(options.times)) / 1e3
+        size, million = sum(data.nbytes for data in plain), batch.triangles / 1e6
+        print(
+            f"  {what}: {batch.triangles:,} triangles, {batch.bytes / 1e6:.2f} MB → {size / 1e6:.1f} MB; GPU "
+            f"{own * 1e3:.3f} ms, {million / own:.1f} M triangles/s; with uploading and Python "
+            f"{call * 1e3:.2f} ms, {million / call:.1f}; uploading what is decoded {upload * 1e3:.2f} ms, "
+            f"{million / upload:.1f}"
+        )
+    begun, few = time.process_time(), range(min(len(names), 100))
+    made = sum(len(decoded(words[k], layout, *names[k]).triangles) for k in few)
+    print(f"  CPU, one thread: {made / (time.process_time() - begun) / 1e6:.2f} M triangles/s")
 
 
 def timed(what: Callable[[], Any]) -> tuple[Any, float]:
@@ -237,32 +272,51 @@ def views_of(device: Device, stores: dict[str, Path], options: argparse.Namespac
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("paths", nargs="*", type=Path, default=PATHS)
+    parser.add_argument("paths", nargs="*", type=Path)
+    parser.add_argument("--synthetic", type=int, metavar="SIDE", help="a synthetic terrain of so many samples a side")
     parser.add_argument("--cells", type=int, default=32)
     parser.add_argument("--times", type=int, default=5)
+    parser.add_argument("--batch", type=float, default=4.0, help="million triangles")
     parser.add_argument("--tolerance", type=float, default=1.0)
     parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--no-views", action="store_true")
     options = parser.parse_args()
-    device = open_device()
+    device, kind = open_device(), Kind(options.cells, 0.0, True)
     print(device.adapter.name)
-    for path in options.paths:
+    if options.synthetic:
+        terrain: Any = in_memory(orograph.synth(size=options.synthetic, seed=7))
+        measure(device, f"synthetic {options.synthetic}²", MemoryChunks(terrain, kind), options)
+        return
+    for path in options.paths or PATHS:
         dem: Dem = orograph.read(path)
+        if options.no_views:
+            measure(device, path.name, MemoryChunks(in_memory(dem), kind), options)
+            continue
         with tempfile.TemporaryDirectory() as folder:
-            stores = {name: Path(folder) / name for name in ("compact", "compressed", "chunks")}
-            whole = bool((np.nan_to_num(dem.heights) == np.rint(np.nan_to_num(dem.heights))).all())
-            orograph.build(
-                dem, stores["compact"], codec="compact", max_error=0.5 if whole else 0.01, progress=False
-            ).close()
-            orograph.build(dem, stores["compressed"], chunked=(options.cells, 0, True), progress=False).close()
-            orograph.build(dem, stores["chunks"], chunked=(options.cells, 0), progress=False).close()
-            chunks = orograph.open(stores["compressed"]).derived(
-                "chunked", cells=options.cells, finest=0.0, compressed=True
+            stores = built(dem, Path(folder), options.cells)
+            measure(
+                device, path.name, orograph.open(stores["compressed"]).derived("chunked", **kind._asdict()), options
             )
-            names = some_chunks(chunks)
-            print(f"{path.name}, {options.cells} cells, error of level 0 {chunks.error:.3g} m")
-            sizes(chunks, names)
-            rates(device, chunks, names, options.times)
             views_of(device, stores, options)
+
+
+def measure(device: Device, what: str, chunks: Any, options: argparse.Namespace) -> None:
+    """Bytes and rates of some of a terrain's chunks."""
+    (names, words), took = timed(lambda: some_chunks(chunks, SOME // 4 if options.synthetic else SOME))
+    print(f"{what}, {options.cells} cells, error of level 0 {chunks.error:.3g} m, made in {took / 1e3:.1f} s")
+    sizes(chunks.layout, names, words)
+    rates(device, chunks.layout, names, words, options)
+
+
+def built(dem: Dem, folder: Path, cells: int) -> dict[str, Path]:
+    """A store of each kind."""
+    stores = {name: folder / name for name in ("compact", "compressed", "chunks")}
+    whole = bool((np.nan_to_num(dem.heights) == np.rint(np.nan_to_num(dem.heights))).all())
+    error = 0.5 if whole else 0.01
+    orograph.build(dem, stores["compact"], codec="compact", max_error=error, progress=False).close()
+    orograph.build(dem, stores["compressed"], chunked=(cells, 0, True), progress=False).close()
+    orograph.build(dem, stores["chunks"], chunked=(cells, 0), progress=False).close()
+    return stores
 
 
 if __name__ == "__main__":

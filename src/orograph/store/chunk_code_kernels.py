@@ -274,8 +274,8 @@ def trace(slots, places, heights, low, about, paths, span, node, stack, waiting,
 
     Returns: how many steps and vertices there are, and the depth of the node that the run lies in.
     """
-    first, last = span
-    path, depth = paths[first]
+    first, last = span[0], span[1]
+    path, depth = paths[first, 0], paths[first, 1]
     other, common = path ^ paths[last - 1, 0], min(depth, paths[last - 1, 1])
     for k in range(common, -1, -1):
         if other >> k & 1:
@@ -325,7 +325,7 @@ def trace(slots, places, heights, low, about, paths, span, node, stack, waiting,
 @inlined
 def spell(told, about, rices, path, depth, common, names, steps, words, at):
     """Write a run down. Args: as of ``trace``; ``words``, ``at``: where, as of ``write``. Returns where it ends."""
-    least, shift = np.int64(1) << 62, 0
+    least, shift = 1 << 62, 0
     for some in range(-4, 4):
         whole = 0
         for step in steps:
@@ -390,8 +390,8 @@ def write_runs(slots, places, heights, low, told, about, rices, paths, spans, wo
             slots, places, heights, low, about, paths, spans[run], node, stack, waiting, counts, names, steps,
             table[run],
         )  # fmt: skip
-        path, depth = paths[spans[run, 0]]
-        end = spell(told, about, rices, path, depth, common, names, steps[:count], words, at)
+        first = spans[run, 0]
+        end = spell(told, about, rices, paths[first, 0], paths[first, 1], common, names, steps[:count], words, at)
         table[run, 0], table[run, 1] = (end - at + 31) >> 5, made
         at += 32 * table[run, 0]
     return at >> 5
