@@ -49,6 +49,9 @@ WANTED = (
 )
 """Limits raised this far where an adapter allows it. Pictures are larger and finer for it; none needs it."""
 
+WRITTEN = 1 << 20
+"""Bytes from which a buffer is written once it is there: wgpu-py fills others in Python, and holds the interpreter."""
+
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 _INCLUDE = re.compile(r"^//\s*include:\s*(\S+)\s*$", re.MULTILINE)
 _WHEN = re.compile(r"^ *//\s*(when|unless):\s*(\w+)\s*\n(.*?)^ *//\s*end: \2\s*$", re.MULTILINE | re.DOTALL)
@@ -269,7 +272,11 @@ class Device:
         with self._spared(label, size, remedy):
             if isinstance(data, int):
                 return self.handle.create_buffer(label=label, size=-(-data // 4) * 4, usage=flags)
-            return self.handle.create_buffer_with_data(label=label, data=np.ascontiguousarray(data), usage=flags)
+            if size < WRITTEN:
+                return self.handle.create_buffer_with_data(label=label, data=np.ascontiguousarray(data), usage=flags)
+            made = self.handle.create_buffer(label=label, size=-(-size // 4) * 4, usage=flags)
+            self.queue.write_buffer(made, 0, np.ascontiguousarray(data))
+            return made
 
     @contextmanager
     def _spared(self, label: str, size: int, remedy: str) -> Iterator[None]:

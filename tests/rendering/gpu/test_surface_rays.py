@@ -30,7 +30,8 @@ from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.readback import depth_of
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY
-from orograph.rendering.gpu.surface.rays import BEAM, CastWindows, RayPass, Windows
+from orograph.rendering.gpu.surface.rays import BEAM, RayPass
+from orograph.rendering.gpu.surface.windows import CastWindows, Windows, gaps
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
@@ -319,10 +320,40 @@ def test_windows_that_stay_are_not_brought_again(device: Device) -> None:
     first = both.selected(look((x, y, 900.0), 10.0, -20.0, 1000.0), 1.0)
     same = both.selected(look((x + 1.0, y, 900.0), 10.0, -20.0, 1000.0), 1.0)
     assert same.pool is first.pool and len(first.windows) > 1
+    assert same.held is first.held
     other = both.selected(look((x, y, 900.0), 190.0, -20.0, 1000.0), 1.0)
-    assert other.pool is not first.pool
+    assert other.pool is first.pool and other.held is not first.held
     shared = set(first.windows) & set(other.windows)
     assert shared and all(first.held[where] is other.held[where] for where in shared)
+
+
+@pytest.mark.parametrize("room", [1 << 27, 3 << 21])
+def test_windows_of_frames_that_may_still_be_drawn_stay_as_they_are(device: Device, room: int) -> None:
+    """Those of the last selection and of the one before it, whatever is brought, with plenty of memory and little."""
+    terrain = GROUNDS["nested windows"]()
+    both, rng, moved = Both(device, terrain, room), np.random.default_rng(4), 0
+    made, expected = list[CastWindows](), list[list[NDArray[np.float32]]]()
+
+    def values(windows: CastWindows) -> list[NDArray[np.float32]]:
+        pool = device.read_buffer(windows.pool, np.float32)
+        return [pool[at : at + lying.size] for lying, at in windows.held.values()]
+
+    for _ in range(12):
+        x, y = (float(v) for v in terrain.grid.xy(*rng.uniform(300, 1200, 2)))
+        camera = look((x, y, 900.0), float(rng.uniform(0, 360)), -20.0, 1000.0)
+        made.append(both.selected(camera, 1.0))
+        expected.append(values(Both(device, terrain, room).selected(camera, 1.0)))
+        moved += len(made) > 1 and made[-1].pool is not made[-2].pool
+        for one, right in zip(made[-2:], expected[-2:], strict=True):
+            assert all(np.array_equal(a, b) for a, b in zip(values(one), right, strict=True))
+    assert moved == 0 if room > 1 << 26 else moved > 3
+
+
+def test_gaps_are_between_what_is_taken() -> None:
+    assert gaps([], 10, [4, 6]) == [0, 4]
+    assert gaps([], 10, [4, 7]) is None
+    assert gaps([(2, 4), (3, 6), (8, 9)], 12, [2, 3, 2]) == [0, 9, 6]
+    assert gaps([(0, 12)], 12, [1]) is None and gaps([(0, 12)], 12, []) == []
 
 
 # ---- pictures and frames -------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from orograph import verify
 from orograph.gpu.device import Device
@@ -27,7 +28,7 @@ from orograph.lod.registry import chosen
 from orograph.lod.triangle_patches import TrianglePatches
 from orograph.rendering.gpu.draw import draw
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.stream.diamonds import DiamondPages
+from orograph.rendering.gpu.stream.diamonds import DiamondPages, packed
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.tree import LEAST, Tree
 from orograph.scene.scene import Scene
@@ -61,6 +62,48 @@ def valid(pool: Pool, n: int) -> bool:
 
 def vertices_of(pool: Pool) -> set[int]:
     return set(pool.corners(pool.leaves).ravel().tolist())
+
+
+def unpacked(words: NDArray[np.uint32]) -> NDArray[np.float32]:
+    """The vertices (…, 4) that ``packed`` made so."""
+    out = np.empty((*words.shape[:-1], 4), np.float32)
+    out[..., 0] = words[..., 0].view(np.float32)
+    for k, least in enumerate((2.0**-16, 2.0**-8)):
+        code = (words[..., 1] >> (15 * k) & 0x7FFF).astype(np.int64)
+        value = least * 2.0 ** (code >> 10) * (1 + (code & 1023) / 1024)
+        out[..., 1 + k] = np.where(code == 0, 0.0, np.where(code == 0x7FFF, np.inf, value))
+    out[..., 2] = np.where(words[..., 1] >> 30 & 1, -1.0, out[..., 2])
+    out[..., 3] = np.where(words[..., 1] >> 31, -1.0, 0.0)
+    return out
+
+
+def test_vertices_are_packed_a_little_too_large(device: Device) -> None:
+    rng = np.random.default_rng(3)
+    page = np.empty((1000, 4), np.float32)
+    page[:, 0] = rng.normal(0, 1e4, 1000)
+    page[:, 1:3] = 10.0 ** rng.uniform([-4.5, -2], [4.5, 7], (1000, 2))
+    page[:, 3] = 0.0
+    page[:4, 1], page[4:9, 2], page[5:7, 3] = (0.0, np.inf, 1e9, 1e-30), (0.0, -1.0, -5e5, 1e20, 1e-9), (-1.0, -1.5)
+    found = unpacked(packed(page))
+    assert np.array_equal(found[:, 0], page[:, 0]) and np.array_equal(found[:, 3] < 0, page[:, 3] < 0)
+    assert np.array_equal(found[:, 2] < 0, page[:, 2] < 0)
+    assert (found[[0, 4], [1, 2]] == 0).all() and np.isinf(found[[1, 2, 7], [1, 1, 2]]).all()
+    for k, least in ((1, 2.0**-16), (2, 2.0**-8)):
+        given = np.maximum(page[:, k], 0)
+        usual = np.isfinite(found[:, k]) & (page[:, k] > 0)
+        assert (found[usual, k] >= given[usual]).all()
+        assert (found[usual, k] <= np.maximum(given[usual], least) * (1 + 2.0**-10)).all()
+
+
+@pytest.fixture
+def rounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The CPU has the GPU's errors and radii: those that are packed and unpacked again."""
+    real = Vertices.page
+
+    def page(self: Vertices, *args: int) -> NDArray[np.float32]:
+        return unpacked(packed(real(self, *args)))
+
+    monkeypatch.setattr(Vertices, "page", page)
 
 
 @pytest.mark.parametrize(
@@ -120,6 +163,7 @@ def test_every_update_leaves_a_conforming_mesh_and_right_sums(device: Device) ->
 
 
 @pytest.mark.parametrize("metric", ["anisotropic", "isotropic"])
+@pytest.mark.usefixtures("rounded")
 def test_the_promise_holds_and_the_cpu_makes_the_same_mesh(device: Device, metric: str) -> None:
     rng = np.random.default_rng(5)
     t = plain.terrain(plain.rough(rng, (257, 300), amplitude=300, gaps=0.04), stretch=0.7)

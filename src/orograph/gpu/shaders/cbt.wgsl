@@ -28,7 +28,7 @@ struct Tuning {
 @group(0) @binding(7) var<storage, read> sums: array<u32>;
 @group(0) @binding(8) var<storage, read> pages: array<u32>;                 // slot + 1 in the atlas
 @group(0) @binding(9) var<storage, read_write> asked: array<atomic<u32>>;   // bits of pages that were looked for in vain
-@group(0) @binding(10) var diamonds: texture_2d_array<f32>;                 // height, error, radius, 1 where a sample is missing
+@group(0) @binding(10) var diamonds: texture_2d_array<u32>;                 // stream/diamonds.py: packed
 
 const PAGE: i32 = 256;
 const PAGES_PER_SIDE: i32 = 4;
@@ -68,6 +68,11 @@ fn decode(i: u32, clear: bool) -> u32 {
   }
   let word = atomicLoad(&bits[node - words]);
   return (node - words) * 32u + nth(select(word, ~word, clear), left);
+}
+
+// Metres of a number of 15 bits, counted from a float32.
+fn unpacked(code: u32, least: u32) -> f32 {
+  return select(select(bitcast<f32>(least + (code << 13u)), 3e38, code == 0x7FFFu), 0.0, code == 0u);
 }
 
 struct Verdict { state: u32, height: f32 };
@@ -142,16 +147,18 @@ fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   let place = slot % (PAGES_PER_SIDE * PAGES_PER_SIDE);
   let origin = vec2<i32>(place % PAGES_PER_SIDE, place / PAGES_PER_SIDE) * (PAGE + 1);
   let found = textureLoad(diamonds, origin + at - page * PAGE, slot / (PAGES_PER_SIDE * PAGES_PER_SIDE), 0);
-  let height = select(found.x, MISSING_HEIGHT, found.w != 0.0);
-  if (found.z < 0.0) {
+  let ground = bitcast<f32>(found.x);
+  let height = select(ground, MISSING_HEIGHT, (found.y >> 31u) != 0u);
+  if (((found.y >> 30u) & 1u) != 0u) {
     return Verdict(DROP, height);
   }
-  let p = vec3<f32>(from_eye(vec2<f32>(min(l, camera.last) - camera.eye_cell)), above_eye(found.x));
-  let radius = found.z * tuning.stretch;
+  let error = unpacked(found.y & 0x7FFFu, 0x37800000u);
+  let p = vec3<f32>(from_eye(vec2<f32>(min(l, camera.last) - camera.eye_cell)), above_eye(ground));
+  let radius = unpacked((found.y >> 15u) & 0x7FFFu, 0x3B800000u) * tuning.stretch;
   if (tuning.cull == 1u && outside(p, radius)) {
     return Verdict(DROP, height);
   }
-  return Verdict(select(LEAF, INACCURATE, found.y > 1e37 || exceeds(p, found.y, radius)), height);
+  return Verdict(select(LEAF, INACCURATE, error > 1e37 || exceeds(p, error, radius)), height);
 }
 
 fn octave_of(level: u32) -> u32 {

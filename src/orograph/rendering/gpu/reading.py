@@ -16,10 +16,10 @@ from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.surface.ground import Ground
-from orograph.rendering.gpu.surface.rays import CastWindows
 from orograph.rendering.gpu.surface.resident import Resident
 from orograph.rendering.gpu.surface.tree import TreeFrame
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
+from orograph.rendering.gpu.surface.windows import CastWindows
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.jitter import Jitter
 from orograph.scene.scene import Scene

@@ -88,14 +88,14 @@ class RayField:
         frame["exaggeration"], frame["spacing"] = exaggeration, math.sqrt(abs(np.linalg.det(cells)))
         frame["count"], frame["stride"], frame["rays"], frame["total"] = len(windows), 1, 1, 1
         pool = Pool.of(windows, [build_mips(w.heights, jobs) for w in windows], shape)
-        for k, w in enumerate(pool.windows):
+        for k, w in enumerate(pool.table.windows):
             table = frame["windows"][k]
             table[0] = *w.first, *w.cells
             table[1] = w.offset, w.stride, w.level, w.node
             end = (np.array(w.last) - w.first) * 2.0**-w.level
             table[2] = w.top, *end.astype(np.float32).view(np.int32), 0
-        frame["nodes"][: len(pool.nodes), :2] = pool.nodes[:, :2]
-        frame["top"] = pool.high
+        frame["nodes"][: len(pool.table.nodes), :2] = pool.table.nodes[:, :2]
+        frame["top"] = pool.table.high
         return cls(pool.values, frame, turn)
 
 

@@ -1,10 +1,11 @@
 """Pages of diamonds on the GPU: what a tree that lives there asks of a vertex, in an atlas filled by threads.
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
-height, an error, the radius of its sphere, and whether its sample is missing (float32). Wanted are the pages of all
-tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do not, and those
-of coarser levels there; and where ground and missing ground share a tile, whose edge a tree follows to the sample,
-those whose samples are larger than the tolerance. A picture that waits asks the tree itself, too (``take_asked``): then
+height, an error, the radius of its sphere, and whether its sample is missing, in 8 bytes (``packed``). Wanted are the
+pages of the tiles out of which patches take away an error larger than the tolerance, for a tree splits nothing that
+patches do not (and patches, which grow, begin at smaller errors), and those of coarser levels there; and where ground
+and missing ground share a tile, whose edge a tree follows to the sample, those whose samples are larger than the
+tolerance. A picture that waits asks the tree itself, too (``take_asked``): then
 it follows such edges to the end. The coarsest pages never leave. Pixels.
 """
 
@@ -17,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import kernel
 from orograph.gpu.device import Device
 from orograph.lod.field import Vertices
 from orograph.lod.triangle_patches import Patches
@@ -29,8 +31,11 @@ from orograph.rendering.gpu.stream.wanted import Tree
 from orograph.store.terrain import TILE
 from orograph.viewpoint import View
 
-INFINITE = np.float32(3e38)
-"""Metres: the error of a mixed diamond (shaders cannot rely on infinity)."""
+LEAST, BITS = (0x37800000, 0x3B800000), 13
+"""Errors and radii are 15 bits: a float32's exponent and upper 10 bits of its fraction, counted from 2⁻¹⁶ and 2⁻⁸ m."""
+
+INFINITE, EMPTY, MISSING = 0x7FFF, 1 << 30, 1 << 31
+"""The code of a mixed diamond's error; what marks empty diamonds, and samples that are missing."""
 
 UNKNOWN = 1e6
 """Pixels: larger errors are not distinguished."""
@@ -58,6 +63,7 @@ class DiamondPages:
         self.levels = np.zeros((32, 4), np.uint32)
         for k, (rows, cols) in enumerate(shapes):
             self.levels[k, :3] = offsets[k], rows, cols
+        self._offsets, self._across = offsets[:-1].astype(np.int64), np.array([cols for _, cols in shapes], np.int64)
         self._edges = _edges(vertices, self.tables)
         self._streamer: Streamer[Literal["diamonds"], Key] = Streamer(
             lambda kind, key: self._page(key), jobs or (REMOTE_READERS if terrain.remote else READERS)
@@ -86,7 +92,7 @@ class DiamondPages:
             self.atlas.insert(key, data, self._frame - 1)
             count += 1
         self.atlas.flush()
-        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration)
+        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration, beyond=tolerance)
         self._lacking = keys[:ASK]
         self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
         return count > 0
@@ -135,10 +141,11 @@ class DiamondPages:
         self._streamer.close()
 
     def _lacking_of(
-        self, view: View, patches: Patches, tolerance: float, exaggeration: float
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float, beyond: float = 0.0
     ) -> tuple[list[Key], list[float]]:  # fmt: skip
-        """The absent pages that a view wants, by the error that each removes, largest first."""
-        pixels = self._wanted(view, patches, tolerance, exaggeration)
+        """The absent pages that a view wants, by the error that each removes, largest first; of patches only those that
+        are ``beyond`` so many pixels."""
+        pixels = self._wanted(view, patches, tolerance, exaggeration, beyond)
         which = np.flatnonzero(pixels)
         lack = which[self.atlas.lacking(which, self._frame)]
         order = np.argsort(-pixels[lack], kind="stable")
@@ -147,14 +154,16 @@ class DiamondPages:
         return self._keys(lack[order]), found.tolist()
 
     def _wanted(
-        self, view: View, patches: Patches, tolerance: float, exaggeration: float
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float, beyond: float
     ) -> NDArray[np.float64]:  # fmt: skip
         """The error that each page of the table removes, pixels; 0 where it is not wanted."""
         pixels, tables = np.zeros(self.tables.total), self.tables
         if view.projection != "plan":  # in which heights displace nothing
-            level, row, col = patches.tiling.where(patches.tiles)
-            offsets, cols = np.array(tables.offsets), np.array([cols for _, cols in tables.shapes])
-            np.maximum.at(pixels, offsets[level] + row * cols[level] + col, np.maximum(patches.pixels, 1e-9))
+            some = patches.pixels > beyond if beyond else slice(None)
+            level, row, col = patches.tiling.where(patches.tiles[some])
+            np.maximum.at(
+                pixels, self._offsets[level] + row * self._across[level] + col, np.maximum(patches.pixels[some], 1e-9)
+            )
         if self._edges is not None:
             tree, places = self._edges
             which, samples = tree.of(view, exaggeration, pixels=tolerance)
@@ -168,9 +177,8 @@ class DiamondPages:
 
     def _keys(self, places: NDArray[np.int64]) -> list[Key]:
         """Levels, rows and columns of places in the page table."""
-        offsets = np.array(self.tables.offsets)
-        level = np.searchsorted(offsets, places, side="right") - 1
-        row, col = np.divmod(places - offsets[level], np.array([cols for _, cols in self.tables.shapes])[level])
+        level = np.searchsorted(self._offsets, places, side="right") - 1
+        row, col = np.divmod(places - self._offsets[level], self._across[level])
         return list(zip(level.tolist(), row.tolist(), col.tolist(), strict=True))
 
     def _load(self, keys: list[Key], *, pin: bool = False) -> int:
@@ -181,11 +189,37 @@ class DiamondPages:
         self.atlas.flush()
         return count
 
-    def _page(self, key: Key) -> NDArray[np.float32]:
-        data = self.vertices.page(*key, TILE + 1)
-        np.minimum(data[..., 1], INFINITE, out=data[..., 1])
-        data[..., 3] = data[..., 3] < 0
-        return data
+    def _page(self, key: Key) -> NDArray[np.uint32]:
+        return packed(self.vertices.page(*key, TILE + 1))
+
+
+def packed(page: NDArray[np.float32]) -> NDArray[np.uint32]:
+    """Vertices (…, 4) of ``lod.field`` as shaders read them: (…, 2) uint32.
+
+    The first number is the height's float32. The second has the error in its lower 15 bits and the radius in the next
+    15, both rounded up by less than a part in 1024; then ``EMPTY`` and ``MISSING``.
+    """
+    out = np.empty((*page.shape[:-1], 2), np.uint32)
+    _pack(page.reshape(-1, 4), page.view(np.int32).reshape(-1, 4), out.reshape(-1, 2))
+    return out
+
+
+@kernel
+def _pack(page, bits, out):
+    for i in range(len(page)):
+        out[i, 0] = np.uint32(bits[i, 0])
+        code = np.int64(0)
+        for k in range(1, 3):
+            part = np.int64(0)
+            if page[i, k] > 0.0:  # (0 is for none)
+                part = (np.int64(bits[i, k]) - LEAST[k - 1] + (1 << BITS) - 1) >> BITS
+                part = min(max(part, 1), INFINITE)
+            code |= part << (15 * (k - 1))
+        if page[i, 2] < 0.0:
+            code |= EMPTY
+        if page[i, 3] < 0.0:
+            code |= MISSING
+        out[i, 1] = np.uint32(code)
 
 
 def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:

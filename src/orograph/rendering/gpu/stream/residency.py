@@ -1,6 +1,7 @@
 """Which patches a frame draws, and the tiles they are drawn from: the method, the atlases and the streamer together.
 
-A frame selects the patches of its view among those whose tiles are resident; missing tiles are requested, largest error
+A frame selects the patches of its view among those whose tiles are resident, unless it is the last frame's view and no
+tile has come or gone; missing tiles are requested, largest error
 in pixels first, and arrive asynchronously. While the camera moves, so is what it will lack in a moment
 (``prediction``): a tile's error then counts ``AHEAD`` times, added to what it is now. The coarsest tiles are loaded at
 the beginning and stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
@@ -94,6 +95,8 @@ class Residency:
         self._asked: dict[tuple[Kind, Key], float] = {}
         self._frame = 0
         self._full = False
+        self._drawn = True
+        self._known: tuple[Any, Patches | None] = None, None
         self.came: list[Key] = []
         top = terrain.levels - 1
         for make, atlas in ((height_tile, self.heights), (slope_tile, self.slopes)):
@@ -104,20 +107,21 @@ class Residency:
             atlas.flush()
 
     def choose(
-        self, view: View, tolerance: float, exaggeration: float, *, wait: bool, later: bool = False
+        self, view: View, tolerance: float, exaggeration: float, *, wait: bool, later: bool = False, drawn: bool = True
     ) -> Chosen:  # fmt: skip
         """The patches of a view.
 
         Args:
             wait: until all tiles that the view wants are resident, or the atlases are full.
             later: missing tiles are not requested before ``prepare``.
+            drawn: whether anything is drawn out of the heights' tiles; otherwise none are requested.
 
         Raises:
             StoreError: with ``wait``, a tile cannot be read.
         """
         # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
         self._frame += 2 if wait else 1
-        self._full = False
+        self._full, self._drawn = False, drawn
         self.came.clear()
         loaded, size = self._upload(wait)
         if wait:
@@ -172,12 +176,16 @@ class Residency:
     def _select(self, view: View, tolerance: float, exaggeration: float, wait: bool) -> tuple[Patches, int, float]:
         """The patches to draw, the number of missing tiles that can be read, and the seconds it took."""
         begun = time.perf_counter()
-        judged, frustum = _judged(view, exaggeration)
-        patches = self._patches(
-            judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, self.heights.pages, wait)
-        )
+        known, patches = self._known
+        key = view, tolerance, exaggeration, wait, self.heights.changes
+        if patches is None or known != key or patches.stats["absent"]:
+            judged, frustum = _judged(view, exaggeration)
+            patches = self._patches(
+                judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, self.heights.pages, wait)
+            )
+            self._known = key, patches
         seconds = time.perf_counter() - begun
-        wanted, missing = self._lacking(view, patches, exaggeration, self._frame)
+        wanted, missing = self._lacking(view, patches if self._drawn else None, exaggeration, self._frame)
         self._asked = {(kind, key): p for p, kind, key in wanted}
         return patches, missing - len(self._asked.keys() & self.streamer.failed.keys()), seconds
 
@@ -216,30 +224,35 @@ class Residency:
         ahead = self._prediction.ahead(now)
         if ahead is None:
             return
-        judged, frustum = _judged(ahead, exaggeration)
-        patches = self._patches(judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, wait=False))
+        patches = None
+        if self._drawn:
+            judged, frustum = _judged(ahead, exaggeration)
+            self._known = None, None  # (a selection replaces the one before)
+            patches = self._patches(judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, wait=False))
         # What is there already stays, if this frame and the last leave it room.
         self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
 
     def _lacking(
-        self, view: View, patches: Patches, exaggeration: float, frame: int
+        self, view: View, patches: Patches | None, exaggeration: float, frame: int
     ) -> tuple[list[tuple[float, Kind, Key]], int]:
-        """The missing tiles of a view, those of the largest errors, and their number.
+        """The missing tiles of a view (heights only for its patches), those of the largest errors, and their number.
 
         Resident ones are marked as wanted in a frame.
 
         No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
         all taking each other's place.
         """
-        tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
-        lack = self.heights.lacking(tiles, frame)
         wanted: list[tuple[float, Kind, Key]] = []
-        missing, most = int(lack.sum()), ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
-        if missing:
-            tiles, pixels = _largest(tiles[lack], pixels[lack], most)
-            level, row, col = (a.tolist() for a in patches.tiling.where(tiles))
-            keys = zip(level, row, col, strict=True)
-            wanted += [(p, "heights", key) for p, key in zip(pixels.tolist(), keys, strict=True)]
+        missing, most = 0, ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
+        if patches is not None:
+            tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
+            lack = self.heights.lacking(tiles, frame)
+            missing = int(lack.sum())
+            if missing:
+                tiles, pixels = _largest(tiles[lack], pixels[lack], most)
+                level, row, col = (a.tolist() for a in patches.tiling.where(tiles))
+                keys = zip(level, row, col, strict=True)
+                wanted += [(p, "heights", key) for p, key in zip(pixels.tolist(), keys, strict=True)]
         which, priority = _largest(*self._slope_tiles.of(view, exaggeration), self.slopes.room)
         lack = self.slopes.lacking(self._slope_tiles.index[which], frame)
         if lack.any():

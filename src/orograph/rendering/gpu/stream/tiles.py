@@ -41,7 +41,7 @@ SIDES = {"heights": TILE + 1, "slopes": TILE + 2, "diamonds": TILE + 1}
 _FORMATS: dict[str, tuple[str, int]] = {
     "heights": ("r32float", 4),
     "slopes": ("rg16float", 4),
-    "diamonds": ("rgba32float", 16),
+    "diamonds": ("rg32uint", 8),
 }
 
 
@@ -199,7 +199,7 @@ class Atlas(TileAtlas):
     Attributes:
         kind: of the tiles.
         pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there. resident: uint8, as many: 1 where
-            it is there.
+            it is there. changes: how often a tile came or went.
     """
 
     def __init__(
@@ -211,7 +211,8 @@ class Atlas(TileAtlas):
         self.pages: NDArray[np.uint32] = np.zeros(self.tables.total, np.uint32)
         self.page_buffer = device.buffer(self.pages, "STORAGE", f"{kind} pages")
         self.resident: NDArray[np.uint8] = np.zeros(self.tables.total, np.uint8)
-        self._changed = False
+        self.changes = 0
+        self._flushed = 0
 
     def lacking(self, tiles: NDArray[np.int64], frame: int) -> NDArray[np.bool_]:
         """Which tiles, by their places in the page table, are not there; the others are noted as wanted in a frame."""
@@ -234,14 +235,14 @@ class Atlas(TileAtlas):
 
     def flush(self) -> None:
         """Bring the page table to the GPU if it changed."""
-        if self._changed:
+        if self._flushed != self.changes:
             self.device.queue.write_buffer(self.page_buffer, 0, self.pages)
-            self._changed = False
+            self._flushed = self.changes
 
     def _mark(self, key: Key, page: int) -> None:
         self.pages[self.tables.index(key)] = page
         self.resident[self.tables.index(key)] = page > 0
-        self._changed = True
+        self.changes += 1
 
 
 _MAKE: dict[Kind, Callable[[Terrain, Key], NDArray[Any]]] = {"heights": height_tile, "slopes": slope_tile}

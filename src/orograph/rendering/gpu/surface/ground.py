@@ -42,9 +42,10 @@ from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
 from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.pieces import DrawnPieces, PiecePass, Pieces
-from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
+from orograph.rendering.gpu.surface.rays import RayPass
 from orograph.rendering.gpu.surface.resident import Resident, ResidentMeshes
 from orograph.rendering.gpu.surface.tree import TreeFrame, TreePass
+from orograph.rendering.gpu.surface.windows import CastWindows, Windows
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
@@ -185,8 +186,9 @@ class Ground:
         """
         view, surface = scene.view, scene.surface
         chosen = self.tiles.choose(
-            freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True
-        )
+            freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True,
+            drawn=wait or streamed(scene) or self._of_tiles(scene),
+        )  # fmt: skip
         alive, camera = None if streamed(scene) else _living(scene), freeze or surface.mesh_view or view
         if alive is None:
             self._growing.none()
@@ -206,6 +208,11 @@ class Ground:
             self._mixer.forget()
         self._drawn = Drawn(chosen, found)
         return self._drawn
+
+    def _of_tiles(self, scene: Scene) -> bool:
+        """Whether the last frame drew patches, at least in part, or the scene's lines are looked up in their tiles."""
+        last = None if self._drawn is None else self._drawn.selection
+        return last is None or isinstance(last, Patches | Mixed) or scene.annotations.contours is not None
 
     @property
     def _mixes(self) -> bool:

@@ -31,8 +31,9 @@ from orograph.raycast.select import rectangles
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left
 from orograph.rendering.gpu.surface.patches import PatchPass
-from orograph.rendering.gpu.surface.rays import SPACING, CastWindows, RayPass, RaySteps, Windows
+from orograph.rendering.gpu.surface.rays import SPACING, RayPass, RaySteps
 from orograph.rendering.gpu.surface.shares import STATED, Costs, Frame, Labels, Shares, kept, share
+from orograph.rendering.gpu.surface.windows import CastWindows, Windows
 from orograph.rendering.gpu.targets import Targets, cleared
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -167,11 +168,12 @@ class Mixer:
         self.device, self.terrain, self.legs, self.draws = device, terrain, legs, draws
         self._camera = camera
         self._last: _Decided | None = None
+        self._drawn: tuple[View, int, Mixed, Patches] | None = None  # (patches: so that nothing else has their id)
         self._idle = 0
 
     def forget(self) -> None:
         """Another method draws."""
-        self._last, self._idle = None, 0
+        self._last, self._drawn, self._idle = None, None, 0
 
     def look(self) -> bool:
         """Whether windows are to be looked for in another frame."""
@@ -191,20 +193,28 @@ class Mixer:
         Args:
             patches: in view. tolerance: of rays, pixels. wait: it is a picture: decide by ``STATED`` costs, anew.
         """
-        last, screen = self._last, Screen.of(view, self.terrain.grid, exaggeration, windows.block)
-        key = exaggeration, tolerance, screen.shape, wait
-        if self._idle and last is not None and last.key == key:
-            return Mixed(patches.instances, last.cast)
+        last = self._last
+        key = exaggeration, tolerance, view.width, view.height, windows.block, wait
+        holds = last is not None and last.key == key and not wait
+        if last is not None and holds and (self._idle or _hardly_moved(last, view, windows)):
+            if not last.cast.by_rays.any():
+                return Mixed(patches.instances, last.cast)
+            before = self._drawn
+            if before is not None and before[:2] == (view, id(patches)) and before[2].cast is last.cast:
+                return before[2]
+        screen = Screen.of(view, self.terrain.grid, exaggeration, windows.block)
         rows, cols = self.terrain.grid.shape
         boxes = footprints(patches.instances, patches.spans, self.legs, (rows - 1, cols - 1), screen)
-        if last is None or last.key != key or wait or not _hardly_moved(last, view, windows):
+        if last is None or not holds or not _hardly_moved(last, view, windows):
             last = self._decided(patches, boxes, windows, view, exaggeration, tolerance, screen, wait=wait)
             if self._last is not None and _same(self._last.cast, last.cast):
                 last = last._replace(cast=self._last.cast)
             self._last = last._replace(key=key)
         cast = last.cast
-        drawn = patches.instances[kept(boxes, cast.by_rays)] if cast.by_rays.any() else patches.instances
-        return Mixed(drawn, cast)
+        some = patches.instances[kept(boxes, cast.by_rays)] if cast.by_rays.any() else patches.instances
+        drawn = Mixed(some, cast)
+        self._drawn = view, id(patches), drawn, patches
+        return drawn
 
     def _decided(
         self, patches: Patches, boxes: NDArray[np.int64], windows: MixableWindows, view: View, exaggeration: float,
@@ -312,7 +322,7 @@ def _hardly_moved(last: _Decided, view: View, windows: MixableWindows) -> bool:
     """Whether what was decided still holds: other windows or another place are looked at anew."""
     if last.view == view:
         return last.windows is windows
-    if last.windows.rays.pool is not windows.rays.pool or last.view.projection != view.projection:
+    if last.windows.rays.held is not windows.rays.held or last.view.projection != view.projection:
         return False
     ways = np.subtract([last.view.target, view.target], [last.view.eye, view.eye])
     far = float(np.linalg.norm(ways, axis=1).min())
@@ -321,7 +331,7 @@ def _hardly_moved(last: _Decided, view: View, windows: MixableWindows) -> bool:
 
 
 def _same(one: Cast, other: Cast) -> bool:
-    alike = one.windows.pool is other.windows.pool and one.side == other.side
+    alike = one.windows.held is other.windows.held and one.side == other.side
     return alike and np.array_equal(one.by_rays, other.by_rays)
 
 

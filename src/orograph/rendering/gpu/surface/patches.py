@@ -57,6 +57,7 @@ class PatchPass:
         self.indices = device.buffer(np.ascontiguousarray(indices, np.uint32), "INDEX", "triangles")
         self.stride, self.capacity, self.missing = stride, 0, missing
         self.instances: Any = None
+        self._brought: NDArray[Any] | None = None
         self._pipelines: dict[tuple[bool, Slopes], Any] = {}
         program = self._program(False, "")
         atlases = {"heights": heights, "slopes": slopes[0], "pages": slopes[1], "levels": slopes[2]}
@@ -85,8 +86,10 @@ class PatchPass:
         pass_.end()
 
     def bring(self, instances: NDArray[Any]) -> None:
-        """Bring instances to the GPU."""
-        n = len(instances)
+        """Bring instances to the GPU, unless the same array was brought last."""
+        if instances is self._brought:
+            return
+        self._brought, n = instances, len(instances)
         if n > self.capacity:
             self.capacity = max(256, 1 << (n - 1).bit_length())
             self.instances = self.device.buffer(self.capacity * self.stride, "VERTEX", "instances")

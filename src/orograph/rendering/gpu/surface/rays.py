@@ -1,18 +1,12 @@
-"""The ground by rays: the windows that a method selects, read, brought to the GPU, and cast at from every pixel.
+"""The ground by rays, cast from every pixel at windows that are on the GPU (``surface.windows``).
 
-Reading windows and their pyramids takes long, so the thread that selects does it (``Windows.ready``): what is drawn
-meanwhile is what was there before, whose outermost window holds the whole terrain, coarsely. Windows that the next
-selection has, too, are read once. A coarse pass finds where the rays of 16 × 16 pixels come near to the ground
-(``Beams``), and one over all pixels (``shaders/surface_rays.wgsl``) leaves depth and marks; or rays are cast through
-those of some blocks of the screen. A pass of its own counts the steps that they take (``RaySteps``).
-
-Heights take 4 bytes a sample, their pyramids half as many more (``rendering.gpu.pool``).
+A coarse pass finds where the rays of 16 × 16 pixels come near to the ground (``Beams``), and one over all pixels
+(``shaders/surface_rays.wgsl``) leaves depth and marks; or rays are cast through those of some blocks of the screen. A
+pass of its own counts the steps that they take (``RaySteps``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,31 +14,13 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
+from orograph.gpu.read_aside import read_aside
 from orograph.gpu.recording import write
-from orograph.hierarchy.clip_stack import ClipStack, Rectangle
-from orograph.lod.selection import LEVELS_SHARE, RaySurface, RayWindows
-from orograph.raycast.mips import Mips, build_mips
-from orograph.raycast.select import load
-from orograph.raycast.stack import HeightWindow
+from orograph.lod.selection import RaySurface
 from orograph.rendering.gpu.camera import CAMERA
-from orograph.rendering.gpu.pool import MISSING, NODES, WINDOWS, Pool
 from orograph.rendering.gpu.surface.left import Left
+from orograph.rendering.gpu.surface.windows import STACK, CastWindows
 from orograph.rendering.gpu.targets import GIVEN, MARKS, NEARER, Targets, cleared
-from orograph.store.terrain import Terrain
-
-WINDOW = np.dtype(
-    [
-        ("first", "<i4", 2), ("last", "<i4", 2), ("cells", "<i4", 2), ("offset", "<i4"), ("stride", "<i4"),
-        ("level", "<u4"), ("node", "<i4"), ("top", "<i4"), ("allowed", "<f4"),
-    ]
-)  # fmt: skip
-STACK = np.dtype(
-    [
-        ("low", "<f4"), ("high", "<f4"), ("count", "<i4"), ("whole", "<i4"), ("windows", WINDOW, WINDOWS),
-        ("nodes", "<i4", (NODES, 4)),
-    ]
-)  # fmt: skip
-"""The uniform ``Stack`` of ``shaders/window_rays.wgsl``."""
 
 BLOCKS = {
     "array_stride": 8,
@@ -64,106 +40,6 @@ BREAK = 0.01
 
 BRIGHT = 0.1
 """Of the brightest channel there, by how much light has to be off the mean of what is beside a pixel to be a break."""
-
-COARSER = 1.25
-"""By how much a tolerance grows until its windows fit."""
-
-WORST = 1e4
-"""The tolerance, in pixels, at which it grows no more: around an eye that is closer to the ground than a level's error
-no tolerance is large enough, and the finest windows are left out."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CastWindows(RayWindows):
-    """Windows that are on the GPU.
-
-    Attributes:
-        stack: ``STACK``. pool: the buffer of heights and pyramids. held: what the buffer was made of.
-    """
-
-    stack: NDArray[np.void]
-    pool: Any
-    held: dict[Rectangle, tuple[HeightWindow, Mips]]
-
-
-class Windows:
-    """Brings windows to the GPU.
-
-    Args:
-        most: bytes that there are for them.
-    """
-
-    def __init__(self, device: Device, terrain: Terrain, most: int, jobs: int | None = None) -> None:
-        self.device, self.terrain, self.jobs = device, terrain, jobs
-        self.most = most // 6  # samples: heights, and half of that for pyramids, 4 bytes each
-        self._last: CastWindows | None = None
-
-    def ready(self, selection: RayWindows, again: Callable[[float], RayWindows]) -> CastWindows:
-        """A selection, read and on the GPU; coarser, as its bound says, where memory holds no more.
-
-        Args:
-            again: selects with another tolerance, pixels.
-
-        Raises:
-            StoreError: a tile cannot be read. DeviceLimitError: the device's memory is full.
-        """
-        bound, top = selection.bound or 1.0, self.terrain.levels - 1
-        while selection.windows[-1].level < top and not self._fits(selection):
-            if bound < WORST:
-                bound *= COARSER
-                selection = again(bound)
-            elif len(selection.windows) > 1:
-                selection = replace(selection, windows=ClipStack(selection.windows[:-1]), bound=np.inf)
-            else:
-                break
-        last = self._last
-        if last is None or last.windows != selection.windows:
-            last = self._made(selection, {} if last is None else last.held)
-        told = selection.bound, selection.stats, selection.surface, selection.at_breaks
-        if (last.bound, last.stats, last.surface, last.at_breaks) != told:
-            stack = last.stack
-            if (last.bound, last.surface) != (selection.bound, selection.surface):
-                stack = stack.copy()
-                stack["windows"]["allowed"] = _allowed(selection)
-            last = replace(last, bound=told[0], stats=told[1], surface=told[2], at_breaks=told[3], stack=stack)
-        self._last = last
-        return last
-
-    def _fits(self, selection: RayWindows) -> bool:
-        return selection.windows.samples <= self.most and len(selection.windows) <= WINDOWS
-
-    def _made(self, selection: RayWindows, held: dict[Rectangle, tuple[HeightWindow, Mips]]) -> CastWindows:
-        wanted = [where for where in selection.windows if where not in held]
-        read = load(self.terrain, wanted, self.jobs)
-        new = {where: (w, build_mips(w.heights, self.jobs)) for where, w in zip(wanted, read, strict=True)}
-        there = {where: held[where] if where in held else new[where] for where in selection.windows}
-        pool = Pool.of([w for w, _ in there.values()], [m for _, m in there.values()], self.terrain.grid.shape,
-                       minima=True)  # fmt: skip
-        return CastWindows(
-            method=selection.method, bound=selection.bound, lacking=selection.lacking, stats=selection.stats,
-            windows=selection.windows, surface=selection.surface, at_breaks=selection.at_breaks,
-            stack=_stack(pool, selection), pool=self.device.buffer(pool.values, "STORAGE", "heights"), held=there,
-        )  # fmt: skip
-
-
-def _allowed(selection: RayWindows) -> NDArray[np.float64]:
-    """Pixels (``WINDOWS``,) by which another surface than the exact one may be off in each window: what the error of
-    its level leaves of the bound."""
-    out = np.zeros(WINDOWS)
-    for k, where in enumerate(selection.windows):
-        out[k] = (selection.bound or 0.0) * (1.0 if where.level == 0 else 1.0 - LEVELS_SHARE)
-    return out
-
-
-def _stack(pool: Pool, selection: RayWindows) -> NDArray[np.void]:
-    out = np.zeros((), STACK)
-    out["low"], out["high"], out["count"] = pool.low, pool.high, len(pool.windows)
-    out["whole"] = not (pool.values == MISSING).any()
-    for k, w in enumerate(pool.windows):
-        out["windows"][k] = w.first, w.last, w.cells, w.offset, w.stride, w.level, w.node, w.top, 0.0
-    out["windows"]["allowed"] = _allowed(selection)
-    out["nodes"][: len(pool.nodes)] = pool.nodes
-    return out
 
 
 class Beams:
@@ -377,4 +253,4 @@ class RaySteps:
         pass_.dispatch_workgroups(-(-across // 8), -(-down // 8))
         pass_.end()
         self.device.queue.submit([encoder.finish()])
-        return self.device.read_buffer(found, np.uint32).reshape(down, across)
+        return read_aside(self.device, found, np.uint32).reshape(down, across)
