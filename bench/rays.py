@@ -7,7 +7,8 @@ Of each flight of ``bench/view.py`` some views, with all that they want there: p
 drawn in turns, so that other programs hold up all. Told are the fastest and the median of ``--times``, ms, until the
 GPU is done; of patches how many, of rays the windows, their samples, and the levels of the coarsest and the finest; of
 the hybrid the part of the blocks that rays draw, its patches, and its time over that of the better of the two; so,
-too, by the time of the processors, which on software does not depend on how busy the machine is.
+too, by the time of the processors, which on software does not depend on how busy the machine is. At last what it has
+measured that triangles, pixels, rays and their steps take.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.gpu.recording import write
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.surface import mixed
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.scene import Scene
 from view import FLIGHTS, terrain_of
@@ -82,6 +84,8 @@ def main() -> None:
                 f"{len(hybrid.selection.instances):,} patches, × {over:.2f} (cpu × {worked:.2f})",
                 flush=True,
             )
+    for costs in mixed._COSTS.values():
+        print("  ns, as the hybrid has measured them: " + ", ".join(f"{k} {v:.3g}" for k, v in costs._asdict().items()))
     renderer.close()
 
 

@@ -185,12 +185,12 @@ def test_borders_keep_the_promise(device: Device) -> None:
 
 # ---- who draws what ------------------------------------------------------------------------------------------------
 
-COSTS = Costs(100.0, 20.0, 30.0, 5.0)
+COSTS = Costs(100.0, 20.0, 30.0, 5.0, 700.0)
 
 
 def recount(frame: Frame, labels: NDArray[np.bool_]) -> float:
     """What drawing takes, patch by patch and block by block."""
-    each = 0.0
+    each = COSTS.begin * labels.any()
     for x0, y0, x1, y1 in frame.boxes:
         each += any(not labels[i, j] for i in range(y0, y1) for j in range(x0, x1)) * COSTS.triangle * frame.triangles
     for i, j in np.ndindex(labels.shape):

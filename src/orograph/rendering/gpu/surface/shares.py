@@ -32,16 +32,17 @@ class Costs(NamedTuple):
 
     Attributes:
         triangle, pixel: ns of patches, each triangle, and each pixel that they cover. ray, step: ns of rays, each, and
-            each of their steps.
+            each of their steps. begin: ns before any ray (``rays.Beams``).
     """
 
     triangle: float
     pixel: float
     ray: float
     step: float
+    begin: float
 
 
-STATED = Costs(triangle=150.0, pixel=60.0, ray=65.0, step=24.0)
+STATED = Costs(triangle=150.0, pixel=60.0, ray=65.0, step=24.0, begin=0.0)
 """Those of software on two cores: pictures that are waited for go by them, so that they are the same each time."""
 
 
@@ -119,7 +120,7 @@ def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None =
 
     def total(labels: Labels) -> float:
         drawn = int(np.count_nonzero(kept(boxes, labels)))
-        return float(each * drawn + np.where(labels, rays, ground).sum())
+        return float(each * drawn + np.where(labels, rays, ground).sum() + costs.begin * labels.any())
 
     cost = total(labels)
     for _ in range(SWEEPS):
@@ -131,7 +132,7 @@ def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None =
         if not then < cost:
             break
         labels, cost = turned, then
-    by_patches, all_rays = float(each * np.count_nonzero(blocks) + ground.sum()), float(rays.sum())
+    by_patches, all_rays = float(each * np.count_nonzero(blocks) + ground.sum()), float(rays.sum()) + costs.begin
     alone_before = None if before is None or before.any() != before.all() else bool(before.all())
     one = bool(all_rays < {None: 1.0, False: 1.0 - hysteresis, True: 1.0 + hysteresis}[alone_before] * by_patches)
     worth = WORTH if before is None else WORTH * (1.5 if one == alone_before else 0.5)
