@@ -3,7 +3,7 @@
 After Dick, Schneider & Westermann, *Efficient Geometry Compression for GPU-based Decoding in Realtime Terrain
 Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, along a path with one code per
 triangle, whose positions follow from how triangles were split, and whose heights are differences from predictions. Here
-the path is the Sierpinski curve through the binary tree of right triangles (``chunk_code_kernels``), cut into *runs* of
+the path is the Sierpinski curve through the binary tree of right triangles (``chunk_walk``), cut into *runs* of
 at most ``LEAVES`` leaves, which know nothing of each other: vertices between two runs are in both.
 
 *Words* (uint32) of a chunk: 8 of ``HEADER``; a byte for each depth of the tree but the last, the Rice parameter of
@@ -110,7 +110,7 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
     Args:
         step: of the terrain, metres (``step_of``).
     """
-    from orograph.store.chunk_code_kernels import choose_rices, settle, survey, write_runs
+    from orograph.store.chunk_write import choose_rices, settle, survey, write_runs
 
     mesh = _replayed(words, layout.corners(level, i, j))
     count, levels = len(mesh.places), layout.levels(level)
@@ -143,7 +143,7 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
 
 class _Replayed(NamedTuple):
     """A chunk from the words of ``chunked``: how many codes; metres of vertices, of skirts at those on the sides, of
-    corners in the coarser mesh; as of ``chunk_code_kernels.replay``."""
+    corners in the coarser mesh; as of ``chunk_write.replay``."""
 
     codes: int
     metres: NDArray[np.float32]
@@ -155,7 +155,7 @@ class _Replayed(NamedTuple):
 
 
 def _replayed(words: Words, corners: Corners) -> _Replayed:
-    from orograph.store.chunk_code_kernels import replay
+    from orograph.store.chunk_write import replay
 
     codes, count = int(words[0]), int(words[1]) + 4
     at = 2 - (-codes // PER_WORD)
@@ -183,7 +183,7 @@ def _tell(
     told: NDArray[np.int64], heights: NDArray[np.int32], targets: NDArray[np.int32], ends: NDArray[np.int64],
     kept: NDArray[np.uint8], down: NDArray[np.int64],
 ) -> int:  # fmt: skip
-    """Fill in what is written of each vertex (``chunk_code_kernels``); returns the lowest height."""
+    """Fill in what is written of each vertex (``chunk_write``); returns the lowest height."""
     there, whole = heights != MISSING, heights.astype(np.int64)
     base = int(whole[there].min(initial=MOST)) if there.any() else 0
     e, f = whole[ends].T
@@ -201,7 +201,7 @@ def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded
     Raises:
         ValueError: they are not those of a chunk.
     """
-    from orograph.store.chunk_code_kernels import read_runs
+    from orograph.store.chunk_read import read_runs
 
     count, made, _, _, leaves, flags, _, bits = words[: len(HEADER)].astype(np.int64).tolist()
     levels = layout.levels(level)
@@ -276,8 +276,8 @@ def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.i
 
 
 def _about(layout: Layout, level: int, i: int, j: int) -> NDArray[np.int64]:
-    """What kernels know of a chunk but what its words tell (``chunk_code_kernels``)."""
-    from orograph.store.chunk_code_kernels import ABOUT
+    """What kernels know of a chunk but what its words tell (``chunk_walk``)."""
+    from orograph.store.chunk_walk import ABOUT
 
     side, about = layout.side(level), np.zeros(ABOUT, np.int64)
     about[:6] = i * side, j * side, side, layout.shape[0] - 1, layout.shape[1] - 1, layout.levels(level)
