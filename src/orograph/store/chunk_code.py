@@ -115,7 +115,8 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
     mesh = _replayed(words, layout.corners(level, i, j))
     count, levels = len(mesh.places), layout.levels(level)
     step, exact = _lattice(mesh.metres, step)
-    heights, down = _quantised(mesh, step, on_sides(mesh.places, layout.side(level), i, j).any(0))
+    side = np.asarray(on_sides(mesh.places, layout.side(level), i, j).any(0), np.bool_)
+    heights, down = _quantised(mesh, step, side)
     low = np.where(down > 0, heights - down + 1, MISSING).astype(np.int32)
     told, paths = np.zeros((count, 8), np.int64), np.empty((mesh.codes, 2), np.int64)
     ends, targets = np.zeros((count, 2), np.int64), np.empty(count, np.int32)
@@ -124,7 +125,7 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
     about = _about(layout, level, i, j)
     settle(mesh.places, ends, heights, mesh.kept, about, targets)
     base = _tell(told, heights, targets, ends, mesh.kept, down)
-    told[:, 6] = on_sides(mesh.places, layout.side(level), i, j).any(0)
+    told[:, 6] = side
 
     rices, (spans, size) = np.zeros(levels, np.uint8), _spans(*leaves)
     choose_rices(told, rices)
