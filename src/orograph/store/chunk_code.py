@@ -43,6 +43,7 @@ from orograph.store.chunked import (
     MISSING,
     PARTS,
     PER_WORD,
+    WORDS,
     Chunk,
     Corners,
     Layout,
@@ -62,12 +63,6 @@ VOIDS, EXACT = 1 << 16, 1 << 17
 
 LEAVES = 128
 """Leaves of a run."""
-
-DEPTH, MET, WORDS = 48, 192, 320
-"""The tree is at most this deep; no run has more vertices, or words."""
-
-ONES, RAW = 8, 20
-"""A residual whose higher bits take this many ones is written in so many bits."""
 
 FINER = 4
 """The error of the finest chunks is at least this many steps."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel
-from orograph.store.chunk_code import DEPTH, MET, ONES, RAW
 from orograph.store.chunk_walk import (
     APEX,
     BASE,
@@ -27,7 +26,7 @@ from orograph.store.chunk_walk import (
     onward,
     parameter,
 )
-from orograph.store.chunked import MISSING, PARTS
+from orograph.store.chunked import DEPTH, MET, MISSING, ONES, PARTS, RAW
 
 
 @inlined

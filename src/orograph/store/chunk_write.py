@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel
-from orograph.store.chunk_code import DEPTH, MET, ONES, RAW
 from orograph.store.chunk_walk import (
     APEX,
     DEEP,
@@ -25,7 +24,7 @@ from orograph.store.chunk_walk import (
     onward,
     parameter,
 )
-from orograph.store.chunked import MISSING, PARTS
+from orograph.store.chunked import DEPTH, MET, MISSING, ONES, PARTS, RAW
 from orograph.store.chunked_kernels import DROPPED, KEPT, SPLIT, slot
 
 MISSED, HEIGHT, KEPT_, DELTA, REST, AT, BESIDE, DOWN = range(8)

@@ -20,8 +20,8 @@ from orograph.gpu.program import Program
 from orograph.lod.selection import CodedChunks
 from orograph.rendering.gpu.surface import resident
 from orograph.rendering.gpu.surface.resident import ROOM, ResidentMeshes, RunPass
-from orograph.store.chunk_code import DEPTH, HEADER, MET, ONES, RAW, runs_of
-from orograph.store.chunked import PARTS, Layout, Words
+from orograph.store.chunk_code import HEADER, runs_of
+from orograph.store.chunked import DEPTH, MET, ONES, PARTS, RAW, Layout, Words
 
 CHUNK = np.dtype([("words", "<u4"), ("row", "<i4"), ("col", "<i4"), ("kind", "<u4")])
 """A chunk to be decoded: ``Chunk`` of ``shaders/chunk_code.wgsl``."""
