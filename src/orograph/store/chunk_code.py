@@ -202,7 +202,7 @@ def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded
     count, made, _, _, leaves, flags, _, bits = words[: len(HEADER)].astype(np.int64).tolist()
     levels = layout.levels(level)
     rices = words[len(HEADER) :].view(np.uint8)[:levels]
-    begin, _ = runs_of(words, layout, level)
+    _, begin, _ = runs_of(words, np.zeros(1, np.int64), np.array([levels]))
     about = _about(layout, level, i, j)
     about[6:] = bool(flags & VOIDS), flags >> 8 & 255, words[6].astype(np.int32), bits & 255, bits >> 8
     places, triangles = np.empty((count, 2), np.int64), np.empty((made, 3), np.int32)
@@ -216,12 +216,24 @@ def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded
     return Decoded(places, heights, targets, low, triangles, 2.0 ** ((flags & 255) - 64), bool(flags & EXACT))
 
 
-def runs_of(words: Words, layout: Layout, level: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The words where a chunk's runs begin, and (r, 4) how many words, vertices, triangles and hung edges they have."""
-    at = len(HEADER) - (-layout.levels(level) // 4)
-    end = at + 2 * int(words[HEADER.index("runs")])
-    table = words[at:end].view(np.uint16).astype(np.int64).reshape(-1, 4)
-    return end + np.cumsum(table[:, 0]) - table[:, 0], table
+def runs_of(
+    words: Words, chunks: NDArray[np.int64], depths: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The runs of chunks.
+
+    Args:
+        words: of all chunks. chunks: where each begins. depths: of their trees (``Layout.levels``).
+
+    Returns: (r,) of which chunk each run is; where its words begin; (r, 4) how many words, vertices, triangles and
+        edges with a skirt it has.
+    """
+    counts = words[chunks + HEADER.index("runs")].astype(np.int64)
+    of, ends = np.repeat(np.arange(len(chunks)), counts), np.cumsum(counts)
+    tables = chunks + len(HEADER) - (-depths // 4)
+    at = 2 * (np.arange(len(of)) - (ends - counts)[of]) + tables[of]
+    table = np.stack([words[at], words[at + 1]], 1).view(np.uint16).astype(np.int64)
+    sizes = np.cumsum(table[:, 0]) - table[:, 0]
+    return of, (tables + 2 * counts - sizes[ends - counts])[of] + sizes, table
 
 
 def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
