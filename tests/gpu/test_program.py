@@ -96,7 +96,8 @@ def test_every_shader_compiles_with_the_bindings_it_declares(device: Device, nam
         "FLAGS": 0, "RAYS": 1, "RAY_GROUP": {"shade": 2}.get(name, 0), "MISSING": 0, "EDGES": 1, "STORED": 1, "N": 8,
         "WORDS": 1024, "SIDE": 1 if name == "surface_rays" else 16, "BEAM": 16, "SPACING": 4, "COUNTED": 1,
         "BILINEAR": 0, "CONSTANT": 0, "FRACTAL": 1, "BLOCK": 16, "PARTS": 4, "PART": 0.01, "BRIGHT": 0.1, "PLAN": 0,
-        "BREAKS": 1, "THREADS": 64, "RUN": 1, "OUT_GROUP": 3, "COMPUTED": 1, "SLOPED": 1,
+        "BREAKS": 1, "THREADS": 64, "OUT_GROUP": 3, "COMPUTED": 1, "SLOPED": 1,
+        "ONES": 8, "RAW": 20, "DEPTH": 48, "MET": 192,
     }  # fmt: skip
     program = Program(device, name, **constants)
     assert program.groups and program.layout and program.module

@@ -12,7 +12,7 @@ import pytest
 from orograph.dem import Dem
 from orograph.errors import StoreError, UsageError
 from orograph.store.build import build
-from orograph.store.chunk_code import HEADER, chunk_of, decoded, encoded, off_by, step_of
+from orograph.store.chunk_code import HEADER, MOST, chunk_of, decoded, encoded, off_by, step_of
 from orograph.store.chunked import MISSING, Kind
 from orograph.store.chunked_build import MemoryChunks
 from orograph.store.stored import open as open_store
@@ -82,6 +82,19 @@ def test_words_are_those_of_the_description(shape, gaps):
         assert len(triangles) == made + 2 * int(words[HEADER.index("hung")])
 
 
+def test_heights_that_nothing_foretells_are_kept():
+    """Noise as high as heights get: residuals are too long for Rice codes."""
+    z = np.random.default_rng(2).integers(-MOST + 1, MOST, (33, 33)).astype(np.float64)
+    chunks = MemoryChunks(plain.terrain(z.astype(np.float32)), Kind(16, 1e-3))
+    for name in names(chunks.layout):
+        before = chunks.chunk(*name)
+        after = chunk_of(encoded(chunks.words(*name), chunks.layout, *name, 1.0), chunks.layout, *name)
+        body, other = (c.triangles[: len(c.triangles) - c.skirt] for c in (before, after))
+        np.testing.assert_array_equal(
+            corners(before, body, before.targets)[:, :9], corners(after, other, after.targets)[:, :9]
+        )
+
+
 def test_heights_are_off_by_half_a_step_at_most_and_chunks_of_a_level_fit():
     shape = (129, 100)
     chunks, highest = chunks_of(plain.rough(np.random.default_rng(3), shape))
@@ -113,7 +126,7 @@ def test_words_of_something_else_are_told(tmp_path):
         decoded(words, chunks.layout, 0, 1, 1)
 
 
-@pytest.mark.parametrize(("name", "smaller"), [("oblong, 30 m", 28), ("city, 1 m", 17), ("voids, 90 m", 15)])
+@pytest.mark.parametrize(("name", "smaller"), [("oblong, 30 m", 21), ("city, 1 m", 15), ("voids, 90 m", 14)])
 def test_few_bytes_a_triangle_on_real_ground(shared_data: Path, name, smaller):
     """Indexed triangles take 12 bytes each and 12 a vertex; of coded ones morphs and skirts count, too."""
     t = plain.ground(shared_data, name)

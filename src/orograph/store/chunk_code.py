@@ -3,7 +3,7 @@
 After Dick, Schneider & Westermann, *Efficient Geometry Compression for GPU-based Decoding in Realtime Terrain
 Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, along a path with one code per
 triangle, whose positions follow from how triangles were split, and whose heights are differences from predictions. Here
-the path is the Sierpinski curve through the binary tree of right triangles (``chunk_code_kernels``), cut into *runs* of
+the path is the Sierpinski curve through the binary tree of right triangles (``chunk_walk``), cut into *runs* of
 at most ``LEAVES`` leaves, which know nothing of each other: vertices between two runs are in both.
 
 *Words* (uint32) of a chunk: 8 of ``HEADER``; a byte for each depth of the tree but the last, the Rice parameter of
@@ -43,6 +43,7 @@ from orograph.store.chunked import (
     MISSING,
     PARTS,
     PER_WORD,
+    WORDS,
     Chunk,
     Corners,
     Layout,
@@ -62,12 +63,6 @@ VOIDS, EXACT = 1 << 16, 1 << 17
 
 LEAVES = 128
 """Leaves of a run."""
-
-DEPTH, MET, WORDS = 48, 192, 320
-"""The tree is at most this deep; no run has more vertices, or words."""
-
-ONES, RAW = 8, 20
-"""A residual whose higher bits take this many ones is written in so many bits."""
 
 FINER = 4
 """The error of the finest chunks is at least this many steps."""
@@ -110,55 +105,90 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
     Args:
         step: of the terrain, metres (``step_of``).
     """
-    from orograph.store.chunk_code_kernels import choose_rices, replay, settle, survey, write_runs
+    from orograph.store.chunk_write import choose_rices, settle, survey, write_runs
+
+    mesh = _replayed(words, layout.corners(level, i, j))
+    count, levels = len(mesh.places), layout.levels(level)
+    step, exact = _lattice(mesh.metres, step)
+    side = np.asarray(on_sides(mesh.places, layout.side(level), i, j).any(0), np.bool_)
+    heights, down = _quantised(mesh, step, side)
+    low = np.where(down > 0, heights - down + 1, MISSING).astype(np.int32)
+    told, paths = np.zeros((count, 8), np.int64), np.empty((mesh.codes, 2), np.int64)
+    ends, targets = np.zeros((count, 2), np.int64), np.empty(count, np.int32)
+    leaves = survey(mesh.slots, mesh.places, levels, ends, told, paths)
+    targets[:4] = np.where(np.isnan(mesh.coarse), MISSING, np.rint(np.nan_to_num(mesh.coarse) * (PARTS / step)))
+    about = _about(layout, level, i, j)
+    settle(mesh.places, ends, heights, mesh.kept, about, targets)
+    base = _tell(told, heights, targets, ends, mesh.kept, down)
+    told[:, 6] = side
+
+    rices, (spans, size) = np.zeros(levels, np.uint8), _spans(*leaves)
+    choose_rices(told, rices)
+    voids = bool(told[:, 0].any() or (mesh.slots[:, 1] == -2).any())
+    high, drop = (int(told[:, k].max()).bit_length() for k in (1, 7))
+    moved = int(told[told[:, 3] != 1, 3].max(initial=0)).bit_length()
+    about[6:] = voids, drop, base, high, moved
+    table, room = np.zeros((len(spans), 4), np.int64), np.zeros(len(spans) * WORDS, np.uint32)
+    used = write_runs(mesh.slots, mesh.places, heights, low, told, about, rices, paths, spans, room, table)
+    _, vertices, triangles, hung = table.sum(0).tolist()
+    flags = 64 + int(math.log2(step)) | drop << 8 | VOIDS * voids | EXACT * exact
+    head = vertices, triangles, hung, len(spans), size, flags, base & 0xFFFFFFFF, high | moved << 8
+    told_runs = table.astype(np.uint16).reshape(-1).view(np.uint32)
+    return np.concatenate([np.array(head, np.uint32), _filled(rices), told_runs, room[:used]])
+
+
+class _Replayed(NamedTuple):
+    """A chunk from the words of ``chunked``: how many codes; metres of vertices, of skirts at those on the sides, of
+    corners in the coarser mesh; as of ``chunk_write.replay``."""
+
+    codes: int
+    metres: NDArray[np.float32]
+    hanging: NDArray[np.float32]
+    coarse: NDArray[np.float32]
+    places: Corners
+    kept: NDArray[np.uint8]
+    slots: NDArray[np.int64]
+
+
+def _replayed(words: Words, corners: Corners) -> _Replayed:
+    from orograph.store.chunk_write import replay
 
     codes, count = int(words[0]), int(words[1]) + 4
     at = 2 - (-codes // PER_WORD)
     walk = (words[2:at, None] >> np.arange(0, 2 * PER_WORD, 2, dtype=np.uint32) & 3).reshape(-1)[:codes]
     numbers = words[at:].view(np.float32)
-    metres, hanging, coarse = numbers[:count], numbers[count:-4], numbers[-4:]
-    step, exact = _lattice(metres, step)
-    corners = layout.corners(level, i, j)
     slots = np.full((1 << max(2 * codes, 16).bit_length(), 2), -1, np.int64)
     places, kept = np.empty((count, 2), np.int64), np.empty(count, np.uint8)
     replay(walk.astype(np.uint8), corners, places, kept, slots)
-    missing = np.isnan(metres)
-    heights = np.where(missing, MISSING, np.rint(np.where(missing, 0, metres) / step)).astype(np.int32)
-    side = np.asarray(on_sides(places, layout.side(level), i, j).any(0), np.bool_)
-    hangs = np.full(count, np.nan)
-    hangs[side] = hanging
-    with np.errstate(invalid="ignore"):
-        down = np.where(np.isnan(hangs) | missing, 0, heights - np.floor(hangs / step) + 1).astype(np.int64)
-    low = np.where(down > 0, heights - down + 1, MISSING).astype(np.int32)
-    told, paths = np.zeros((count, 8), np.int64), np.empty((codes, 2), np.int64)
-    ends, targets = np.empty((count, 2), np.int64), np.empty(count, np.int32)
-    levels = layout.levels(level)
-    leaves = survey(slots, places, levels, ends, told, paths)
-    targets[:4] = np.where(np.isnan(coarse), MISSING, np.rint(np.nan_to_num(coarse) * (PARTS / step)))
-    about = _about(layout, level, i, j)
-    settle(places, ends, heights, kept, about, targets)
+    return _Replayed(codes, numbers[:count], numbers[count:-4], numbers[-4:], places, kept, slots)
 
-    base = int(heights[~missing].min(initial=MOST)) if not missing.all() else 0
-    moved = np.where(targets == MISSING, 0, 1 + _zigzag(targets.astype(np.int64) - PARTS * heights.astype(np.int64)))
-    told[:, 0], told[:, 1], told[:, 2], told[:, 3] = missing, np.where(missing, 0, heights - base), kept, moved
-    told[4:, 4] = _zigzag(np.where(missing, 0, heights - _guessed(heights, ends))[4:])
-    told[:, 6], told[:, 7] = side, down
-    rices = np.zeros(levels, np.uint8)
-    choose_rices(told, rices)
-    voids = bool(missing.any() or (slots[:, 1] == -2).any())
-    high, drop = (int(told[:, k].max(initial=0)).bit_length() for k in (1, 7))
-    width = int(moved[moved != 1].max(initial=0)).bit_length()
-    about[6:] = voids, drop, base, high, width
-    spans, size = _spans(*leaves)
-    table = np.zeros((len(spans), 4), np.int64)
-    room = np.zeros(len(spans) * WORDS, np.uint32)
-    used = write_runs(slots, places, heights, low, told, about, rices, paths, spans, room, table)
-    flags = 64 + int(math.log2(step)) | drop << 8 | VOIDS * voids | EXACT * exact
-    _, vertices, triangles, hung = table.sum(0).tolist()
-    head = np.array(
-        [vertices, triangles, hung, len(spans), size, flags, base & 0xFFFFFFFF, high | width << 8], np.uint32
-    )
-    return np.concatenate([head, _filled(rices), table.astype(np.uint16).reshape(-1).view(np.uint32), room[:used]])
+
+def _quantised(mesh: _Replayed, step: float, side: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Heights in steps, and 1 + how low the skirt hangs below them, 0 where none does."""
+    missing = np.isnan(mesh.metres)
+    heights = np.where(missing, MISSING, np.rint(np.where(missing, 0, mesh.metres) / step)).astype(np.int32)
+    hangs = np.full(len(heights), np.nan)
+    hangs[side] = mesh.hanging
+    there = ~np.isnan(hangs) & ~missing
+    down = np.zeros(len(heights), np.int64)
+    down[there] = heights[there] - np.floor(hangs[there] / step) + 1
+    return heights, down
+
+
+def _tell(
+    told: NDArray[np.int64], heights: NDArray[np.int32], targets: NDArray[np.int32], ends: NDArray[np.int64],
+    kept: NDArray[np.uint8], down: NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Fill in what is written of each vertex (``chunk_write``); returns the lowest height."""
+    there, whole = heights != MISSING, heights.astype(np.int64)
+    base = int(whole[there].min(initial=MOST)) if there.any() else 0
+    e, f = whole[ends].T
+    guess = np.where((e == MISSING) | (f == MISSING), np.where(e == MISSING, f, e), (e + f) >> 1)
+    told[:, 0], told[:, 2], told[:, 7] = ~there, kept, down
+    told[there, 1], told[there, 4] = (whole - base)[there], _zigzag(whole - np.where(guess == MISSING, 0, guess))[there]
+    moved = there & (targets != MISSING)
+    told[moved, 3] = 1 + _zigzag(targets[moved] - PARTS * whole[moved])
+    return base
 
 
 def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded:
@@ -167,12 +197,12 @@ def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded
     Raises:
         ValueError: they are not those of a chunk.
     """
-    from orograph.store.chunk_code_kernels import read_runs
+    from orograph.store.chunk_read import read_runs
 
     count, made, _, _, leaves, flags, _, bits = words[: len(HEADER)].astype(np.int64).tolist()
     levels = layout.levels(level)
     rices = words[len(HEADER) :].view(np.uint8)[:levels]
-    begin, _ = runs_of(words, layout, level)
+    _, begin, _ = runs_of(words, np.zeros(1, np.int64), np.array([levels]))
     about = _about(layout, level, i, j)
     about[6:] = bool(flags & VOIDS), flags >> 8 & 255, words[6].astype(np.int32), bits & 255, bits >> 8
     places, triangles = np.empty((count, 2), np.int64), np.empty((made, 3), np.int32)
@@ -186,12 +216,24 @@ def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded
     return Decoded(places, heights, targets, low, triangles, 2.0 ** ((flags & 255) - 64), bool(flags & EXACT))
 
 
-def runs_of(words: Words, layout: Layout, level: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The words where a chunk's runs begin, and (r, 4) how many words, vertices, triangles and hung edges they have."""
-    at = len(HEADER) - (-layout.levels(level) // 4)
-    end = at + 2 * int(words[HEADER.index("runs")])
-    table = words[at:end].view(np.uint16).astype(np.int64).reshape(-1, 4)
-    return end + np.cumsum(table[:, 0]) - table[:, 0], table
+def runs_of(
+    words: Words, chunks: NDArray[np.int64], depths: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """The runs of chunks.
+
+    Args:
+        words: of all chunks. chunks: where each begins. depths: of their trees (``Layout.levels``).
+
+    Returns: (r,) of which chunk each run is; where its words begin; (r, 4) how many words, vertices, triangles and
+        edges with a skirt it has.
+    """
+    counts = words[chunks + HEADER.index("runs")].astype(np.int64)
+    of, ends = np.repeat(np.arange(len(chunks)), counts), np.cumsum(counts)
+    tables = chunks + len(HEADER) - (-depths // 4)
+    at = 2 * (np.arange(len(of)) - (ends - counts)[of]) + tables[of]
+    table = np.stack([words[at], words[at + 1]], 1).view(np.uint16).astype(np.int64)
+    sizes = np.cumsum(table[:, 0]) - table[:, 0]
+    return of, (tables + 2 * counts - sizes[ends - counts])[of] + sizes, table
 
 
 def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
@@ -242,8 +284,8 @@ def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.i
 
 
 def _about(layout: Layout, level: int, i: int, j: int) -> NDArray[np.int64]:
-    """What kernels know of a chunk but what its words tell (``chunk_code_kernels``)."""
-    from orograph.store.chunk_code_kernels import ABOUT
+    """What kernels know of a chunk but what its words tell (``chunk_walk``)."""
+    from orograph.store.chunk_walk import ABOUT
 
     side, about = layout.side(level), np.zeros(ABOUT, np.int64)
     about[:6] = i * side, j * side, side, layout.shape[0] - 1, layout.shape[1] - 1, layout.levels(level)
@@ -263,14 +305,6 @@ def _spans(*leaves: int) -> tuple[NDArray[np.int64], int]:
 
 def _zigzag(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return numbers << 1 ^ numbers >> 63
-
-
-def _guessed(heights: NDArray[np.int32], ends: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Heights expected between two others; not of the corners."""
-    ends[:4] = 0
-    e, f = heights.astype(np.int64)[ends].T
-    one = np.where(e == MISSING, np.where(f == MISSING, 0, f), e)
-    return np.where((e == MISSING) | (f == MISSING), one, (e + f) >> 1)
 
 
 def _filled(data: NDArray[np.uint8]) -> Words:

@@ -48,6 +48,12 @@ MISSING = -(1 << 31)
 PARTS = 64
 """Parts of a step in which heights of the coarser mesh are stored there."""
 
+DEPTH, MET, WORDS = 48, 192, 320
+"""Of a compressed chunk: its tree is at most this deep; no run has more vertices, or words."""
+
+ONES, RAW = 8, 20
+"""There a residual whose higher bits take this many ones is written in so many bits."""
+
 Words = NDArray[np.uint32]
 Corners = NDArray[np.int64]
 

@@ -27,7 +27,7 @@ class ChunkedKind(Derived[dict[str, Any]]):
     A record has all of these, the ``error`` of level 0 in metres, and for each level the ``rows`` of its words.
     """
 
-    name, version, group = "chunked", 2, "chunked"
+    name, version, group = "chunked", 3, "chunked"
 
     def nothing(self) -> dict[str, Any]:
         return {}

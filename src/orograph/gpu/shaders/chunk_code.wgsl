@@ -193,7 +193,7 @@ fn hang(at: u32, p: u32, q: u32, before: u32) -> u32 {
   return at + 2u;
 }
 
-// ---- the walk: store/chunk_code_kernels.py ----
+// ---- the walk: store/chunk_walk.py ----
 
 var<private> apex: u32;            // the node: its corners, its depth
 var<private> entry: u32;

@@ -20,8 +20,8 @@ from orograph.gpu.program import Program
 from orograph.lod.selection import CodedChunks
 from orograph.rendering.gpu.surface import resident
 from orograph.rendering.gpu.surface.resident import ROOM, ResidentMeshes, RunPass
-from orograph.store.chunk_code import DEPTH, HEADER, MET, ONES, RAW, runs_of
-from orograph.store.chunked import PARTS, Layout, Words
+from orograph.store.chunk_code import HEADER, runs_of
+from orograph.store.chunked import DEPTH, MET, ONES, PARTS, RAW, Layout, Words
 
 CHUNK = np.dtype([("words", "<u4"), ("row", "<i4"), ("col", "<i4"), ("kind", "<u4")])
 """A chunk to be decoded: ``Chunk`` of ``shaders/chunk_code.wgsl``."""
@@ -129,11 +129,13 @@ class Decoder:
         """Bring what is to be decoded to the device. Args: as of ``decode``. Returns: a bind group, how many runs."""
         if self._pipeline is None:
             self._pipeline = self._program.compute()
-        chunks, pieces = pieces_of(layout, names, coded, places)
+        words = np.concatenate([*coded, np.zeros(2, np.uint32)])
+        begins = np.cumsum([0, *map(len, coded[:-1])])
+        chunks, pieces = pieces_of(layout, names, words, begins, places)
         bound = {
             "chunks": self.device.buffer(chunks, "STORAGE", "chunks to decode"),
             "runs": self.device.buffer(pieces, "STORAGE", "runs to decode"),
-            "coded": self.device.buffer(np.concatenate([*coded, np.zeros(2, np.uint32)]), "STORAGE", "coded chunks"),
+            "coded": self.device.buffer(words, "STORAGE", "coded chunks"),
             "vertices": vertices, "triangles": triangles,
         }  # fmt: skip
         return self._program.bind(bound), len(pieces)
@@ -149,30 +151,32 @@ class Decoder:
 
 
 def pieces_of(
-    layout: Layout, names: Sequence[tuple[int, int, int]], coded: Sequence[Words], places: Sequence[tuple[int, int]]
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """What the shader is told of chunks (``CHUNK``; the raster's last row and column first), and of their runs."""
+    layout: Layout, names: Sequence[tuple[int, int, int]], coded: Words, begins: NDArray[np.int64],
+    places: Sequence[tuple[int, int]],
+) -> tuple[NDArray[Any], NDArray[Any]]:  # fmt: skip
+    """What the shader is told of chunks (``CHUNK``; the raster's last row and column first), and of their runs.
+
+    Args:
+        coded: the words of all. begins: where each chunk's begin. places: the numbers of their first vertices and
+            triangles.
+    """
     chunks = np.zeros(1 + len(names), CHUNK)
     chunks[0]["row"], chunks[0]["col"] = (side - 1 for side in layout.shape)
     rows = chunks[1:]
-    rows["words"] = np.cumsum([0, *map(len, coded[:-1])])
     level, i, j = np.array(names).T
-    rows["row"], rows["col"] = i << (layout.p + level), j << (layout.p + level)
+    rows["words"], rows["row"], rows["col"] = begins, i << (layout.p + level), j << (layout.p + level)
     ends = np.array([[_ends(layout, a, b) for b in (0, 1)] for a in (0, 1)])
     rows["kind"] = layout.p + level | ends[i & 1, j & 1] << 8
 
-    begins, tables = zip(*(runs_of(words, layout, k) for words, (k, _, _) in zip(coded, names, strict=True)))
-    of, table = np.repeat(np.arange(len(names)), list(map(len, tables))), np.concatenate(tables)
-    head = np.cumsum([0, *map(len, tables[:-1])])  # of each chunk the first run
+    of, words, table = runs_of(coded, begins, layout.levels(0) + 2 * level)
     before = np.cumsum(table, 0) - table
-    before -= before[head[of]]
+    before -= before[np.searchsorted(of, np.arange(len(names)))[of]]  # in the same chunk
     pieces = np.zeros(len(of), PIECE)
-    first, triangle = np.array(places).T
-    bodies = np.array([int(words[TRIANGLES]) for words in coded])
-    pieces["chunk"], pieces["words"] = of + 1, np.concatenate(begins) + rows["words"][of]
-    pieces["base"], pieces["vertex"] = first[of], first[of] + before[:, 1]
+    vertex, triangle = np.array(places).T
+    pieces["chunk"], pieces["words"] = of + 1, words
+    pieces["base"], pieces["vertex"] = vertex[of], vertex[of] + before[:, 1]
     pieces["triangle"] = triangle[of] + before[:, 2]
-    pieces["fringe"] = (triangle + bodies)[of] + 2 * before[:, 3]
+    pieces["fringe"] = (triangle + coded[begins + TRIANGLES])[of] + 2 * before[:, 3]
     return chunks, pieces
 
 
