@@ -22,12 +22,12 @@ ENTRY = 3.5  # bits of a symbol in a table, about
 
 @shared
 def length(value):
-    """Bits of a whole number."""
+    """Bits of a whole number, at least 0: without a branch, for it cannot be foreseen."""
     bits = 0
-    while value:
-        bits += 1
-        value >>= 1
-    return bits
+    for half in (32, 16, 8, 4, 2, 1):
+        more = value >= 1 << half
+        bits, value = bits + half * more, value >> (half * more)
+    return bits + value
 
 
 @shared
@@ -64,16 +64,15 @@ def activity_of(values, shift, found):
 @kernel
 def shift_of(values):
     """By how much activities are shifted: nearly all are below ``LEVELS`` then."""
-    bits, size = 0, values.size
+    low, high, size = 0, 32, values.size
     flat = values.reshape(size)
-    while bits < 32:
-        larger = 0
+    while low < high:  # (the fewest bits that all but one in 32 have)
+        bits = (low + high) // 2
+        limit, larger = np.uint32((1 << bits) - 1), np.int32(0)
         for k in range(size):
-            larger += flat[k] >> np.uint32(bits) != 0
-        if larger <= size // 32:
-            break
-        bits += 1
-    return min(max(bits + 3 - 8, 0), 12)
+            larger += np.int32(flat[k] > limit)
+        low, high = (low, bits) if larger <= size // 32 else (bits + 1, high)
+    return min(max(low + 3 - 8, 0), 12)
 
 
 @shared
@@ -160,11 +159,12 @@ def divided(values, activity, bounds):
     flat, of = activity.reshape(size), values.reshape(size)
     levels, group = np.zeros(LEVELS, np.int64), np.empty(LEVELS, np.int64)
     for k in range(size):
-        levels[flat[k]] += 1
+        levels[np.uint64(flat[k])] += 1
     groups = grouped(levels, group, GROUPS)
     counts, firsts = np.zeros((groups, TOKENS), np.int64), np.empty(groups, np.int64)
+    every = counts.reshape(groups * TOKENS)
     for k in range(size):
-        counts[group[flat[k]], token(np.int64(of[k]))] += 1
+        every[np.uint64(group[np.uint64(flat[k])] * TOKENS + token(np.int64(of[k])))] += 1
     contexts = joined(counts, groups, firsts, CONTEXTS)
     context = np.empty(LEVELS, np.int32)
     now = 0
@@ -174,5 +174,5 @@ def divided(values, activity, bounds):
             bounds[now] = level
         context[level] = now
     for k in range(size):
-        flat[k] = context[flat[k]]
+        flat[k] = context[np.uint64(flat[k])]
     return contexts

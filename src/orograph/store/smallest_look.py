@@ -195,9 +195,10 @@ def look(whole, skips, classes, weights, shares, step, seen, counts, values, gro
             _activate(own_shares[1], around, found.sums, odd)
             found.active[1::2] = odd[1::2]
         _place(found, real)
-        for j in range(cols):
-            if skips[row, j] == 0:
-                values[at], groups[at] = np.uint32(found.values[j]), found.groups[j]
-                kinds[at] = BINS * class_of(row, j, classes) + found.bins[j]
-                at += 1
+        skip, of_even, of_odd = skips[row], BINS * class_of(row, 0, classes), BINS * class_of(row, 1, classes)
+        for j in range(cols):  # (without a branch: what is skipped is written over)
+            here = np.uint64(at)
+            values[here], groups[here] = np.uint32(found.values[j]), found.groups[j]
+            kinds[here] = (of_odd if j & 1 else of_even) + found.bins[j]
+            at += 1 - np.int64(skip[j])
     return at
