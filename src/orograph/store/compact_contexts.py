@@ -48,7 +48,7 @@ SMALL_COUNTS = np.array([0.0] + [count * _log2(float(count)) for count in range(
 @shared
 def _entropy(count):
     """A count times its logarithm."""
-    return SMALL_COUNTS[count] if count < SMALL_COUNTS.size else count * _log2(float(count))
+    return SMALL_COUNTS[np.uint64(count)] if count < SMALL_COUNTS.size else count * _log2(float(count))
 
 
 @kernel
@@ -90,10 +90,8 @@ def cost_of(counts, more, share):
     total, bits, kinds = 0, 0.0, 0
     for k in range(counts.size):
         count = counts[k] + share * more[k]
-        if count:
-            total += count
-            bits -= _entropy(count)
-            kinds += 1
+        total, kinds = total + count, kinds + (count > 0)
+        bits -= _entropy(count)
     return bits + _entropy(total) + 16 + ENTRY * kinds if total else 0.0
 
 
@@ -124,9 +122,9 @@ def joined(counts, groups, bounds, most):
     """Join neighbours among groups while that costs nothing, or there are more than ``most``; how many are left.
 
     Args:
-        counts: (groups, TOKENS). bounds: becomes the first group of each.
+        counts: (groups, n), becomes that of what is left. bounds: becomes the first group of each.
     """
-    left, costs, joint = groups, np.zeros(groups), np.zeros(groups)
+    left, costs, joint, at = groups, np.zeros(groups), np.zeros(groups), np.arange(groups)
     for k in range(groups):
         bounds[k] = k
         costs[k] = cost_of(counts[k], counts[k], 0)
@@ -139,16 +137,17 @@ def joined(counts, groups, bounds, most):
                 best = k
         if left <= most and joint[best] >= costs[best] + costs[best + 1]:
             break
-        counts[best] += counts[best + 1]
+        counts[at[best]] += counts[at[best + 1]]
         costs[best] = joint[best]
         for k in range(best + 1, left - 1):
-            counts[k] = counts[k + 1]
-            costs[k], bounds[k], joint[k] = costs[k + 1], bounds[k + 1], joint[k + 1]
+            at[k], costs[k], bounds[k], joint[k] = at[k + 1], costs[k + 1], bounds[k + 1], joint[k + 1]
         left -= 1
         if best > 0:
-            joint[best - 1] = cost_of(counts[best - 1], counts[best], 1)
+            joint[best - 1] = cost_of(counts[at[best - 1]], counts[at[best]], 1)
         if best < left - 1:
-            joint[best] = cost_of(counts[best], counts[best + 1], 1)
+            joint[best] = cost_of(counts[at[best]], counts[at[best + 1]], 1)
+    for k in range(left):
+        counts[k] = counts[at[k]]
     return left
 
 

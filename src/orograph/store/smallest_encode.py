@@ -105,7 +105,10 @@ def _divided(values, groups, kinds, most, places):
         cell = kinds[k] * most + merged[np.uint64(groups[k])]
         kinds[k] = cell
         every[np.uint64(cell * TOKENS + token(np.int64(values[k])))] += 1
-    filled, table = 0, np.full(cells, -1, np.int64)
+    filled, table, longest = 0, np.full(cells, -1, np.int64), TOKENS
+    while longest > 1 and not counts[:, longest - 1].any():
+        longest -= 1
+    counts = np.ascontiguousarray(counts[:, :longest])
     for cell in range(cells):  # (counts move up: those that hold anything come first)
         if counts[cell].any():
             counts[filled] = counts[cell]
