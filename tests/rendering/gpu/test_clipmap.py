@@ -21,8 +21,8 @@ from orograph.lod.registry import chosen
 from orograph.lod.selection import ClipRings, TriangleMesh
 from orograph.rendering.gpu.draw import draw
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.surface import ground
 from orograph.rendering.gpu.stream.image_tiles import ImageTiles
+from orograph.rendering.gpu.surface import ground
 from orograph.rendering.gpu.surface.clipmap import BLOCK, HeldRings, blocks_of, ready_of
 from orograph.rendering.lookup import LEAST
 from orograph.scene.camera import whole
