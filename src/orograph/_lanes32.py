@@ -156,3 +156,28 @@ def least_unsigned(typing: Any, values: Any, most: Any) -> Any:
         return builder.select(builder.icmp_unsigned("<", args[0], limit), args[0], limit)
 
     return INTS32(values, types.unliteral(most)), lowered
+
+
+@operation
+def transpose32(typing: Any, source: Any, index: Any, target: Any, at: Any, stride: Any) -> Any:
+    """Put the numbers of each lane side by side: of sixteen times sixteen from ``index`` on in a flat int32 array,
+    those of lane i go to ``at`` + i ``stride`` of another."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        first = builder.bitcast(_address(context, builder, args[0], args[1], sig), _WORDS.as_pointer())
+        rows = [builder.load(builder.gep(first, [_at(k)]), align=4) for k in range(LANES32)]
+        for bit in (1, 2, 4, 8):  # (rows and columns whose numbers differ in this bit change places)
+            low = ir.Constant(_WORDS, [k if k & bit == 0 else LANES32 + k - bit for k in range(LANES32)])
+            high = ir.Constant(_WORDS, [k + bit if k & bit == 0 else LANES32 + k for k in range(LANES32)])
+            for k in range(LANES32):
+                if k & bit == 0:
+                    a, b = rows[k], rows[k + bit]
+                    rows[k], rows[k + bit] = builder.shuffle_vector(a, b, low), builder.shuffle_vector(a, b, high)
+        data = context.make_array(sig.args[2])(context, builder, args[2]).data
+        place, step = (context.cast(builder, args[k], sig.args[k], types.int64) for k in (3, 4))
+        for row in rows:
+            builder.store(row, builder.bitcast(builder.gep(data, [place]), _WORDS.as_pointer()), align=4)
+            place = builder.add(place, step)
+        return context.get_dummy_value()
+
+    return types.void(source, index, target, types.unliteral(at), types.unliteral(stride)), lowered

@@ -99,9 +99,9 @@ def read_tables(data, at, contexts, table, depths, direct):
             return -1
         slot = np.int64(context * TOTAL)
         for s in range(count):
-            entry = (found[s] - 1) << 20 | (s if s < direct[context] else s - direct[context] + DIRECT)
+            entry = np.uint32((found[s] - 1) << 20 | (s if s < direct[context] else s - direct[context] + DIRECT))
             for k in range(found[s]):
-                table[slot + k] = np.uint32(entry | k << 8)
+                table[np.uint64(slot + k)] = entry | np.uint32(k) << np.uint32(8)
             slot += found[s]
     return at
 
@@ -158,8 +158,10 @@ def read_weights(data, at, out):
 @kernel
 def read_words(data, at, out):
     """Copy words of a stream to where more than there are may be read; where they end."""
-    for k in range(out.size):
-        out[k] = np.uint16(u16(data, at + 2 * k))
+    some = data[at : at + 2 * out.size]
+    for k in range(some.size // 2):
+        here = np.uint64(2 * k)
+        out[np.uint64(k)] = np.uint16(some[here]) | np.uint16(some[here + np.uint64(1)]) << np.uint16(8)
     return at + 2 * out.size
 
 

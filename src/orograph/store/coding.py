@@ -48,7 +48,6 @@ MEANS = 4
 
 _MOST = 1 << 29  # (means have numbers four times as large)
 _FINER = 16  # steps of *progressive* per twice the error, approximately
-_STRIP = 256  # rows rounded at once
 _WINDOWS, _SIDE = 8, 64  # windows per axis in which steps are looked for, and samples along their sides
 
 Numbers = NDArray[np.int32]
@@ -68,16 +67,20 @@ class Packing:
 
     def numbers(self, heights: Heights) -> Numbers:
         """The numbers of heights."""
-        found = np.rint(heights.astype(np.float64) / self.step)
-        found[np.isnan(found)] = MISSING
-        return found.astype("<i4")
+        from orograph._numba import read_only
+        from orograph.store.coding_kernels import number
+
+        found = np.empty(heights.shape, np.int32)
+        number(read_only(np.ascontiguousarray(heights, np.float32).reshape(-1)), self.step, found.reshape(-1))
+        return found
 
     def heights(self, numbers: Numbers) -> Heights:
         """The heights of numbers."""
+        from orograph._numba import read_only
+        from orograph.store.coding_kernels import place
+
         found = np.empty(numbers.shape, np.float32)
-        np.multiply(numbers, self.step, out=found, dtype=np.float64, casting="same_kind")
-        if numbers.size and numbers.min() == MISSING:
-            found[numbers == MISSING] = np.nan
+        place(read_only(np.ascontiguousarray(numbers, np.int32).reshape(-1)), self.step, found.reshape(-1))
         return found
 
     def attributes(self) -> dict[str, Any]:
@@ -124,37 +127,30 @@ class Coding:
         the squares of all).
 
         Args:
-            heights: of a shard of ``own`` samples a side, with the row and column that follow.
+            heights: C order, of a shard of ``own`` samples a side, with the row and column that follow.
             kept: the numbers that they become (with the codec *progressive*); None: the nearest.
 
         Raises:
             UsageError: heights are too large for such steps.
         """
-        out = np.empty(heights.shape, np.float32)
-        largest, squares = 0.0, []
-        for row in range(0, len(heights), _STRIP):
-            strip = slice(row, row + _STRIP)
-            read = heights[strip].astype(np.float64)
-            number = np.rint(read / self.step) if kept is None else np.where(np.isnan(read), np.nan, kept[strip])
-            out[strip] = number * self.step
-            off = np.abs(out[strip] - read)
-            worst = float(np.nanmax(off, initial=0.0))
-            self.bounded(read, worst)
-            off = np.nan_to_num(off[: max(own - row, 0), :own])
-            largest = max(largest, float(off.max(initial=0.0)))
-            squares.append(float(np.square(off).sum()))
-        return out, np.array([largest, math.fsum(squares)])
+        from orograph._numba import read_only
+        from orograph.store.coding_kernels import quantise
 
-    def bounded(self, read: NDArray[Any], worst: float = 0.0) -> None:
+        out, none = np.empty(heights.shape, np.float32), np.empty((0, 0), np.int32)
+        kept = read_only(none if kept is None else np.ascontiguousarray(kept))
+        highest, worst, largest, squares = quantise(read_only(heights), self.step, kept, own, out)
+        self.bounded(highest, worst)
+        return out, np.array([largest, squares])
+
+    def bounded(self, highest: float, worst: float = 0.0) -> None:
         """Check that heights can be stored.
 
         Args:
-            worst: the largest error found, metres.
+            highest: the largest of them without its sign, metres. worst: the largest error found, metres.
 
         Raises:
             UsageError: heights are too large, or off by more than stated.
         """
-        highest = float(np.nanmax(np.abs(read), initial=0.0))
         if highest >= _MOST * self.step or (self.max_error is not None and worst > self.max_error):
             raise UsageError(
                 f"Heights of {highest:g} m cannot be stored in steps of {self.step:g} m.",

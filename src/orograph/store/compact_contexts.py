@@ -22,12 +22,12 @@ ENTRY = 3.5  # bits of a symbol in a table, about
 
 @shared
 def length(value):
-    """Bits of a whole number."""
+    """Bits of a whole number, at least 0: without a branch, for it cannot be foreseen."""
     bits = 0
-    while value:
-        bits += 1
-        value >>= 1
-    return bits
+    for half in (32, 16, 8, 4, 2, 1):
+        more = value >= 1 << half
+        bits, value = bits + half * more, value >> (half * more)
+    return bits + value
 
 
 @shared
@@ -48,7 +48,7 @@ SMALL_COUNTS = np.array([0.0] + [count * _log2(float(count)) for count in range(
 @shared
 def _entropy(count):
     """A count times its logarithm."""
-    return SMALL_COUNTS[count] if count < SMALL_COUNTS.size else count * _log2(float(count))
+    return SMALL_COUNTS[np.uint64(count)] if count < SMALL_COUNTS.size else count * _log2(float(count))
 
 
 @kernel
@@ -64,16 +64,15 @@ def activity_of(values, shift, found):
 @kernel
 def shift_of(values):
     """By how much activities are shifted: nearly all are below ``LEVELS`` then."""
-    bits, size = 0, values.size
+    low, high, size = 0, 32, values.size
     flat = values.reshape(size)
-    while bits < 32:
-        larger = 0
+    while low < high:  # (the fewest bits that all but one in 32 have)
+        bits = (low + high) // 2
+        limit, larger = np.uint32((1 << bits) - 1), np.int32(0)
         for k in range(size):
-            larger += flat[k] >> np.uint32(bits) != 0
-        if larger <= size // 32:
-            break
-        bits += 1
-    return min(max(bits + 3 - 8, 0), 12)
+            larger += np.int32(flat[k] > limit)
+        low, high = (low, bits) if larger <= size // 32 else (bits + 1, high)
+    return min(max(low + 3 - 8, 0), 12)
 
 
 @shared
@@ -91,10 +90,8 @@ def cost_of(counts, more, share):
     total, bits, kinds = 0, 0.0, 0
     for k in range(counts.size):
         count = counts[k] + share * more[k]
-        if count:
-            total += count
-            bits -= _entropy(count)
-            kinds += 1
+        total, kinds = total + count, kinds + (count > 0)
+        bits -= _entropy(count)
     return bits + _entropy(total) + 16 + ENTRY * kinds if total else 0.0
 
 
@@ -125,9 +122,9 @@ def joined(counts, groups, bounds, most):
     """Join neighbours among groups while that costs nothing, or there are more than ``most``; how many are left.
 
     Args:
-        counts: (groups, TOKENS). bounds: becomes the first group of each.
+        counts: (groups, n), becomes that of what is left. bounds: becomes the first group of each.
     """
-    left, costs, joint = groups, np.zeros(groups), np.zeros(groups)
+    left, costs, joint, at = groups, np.zeros(groups), np.zeros(groups), np.arange(groups)
     for k in range(groups):
         bounds[k] = k
         costs[k] = cost_of(counts[k], counts[k], 0)
@@ -140,16 +137,17 @@ def joined(counts, groups, bounds, most):
                 best = k
         if left <= most and joint[best] >= costs[best] + costs[best + 1]:
             break
-        counts[best] += counts[best + 1]
+        counts[at[best]] += counts[at[best + 1]]
         costs[best] = joint[best]
         for k in range(best + 1, left - 1):
-            counts[k] = counts[k + 1]
-            costs[k], bounds[k], joint[k] = costs[k + 1], bounds[k + 1], joint[k + 1]
+            at[k], costs[k], bounds[k], joint[k] = at[k + 1], costs[k + 1], bounds[k + 1], joint[k + 1]
         left -= 1
         if best > 0:
-            joint[best - 1] = cost_of(counts[best - 1], counts[best], 1)
+            joint[best - 1] = cost_of(counts[at[best - 1]], counts[at[best]], 1)
         if best < left - 1:
-            joint[best] = cost_of(counts[best], counts[best + 1], 1)
+            joint[best] = cost_of(counts[at[best]], counts[at[best + 1]], 1)
+    for k in range(left):
+        counts[k] = counts[at[k]]
     return left
 
 
@@ -160,11 +158,12 @@ def divided(values, activity, bounds):
     flat, of = activity.reshape(size), values.reshape(size)
     levels, group = np.zeros(LEVELS, np.int64), np.empty(LEVELS, np.int64)
     for k in range(size):
-        levels[flat[k]] += 1
+        levels[np.uint64(flat[k])] += 1
     groups = grouped(levels, group, GROUPS)
     counts, firsts = np.zeros((groups, TOKENS), np.int64), np.empty(groups, np.int64)
+    every = counts.reshape(groups * TOKENS)
     for k in range(size):
-        counts[group[flat[k]], token(np.int64(of[k]))] += 1
+        every[np.uint64(group[np.uint64(flat[k])] * TOKENS + token(np.int64(of[k])))] += 1
     contexts = joined(counts, groups, firsts, CONTEXTS)
     context = np.empty(LEVELS, np.int32)
     now = 0
@@ -174,5 +173,5 @@ def divided(values, activity, bounds):
             bounds[now] = level
         context[level] = now
     for k in range(size):
-        flat[k] = context[flat[k]]
+        flat[k] = context[np.uint64(flat[k])]
     return contexts

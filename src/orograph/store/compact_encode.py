@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from orograph._lanes import LANES as LANES8
 from orograph._numba import inlined, kernel, shared
+from orograph.store.codec_fit import differences, solved, tally
 from orograph.store.codec_head import (
     BITS,
     DEEPEST,
@@ -36,10 +38,7 @@ from orograph.store.compact_decode import (
 
 SAMPLED = 32  # rows that weights are fitted to
 RARE = 8  # values that one in 2^8 exceeds are ranges
-OFFSETS = np.array(
-    [(0, -1), (0, -2), (-1, -2), (-1, -1), (-1, 1), (-1, 2), (-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2)], np.int64
-)
-"""Rows and columns from a sample to those its weights belong to."""
+WIDTH = 2 * LANES8  # of rows of sums, at least ``NEIGHBOURS``
 
 
 @kernel
@@ -49,37 +48,25 @@ def _sums(numbers, matrix, right):
     A sample weighs less the rougher it is around: a cliff must not outvote the plain.
     """
     rows, cols = numbers.shape
-    d, used = np.empty(NEIGHBOURS), 0
+    d, used = np.zeros(WIDTH), 0
     for row in range(2, rows, max(rows // SAMPLED, 1)):
+        far, near, line = numbers[row - 2], numbers[row - 1], numbers[row]
         for col in range(2, cols - 2):
-            north, here = numbers[row - 1, col], numbers[row, col]
-            known = north != MISSING and here != MISSING
-            for k in range(NEIGHBOURS):
-                there = numbers[row + OFFSETS[k, 0], col + OFFSETS[k, 1]]
-                known &= there != MISSING
-                d[k] = float(there) - north
-            if not known:
+            here = line[np.uint64(col)]
+            if not differences(far, near, line, col, d) or here == MISSING:
                 continue
             used += 1
-            sought = float(here) - north
             rough = abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8])
-            share = 1.0 / (2.0 + rough)
-            for k in range(NEIGHBOURS):
-                part = share * d[k]
-                right[k] += part * sought
-                for m in range(k + 1):
-                    matrix[k, m] += part * d[m]
-    for k in range(NEIGHBOURS):
-        for m in range(k):
-            matrix[m, k] = matrix[k, m]
+            tally(matrix, right, WIDTH, NEIGHBOURS, d, 1.0 / (2.0 + rough), float(here) - near[np.uint64(col)])
     return used
 
 
 @kernel
 def fitted(numbers, weights):
     """The weights (11,) int64, in 1/4096; those of a plane where there is too little to go by."""
-    matrix, right = np.zeros((NEIGHBOURS, NEIGHBOURS)), np.zeros(NEIGHBOURS)
-    used = _sums(numbers, matrix, right)
+    sums, line = np.zeros(WIDTH * WIDTH), np.zeros(WIDTH)
+    used = _sums(numbers, sums, line)
+    matrix, right = sums.reshape(WIDTH, WIDTH)[:NEIGHBOURS, :NEIGHBOURS], line[:NEIGHBOURS]
     trace = 0.0
     for k in range(NEIGHBOURS):
         trace += matrix[k, k]
@@ -88,16 +75,8 @@ def fitted(numbers, weights):
         matrix[k, k] += ridge
     right[0] += ridge
     right[3] -= ridge
-    for k in range(NEIGHBOURS):  # elimination: the matrix is positive definite
-        for m in range(k + 1, NEIGHBOURS):
-            share = matrix[m, k] / matrix[k, k]
-            right[m] -= share * right[k]
-            for n in range(k, NEIGHBOURS):
-                matrix[m, n] -= share * matrix[k, n]
-    for k in range(NEIGHBOURS - 1, -1, -1):
-        for n in range(k + 1, NEIGHBOURS):
-            right[k] -= matrix[k, n] * right[n]
-        right[k] /= matrix[k, k]
+    solved(matrix, right)
+    for k in range(NEIGHBOURS):
         weights[k] = np.int64(np.floor(min(max(right[k], -7.9), 7.9) * TOTAL + 0.5))
 
 
@@ -141,21 +120,27 @@ def symbol_of(value, direct):
 def decided_tables(values, contexts, number, rare, depths, direct, found, codes):
     """Decide the tables: ``depths`` by context, how many symbols are values (``direct``: those that one in 2^``rare``
     exceeds are ranges), the ``codes`` of the ``found`` frequencies; symbols of each."""
-    sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64)
+    parts = np.zeros(4 * 2 * number, np.int64)  # (in four parts, for neighbours mostly have the same context)
     size, sizes = values.size, np.zeros(number, np.int64)
     flat, of = values.reshape(size), contexts.reshape(size)
     for k in range(size):
-        sums[of[k]] += np.int64(flat[k])
-        counts[of[k]] += 1
+        here = np.uint64(((k & 3) * number + of[k]) * 2)
+        parts[here] += np.int64(flat[k])
+        parts[here + np.uint64(1)] += 1
+    sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64)
+    for c in range(4 * number):
+        sums[c % number] += parts[2 * c]
+        counts[c % number] += parts[2 * c + 1]
     for c in range(number):
         depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
         direct[c] = DIRECT
     large, many = np.empty(size, np.int64), 0  # where values are that are ranges in any case
+    every = found.reshape(found.size)
     for k in range(size):
-        c = of[k]
-        value = np.int64(flat[k]) >> depths[c]
+        c = np.int64(of[k])
+        value = np.int64(flat[k]) >> depths[np.uint64(c)]
         if value < DIRECT:
-            found[c, value] += 1
+            every[np.uint64(c * SYMBOLS + value)] += 1
         else:
             large[many] = k
             many += 1
@@ -286,32 +271,43 @@ def ready_to_push(found):
 def _stream(values, contexts, depths, direct, found, words, states):
     """Write the words from the end, in the opposite order of reading; where they begin."""
     rows, size = values.shape
-    width, p = size // LANES, np.int64(words.size)
+    p, deep = np.int64(words.size), depths.any()
     both, inverse = ready_to_push(found)
     states[:] = LEAST
+    codes = np.empty(size, np.int32)
     for row in range(rows - 1, -1, -1):
-        for i in range(width - 1, -1, -1):
+        line, of = values[row], contexts[row]
+        for col in range(size):
+            c = np.int64(of[col])
+            codes[col] = c * SYMBOLS + symbol_of(np.int64(line[col]) >> depths[np.uint64(c)], direct[np.uint64(c)])
+        for four in range(size - LANES, -1, -LANES):
+            beyond = False
+            for lane in range(LANES):
+                c = np.int64(of[np.uint64(four + lane)])
+                beyond |= codes[np.uint64(four + lane)] - c * SYMBOLS >= direct[np.uint64(c)]
+            if deep or beyond:
+                p = _push_bits(line, of, codes, four, depths, direct, states, p, words)
             for lane in range(LANES - 1, -1, -1):
-                col = LANES * i + lane
-                depth, value = depths[contexts[row, col]], np.int64(values[row, col])
-                if depth:
-                    states[lane], p = push_plain(states[lane], p, words, depth, value & ((1 << depth) - 1))
-            for lane in range(LANES - 1, -1, -1):
-                col = LANES * i + lane
-                c = contexts[row, col]
-                value = np.int64(values[row, col]) >> depths[c]
-                if value >= direct[c]:
-                    beyond = value - direct[c] + 1
-                    bits = length(beyond) - 1
-                    beyond -= np.int64(1) << bits
-                    if bits > 16:
-                        states[lane], p = push_plain(states[lane], p, words, bits - 16, beyond >> 16)
-                    states[lane], p = push_plain(states[lane], p, words, min(bits, 16), beyond & 0xFFFF)
-            for lane in range(LANES - 1, -1, -1):
-                col = LANES * i + lane
-                c = contexts[row, col]
-                s = symbol_of(np.int64(values[row, col]) >> depths[c], direct[c])
-                states[lane], p = push(states[lane], p, words, both, inverse, c * SYMBOLS + s)
+                here, x = np.int64(codes[np.uint64(four + lane)]), states[np.uint64(lane)]
+                states[np.uint64(lane)], p = push(x, p, words, both, inverse, here)
+    return p
+
+
+@kernel
+def _push_bits(line, of, codes, four, depths, direct, states, p, words):
+    """Write the bits below the symbols of four values of a row, and those of ranges; the word before."""
+    for lane in range(LANES - 1, -1, -1):
+        depth, value = depths[of[four + lane]], np.int64(line[four + lane])
+        if depth:
+            states[lane], p = push_plain(states[lane], p, words, depth, value & ((1 << depth) - 1))
+    for lane in range(LANES - 1, -1, -1):
+        c = of[four + lane]
+        bits = codes[four + lane] - c * SYMBOLS - direct[c]
+        if bits >= 0:
+            beyond = (np.int64(line[four + lane]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
+            if bits > 16:
+                states[lane], p = push_plain(states[lane], p, words, bits - 16, beyond >> 16)
+            states[lane], p = push_plain(states[lane], p, words, min(bits, 16), beyond & 0xFFFF)
     return p
 
 

@@ -48,11 +48,16 @@ def known(shape: tuple[int, int], first: tuple[int, int], size: tuple[int, int])
 
 def coarse_of(numbers: Numbers, last: tuple[int, int]) -> Numbers:
     """The samples of a chunk that the level above also has."""
-    rows = np.arange(0, numbers.shape[0], 2)
-    cols = np.arange(0, numbers.shape[1], 2)
-    rows = np.append(rows, numbers.shape[0] - 1) if last[0] else rows
-    cols = np.append(cols, numbers.shape[1] - 1) if last[1] else cols
-    return np.ascontiguousarray(numbers[np.ix_(rows, cols)])
+    rows, cols = ((n + 1) // 2 for n in numbers.shape)
+    found = np.empty((rows + last[0], cols + last[1]), np.int32)
+    found[:rows, :cols] = numbers[::2, ::2]
+    if last[0]:
+        found[rows, :cols] = numbers[-1, ::2]
+    if last[1]:
+        found[:rows, cols] = numbers[::2, -1]
+    if last[0] and last[1]:
+        found[rows, cols] = numbers[-1, -1]
+    return found
 
 
 def residuals(numbers: Numbers, last: tuple[int, int], scheme: Scheme) -> Numbers:
@@ -106,6 +111,8 @@ def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> 
 
 def _level(units: NDArray[np.float64], level: int) -> NDArray[np.float64]:
     """Every 2^level-th sample, and the last ones if they are others."""
+    if all((n - 1) % (1 << level) == 0 for n in units.shape):
+        return units[:: 1 << level, :: 1 << level]
     rows, cols = (np.minimum(np.arange(-((1 - n) >> level) + 1) << level, n - 1) for n in units.shape)
     return units[np.ix_(rows, cols)]
 

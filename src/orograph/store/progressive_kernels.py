@@ -103,17 +103,35 @@ def _given(k, side, known):
     return k & 1 == 0 or (known and k == side - 1)
 
 
+@inlined
+def _floored(value, factor):
+    """Whole times that a factor fits a number. (A division of floats is exact enough below 2^52, and vectors do it.)"""
+    return np.floor(np.float64(value) / factor)
+
+
 @kernel
 def _predicted(coarse, known_row, known_col, factor, exact, out):
     """As ``predict``; where it is ``exact`` predictions are whole numbers of large steps."""
     predict(coarse, known_row, known_col, out)
     if exact and factor > 1:
-        rows, cols = out.shape
-        for i in range(rows):
-            row = _given(i, rows, known_row)
-            for j in range(cols):
-                if not (row and _given(j, cols, known_col)):
-                    out[i, j] = np.int32((np.int64(out[i, j]) + factor // 2) // factor * factor)
+        half, wide = factor // 2, np.float64(factor)
+        for i in range(out.shape[0]):
+            line = out[i]
+            for j in range(line.size):
+                line[j] = np.int32(_floored(np.float64(line[j]) + half, wide) * wide)
+        _put_known(coarse, known_row, known_col, out)
+
+
+@kernel
+def _put_known(coarse, known_row, known_col, out):
+    """Put the samples that the level above has where they belong."""
+    rows, cols = out.shape
+    for i in range(coarse.shape[0]):
+        line = out[rows - 1 if known_row and i == coarse.shape[0] - 1 else 2 * i]
+        for j in range(coarse.shape[1] - known_col):
+            line[2 * j] = coarse[i, j]
+        if known_col:
+            line[cols - 1] = coarse[i, coarse.shape[1] - 1]
 
 
 @kernel
@@ -143,16 +161,16 @@ def subtract(numbers, coarse, known_row, known_col, factor, exact, out):
     """What is stored of a chunk: (rows, cols) int32, in large steps, 0 where the level above has the sample."""
     _predicted(coarse, known_row, known_col, factor, exact, out)
     rows, cols = out.shape
+    wide = np.float64(factor)
     for i in range(rows):
-        row = _given(i, rows, known_row)
+        here, line = numbers[i], out[i]
         for j in range(cols):
-            here = numbers[i, j]
-            if here == MISSING:
-                out[i, j] = MISSING
-            elif row and _given(j, cols, known_col):
-                out[i, j] = 0
-            else:
-                out[i, j] = np.int32((np.int64(here) - out[i, j]) // factor)
+            steps = np.int32(_floored(np.float64(here[j]) - np.float64(line[j]), wide))
+            line[j] = steps if here[j] != MISSING else np.int32(MISSING)
+        if _given(i, rows, known_row):
+            for j in range(cols):
+                if _given(j, cols, known_col) and here[j] != MISSING:
+                    line[j] = 0
 
 
 @kernel

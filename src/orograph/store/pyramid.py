@@ -117,7 +117,7 @@ class Finest:
             return heights, {}
         kept = None
         if self.coding.codec == "progressive":
-            self.coding.bounded(heights)
+            self.coding.bounded(float(np.nanmax(np.abs(heights), initial=0.0)))
             levels = min((size // self.chunk).bit_length(), level_count(self.shape) - 1)
             kept = closed(heights.astype(np.float64) / self.coding.step, levels, self.chunk, self.coding.factor)
         heights, lost = self.coding.rounded(heights, size, kept)

@@ -27,6 +27,7 @@ from orograph._lanes32 import (
     shifted_right,
     spread32,
     store32,
+    transpose32,
 )
 from orograph._numba import inlined, kernel
 from orograph.store.codec_head import (
@@ -262,9 +263,9 @@ def _decode_block(count, step, period, p, words, tables, deep, factors, coded, s
 
 @kernel
 def _begun(period, first):
-    """The front before the first step, with a value above the first row; factors; and samples of a block."""
+    """The front before the first step, with a value above the first row; factors; room for a block, twice."""
     size, line = (BLOCK + PAST) * LANES32, 64 // 4
-    count = 5 * size + 4 * LANES32 + 2 * FACTORS * LANES32 + BLOCK * LANES32
+    count = 5 * size + 4 * LANES32 + 2 * (FACTORS + BLOCK) * LANES32
     room = np.zeros(count + line, np.int32)
     at = -(room.ctypes.data // 4) % line  # vectors that straddle cache lines take twice as long to load
     above, beyond, errors = room[at : at + size], room[at + size : at + 2 * size], room[at + 2 * size : at + 3 * size]
@@ -274,7 +275,8 @@ def _begun(period, first):
     at += (4 + 2 * FACTORS) * LANES32
     edges = np.zeros((4, period), np.int32)
     above[:], beyond[:], edges[:2], last[: 2 * LANES32] = first, first, first, first
-    return Front(above, beyond, errors, across, down, edges, last), factors, room[at : at + BLOCK * LANES32]
+    block, lines = room[at : at + BLOCK * LANES32], room[at + BLOCK * LANES32 : at + 2 * BLOCK * LANES32]
+    return Front(above, beyond, errors, across, down, edges, last), factors, block, lines
 
 
 @kernel
@@ -289,7 +291,7 @@ def _decode_steps(words, count, tables, classes, weights, shares, marks, first, 
     period, steps = period_of(cols), steps_of(rows, cols)
     coded, starts = np.zeros(steps, MARKS), np.zeros(steps, MARKS)
     mark_steps(marks, rows, cols, classes, coded, starts)
-    front, factors, block = _begun(period, first)
+    front, factors, block, lines = _begun(period, first)
     front.last[3 * LANES32 :] = LEAST
     front.last[3 * LANES32 : 3 * LANES32 + states.size] = states
     deep, p, step = tables.depths.any(), np.int64(0), np.int64(0)
@@ -300,7 +302,7 @@ def _decode_steps(words, count, tables, classes, weights, shares, marks, first, 
         p = _decode_block(size, step, period, p, words, tables, deep, factors, coded, starts, front, block)
         if p > count:
             return False
-        _put_samples(block, size, step, out)
+        _put_samples(block, lines, size, step, out)
         for part in (front.above, front.beyond, front.errors, front.across, front.down):
             for k in range(PAST * LANES32):
                 part[k] = part[size * LANES32 + k]
@@ -309,19 +311,25 @@ def _decode_steps(words, count, tables, classes, weights, shares, marks, first, 
 
 
 @kernel
-def _put_samples(block, size, step, out):
-    """Put the samples of a block of steps in their rows."""
+def _put_samples(block, lines, size, step, out):
+    """Put the samples of a block of steps in their rows.
+
+    Args:
+        block: flat. lines: (LANES32 × BLOCK,) int32, becomes the samples of each lane.
+    """
     rows, cols = out.shape
     period = period_of(cols)
+    for k in range(0, BLOCK, LANES32):
+        transpose32(block, k * LANES32, lines, k, BLOCK)
     for i in range(LANES32):
         since, k = step - LAG * i, max(LAG * i - step, 0)
         while k < size:  # (a block may see the end of a row and the beginning of another)
             row, col = (since + k) // period * LANES32 + i, (since + k) % period
-            here = np.uint64(k * LANES32 + i)
+            here = np.uint64(i * BLOCK + k)
             if row < rows:
                 line = out[row, col : min(col + size - k, cols)]
                 for m in range(line.size):
-                    line[np.uint64(m)] = block[here + np.uint64(m * LANES32)]
+                    line[np.uint64(m)] = lines[here + np.uint64(m)]
             k += min(size - k, period - col)
 
 

@@ -94,20 +94,23 @@ def _divided(values, groups, kinds, most, places):
         most: groups that are told apart, at most.
         places: (CLASSES, GROUPS, BINS) int64, become tables, -1 where there are no samples.
     """
-    sizes, merged = np.zeros(GROUPS, np.int64), np.empty(GROUPS, np.int64)
-    for k in range(groups.size):
-        sizes[groups[k]] += 1
-    most = grouped(sizes, merged, most)
+    parts, merged = np.zeros(4 * GROUPS, np.int64), np.empty(GROUPS, np.int64)
+    for k in range(groups.size):  # (in four parts, for neighbours mostly have the same group)
+        parts[np.uint64((k & 3) * GROUPS + groups[k])] += 1
+    most = grouped(parts.reshape(4, GROUPS).sum(0), merged, most)
     cells = CLASSES * BINS * most
-    counts, seen = np.zeros((cells, TOKENS), np.int64), np.zeros(cells, np.bool_)
+    counts = np.zeros((cells, TOKENS), np.int64)
+    every = counts.reshape(cells * TOKENS)
     for k in range(values.size):
-        cell = kinds[k] * most + merged[groups[k]]
+        cell = kinds[k] * most + merged[np.uint64(groups[k])]
         kinds[k] = cell
-        counts[cell, token(np.int64(values[k]))] += 1
-        seen[cell] = True
-    filled, table = 0, np.full(cells, -1, np.int64)
+        every[np.uint64(cell * TOKENS + token(np.int64(values[k])))] += 1
+    filled, table, longest = 0, np.full(cells, -1, np.int64), TOKENS
+    while longest > 1 and not counts[:, longest - 1].any():
+        longest -= 1
+    counts = np.ascontiguousarray(counts[:, :longest])
     for cell in range(cells):  # (counts move up: those that hold anything come first)
-        if seen[cell]:
+        if counts[cell].any():
             counts[filled] = counts[cell]
             table[cell] = filled
             filled += 1
@@ -127,7 +130,7 @@ def _divided(values, groups, kinds, most, places):
         for group in range(GROUPS):
             places[kind // BINS, group, kind % BINS] = table[kind * most + merged[group]]
     for k in range(kinds.size):
-        kinds[k] = table[kinds[k]]
+        kinds[k] = table[np.uint64(kinds[k])]
     return tables
 
 
@@ -153,58 +156,76 @@ def _write_map(out, at, places):
 
 
 @kernel
-def _in_steps(values, tables, skips):
-    """Values and tables in the order of steps, flat, sixteen in each; -1 where a lane has nothing."""
+def _in_steps(values, tables, depths, direct, skips):
+    """Values and codes (a table's number times ``SYMBOLS``, plus the symbol) in the order of steps, flat, sixteen in
+    each, -1 where a lane has nothing; and of each step whether it has ranges."""
     rows, cols = skips.shape
-    size, n = steps_of(rows, cols) * LANES32, 0
-    ordered, kinds = np.zeros(size, np.uint32), np.full(size, -1, np.int32)
+    steps, n = steps_of(rows, cols), 0
+    ordered, codes = np.zeros(steps * LANES32, np.uint32), np.full(steps * LANES32, -1, np.int32)
+    ranges = np.zeros(steps, np.bool_)
     for row in range(rows):
-        at = begin_of(row, cols) * LANES32 + row % LANES32
+        begin, skip = begin_of(row, cols), skips[row]
+        at = begin * LANES32 + row % LANES32
         for col in range(cols):
-            if skips[row, col] == 0:
-                ordered[at + col * LANES32], kinds[at + col * LANES32] = values[n], tables[n]
-                n += 1
-    return ordered, kinds
+            if skip[np.uint64(col)]:
+                continue
+            here, c, value = np.uint64(at + col * LANES32), np.uint64(tables[np.uint64(n)]), values[np.uint64(n)]
+            symbol = symbol_of(np.int64(value) >> depths[c], direct[c])
+            if symbol >= direct[c]:
+                ranges[np.uint64(begin + col)] = True
+            ordered[here], codes[here] = value, np.int64(c) * SYMBOLS + symbol
+            n += 1
+    return ordered, codes, ranges
 
 
 @kernel
-def _stream(ordered, kinds, depths, direct, found, words, states):
+def _stream(ordered, codes, ranges, depths, direct, found, words, states):
     """Write the words from the end, in the opposite order of reading; where they begin.
 
     Args:
-        ordered, kinds: from ``_in_steps``. states: (LANES32,) int64, become those to begin with.
+        ordered, codes, ranges: from ``_in_steps``. states: (LANES32,) int64, become those to begin with.
     """
     p, deep = np.int64(words.size), depths.any()
     both, inverse = ready_to_push(found)
     states[:] = LEAST
-    symbols = np.empty(LANES32, np.int64)
-    for step in range(ordered.size - LANES32, -1, -LANES32):
-        ranges, lanes = False, kinds[step : step + LANES32]
-        for i in range(LANES32):
-            c = lanes[i]
-            if c >= 0:
-                symbols[i] = symbol_of(np.int64(ordered[step + i]) >> depths[c], direct[c])
-                ranges |= symbols[i] >= direct[c]
+    for step in range(ranges.size - 1, -1, -1):
+        at = step * LANES32
         if deep:
-            for i in range(LANES32 - 1, -1, -1):
-                depth = depths[lanes[i]] if lanes[i] >= 0 else 0
-                if depth:
-                    low = np.int64(ordered[step + i]) & ((1 << depth) - 1)
-                    states[i], p = push_plain(states[i], p, words, depth, low)
-        for high in range(ranges, -ranges, -1):  # (1 and 0: what is above sixteen bits is written before the rest)
-            for i in range(LANES32 - 1, -1, -1):
-                c = lanes[i]
-                if c >= 0 and symbols[i] >= direct[c]:
-                    bits = symbols[i] - direct[c]
-                    beyond = (np.int64(ordered[step + i]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
-                    if high and bits > 16:
-                        states[i], p = push_plain(states[i], p, words, bits - 16, beyond >> 16)
-                    elif not high:
-                        states[i], p = push_plain(states[i], p, words, min(bits, 16), beyond & 0xFFFF)
+            p = _push_low(ordered, codes, at, depths, states, p, words)
+        if ranges[step]:
+            p = _push_ranges(ordered, codes, at, depths, direct, states, p, words)
         for i in range(LANES32 - 1, -1, -1):
-            c = lanes[i]
-            if c >= 0:
-                states[i], p = push(states[i], p, words, both, inverse, c * SYMBOLS + symbols[i])
+            code = np.int64(codes[np.uint64(at + i)])
+            if code >= 0:
+                states[np.uint64(i)], p = push(states[np.uint64(i)], p, words, both, inverse, code)
+    return p
+
+
+@kernel
+def _push_low(ordered, codes, at, depths, states, p, words):
+    """Write the bits below the symbols of a step; the word before."""
+    for i in range(LANES32 - 1, -1, -1):
+        depth = depths[codes[at + i] // SYMBOLS] if codes[at + i] >= 0 else 0
+        if depth:
+            low = np.int64(ordered[at + i]) & ((1 << depth) - 1)
+            states[i], p = push_plain(states[i], p, words, depth, low)
+    return p
+
+
+@kernel
+def _push_ranges(ordered, codes, at, depths, direct, states, p, words):
+    """Write the bits of the ranges of a step: those above sixteen bits before the rest; the word before."""
+    for high in range(1, -1, -1):
+        for i in range(LANES32 - 1, -1, -1):
+            c = codes[at + i] // SYMBOLS
+            bits = codes[at + i] - c * SYMBOLS - direct[c] if c >= 0 else -1
+            if bits < 0:
+                continue
+            beyond = (np.int64(ordered[at + i]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
+            if high and bits > 16:
+                states[i], p = push_plain(states[i], p, words, bits - 16, beyond >> 16)
+            elif not high:
+                states[i], p = push_plain(states[i], p, words, min(bits, 16), beyond & 0xFFFF)
     return p
 
 
@@ -235,7 +256,7 @@ def _fitted(whole, skips, classes, weights, shares, given, held):
         full_weights(given[k], weights[k])
     step = 2 * max(rows * cols // (SAMPLED * (1 if classes == 1 else 2)), 2)
     seen, counts = np.empty((CLASSES, SAMPLED, SIGNS + 1), np.int32), np.zeros(CLASSES, np.int64)
-    none = np.empty(0, np.uint32), np.empty(0, np.int64), np.empty(0, np.int64)
+    none = np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.int32)
     look(whole, skips, classes, weights, shares, step, seen, counts, none[0], none[1], none[2])
     for k in range(classes == CLASSES, classes):
         fitted_shares(seen[k], seen[k, :, SIGNS], counts[k], held[k])
@@ -259,7 +280,7 @@ def encode(numbers, classes):
     held, shares = np.zeros((CLASSES, SIGNS), np.int64), np.zeros((CLASSES, SIGNS), np.int32)
     _fitted(whole, skips, classes, weights, shares, given, held)
     size = rows * cols
-    values, groups, kinds = np.empty(size, np.uint32), np.empty(size, np.int64), np.empty(size, np.int64)
+    values, groups, kinds = np.empty(size, np.uint32), np.empty(size, np.int32), np.empty(size, np.int32)
     seen, counts = np.empty((CLASSES, 0, SIGNS + 1), np.int32), np.zeros(CLASSES, np.int64)
     used = look(whole, skips, classes, weights, shares, 1, seen, counts, values, groups, kinds)
     values, groups, kinds = values[:used], groups[:used], kinds[:used]
@@ -269,8 +290,8 @@ def encode(numbers, classes):
     codes, found = np.zeros((number, SYMBOLS), np.int64), np.zeros((number, SYMBOLS), np.int64)
     sizes = decided_tables(values, kinds, number, RARE, depths, direct, found, codes)
     words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
-    ordered, tables = _in_steps(values, kinds, skips)
-    p = _stream(ordered, tables, depths, direct, found, words, states)
+    ordered, steps, ranges = _in_steps(values, kinds, depths, direct, skips)
+    p = _stream(ordered, steps, ranges, depths, direct, found, words, states)
     most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)
     head[0], head[2], head[3] = VERSION, classes, number

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from orograph._lanes import LANES
 from orograph._numba import kernel
+from orograph.store.codec_fit import differences, solved, tally
 from orograph.store.codec_head import (
     NEIGHBOURS,
     TOTAL,
 )
-from orograph.store.compact_encode import OFFSETS
 from orograph.store.smallest_rows import SIGNS
 
 SAMPLED = 4096  # samples of a class that are looked at, about
 SWEEPS = 40
+WIDTH = 2 * LANES  # of rows of sums, at least ``NEIGHBOURS``
 
 
 @kernel
@@ -27,50 +29,28 @@ def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
     Args:
         whole: (rows + 2, cols + 4) int32, the samples with those around them. skips: (rows, cols) uint8.
         row0, col0, step, stride: which rows and columns. before: weights of a first round, or zeros.
+        matrix, right: as of ``tally``.
     """
     rows, cols = skips.shape
-    used, d = 0, np.empty(NEIGHBOURS)
+    used, d = 0, np.zeros(WIDTH)
     for row in range(row0 if row0 >= 2 else row0 + 2, rows, step):
+        far, near, line, skip = whole[row], whole[row + 1], whole[row + 2], skips[row]
         for col in range(col0 if col0 >= 2 else col0 + 2, cols - 2, stride):
-            if skips[row, col]:
+            if skip[np.uint64(col)]:
                 continue
             used += 1
-            north = float(whole[row + 1, col + 2])
-            sought = float(whole[row + 2, col + 2]) - north
-            said = 0.0
-            for k in range(NEIGHBOURS):
-                d[k] = float(whole[row + 2 + OFFSETS[k, 0], col + 2 + OFFSETS[k, 1]]) - north
-                said += before[k] * d[k]
+            sought = float(line[np.uint64(col + 2)]) - float(near[np.uint64(col + 2)])
+            differences(far, near, line, col + 2, d)
             # A cliff must not outvote the plain, nor what is predicted badly what is predicted well.
             share = 1.0 / (2.0 + abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8]))
             if before[NEIGHBOURS]:
+                said = 0.0
+                for k in range(NEIGHBOURS):
+                    said += before[k] * d[k]
                 off = 0.5 + abs(sought - said)
                 share = np.sqrt(share / off) / off
-            for k in range(NEIGHBOURS):
-                part = share * d[k]
-                right[k] += part * sought
-                for m in range(k + 1):
-                    matrix[k, m] += part * d[m]
+            tally(matrix, right, WIDTH, NEIGHBOURS, d, share, sought)
     return used
-
-
-@kernel
-def solved(matrix, right):
-    """Solve a positive definite system, of which the lower triangle is given, in place."""
-    n = right.size
-    for k in range(n):
-        for m in range(k):
-            matrix[m, k] = matrix[k, m]
-    for k in range(n):
-        for m in range(k + 1, n):
-            share = matrix[m, k] / matrix[k, k]
-            right[m] -= share * right[k]
-            for i in range(k, n):
-                matrix[m, i] -= share * matrix[k, i]
-    for k in range(n - 1, -1, -1):
-        for i in range(k + 1, n):
-            right[k] -= matrix[k, i] * right[i]
-        right[k] /= matrix[k, k]
 
 
 @kernel
@@ -80,8 +60,9 @@ def fitted_weights(whole, skips, row0, col0, spread, weights):
     step = spread * max(rows * cols // (spread * spread * SAMPLED), 1)
     before = np.zeros(NEIGHBOURS + 1)
     for _ in range(2):
-        matrix, right = np.zeros((NEIGHBOURS, NEIGHBOURS)), np.zeros(NEIGHBOURS)
-        used = _equations(whole, skips, row0, col0, step, spread, before, matrix, right)
+        sums, line = np.zeros(WIDTH * WIDTH), np.zeros(WIDTH)
+        used = _equations(whole, skips, row0, col0, step, spread, before, sums, line)
+        matrix, right = sums.reshape(WIDTH, WIDTH)[:NEIGHBOURS, :NEIGHBOURS], line[:NEIGHBOURS]
         trace = 0.0
         for k in range(NEIGHBOURS):
             trace += matrix[k, k]
@@ -103,20 +84,17 @@ def fitted_shares(signs, sizes, used, shares):
     Args:
         signs: (n, SIGNS) int32. sizes: (n,) int32. used: how many there are. shares: become (SIGNS,) int64, in 1/256.
     """
-    n = SIGNS + 1
-    matrix, right, d, found = np.zeros((n, n)), np.zeros(n), np.ones(n), np.zeros(n)
+    n, width = SIGNS + 1, 3 * LANES
+    sums, right, d, found = np.zeros(width * width), np.zeros(width), np.zeros(width), np.zeros(n)
+    d[SIGNS] = 1.0
     for at in range(used):
-        total = 0.0
+        total, signs_of = 0.0, signs[at]
         for k in range(SIGNS):
-            d[k] = float(signs[at, k])
+            d[k] = float(signs_of[k])
             total += d[k]
         share = 1.0 / (1.0 + total / SIGNS)
-        share *= share
-        for k in range(n):
-            part = share * d[k]
-            right[k] += part * sizes[at]
-            for m in range(k + 1):
-                matrix[k, m] += part * d[m]
+        tally(sums, right, width, n, d, share * share, float(sizes[at]))
+    matrix = sums.reshape(width, width)
     for k in range(n):
         for m in range(k):
             matrix[m, k] = matrix[k, m]

@@ -45,13 +45,16 @@ def mark_steps(marks, rows, cols, classes, coded, starts):
         begin, bit = begin_of(row, cols), MARKS(1 << row % LANES32)
         if begin >= 2:
             starts[begin - 2] |= bit
-        every = 2 if classes == CLASSES and row & 1 == 0 else 1
+        here, every = coded[begin : begin + cols], 2 if classes == CLASSES and row & 1 == 0 else 1
         if marks.size:
             for col in range(every - 1, cols, every):
-                coded[begin + col] |= bit if marks[row, col] == 0 else MARKS(0)
+                here[col] |= bit if marks[row, col] == 0 else MARKS(0)
+        elif every == 1:
+            for col in range(cols):
+                here[np.uint64(col)] |= bit
         else:
-            for col in range(every - 1, cols, every):
-                coded[begin + col] |= bit
+            for col in range(1, cols, 2):
+                here[np.uint64(col)] |= bit
 
 
 @kernel

@@ -178,8 +178,9 @@ def look(whole, skips, classes, weights, shares, step, seen, counts, values, gro
         for c in range(1 + two):
             k = class_of(row, c, classes)
             own_factors(row, weights[k], shares[k], own_weights[c], own_shares[c])
-        _sum(own_weights[0], around, found.sums)
-        if two:
+        one = two and row & 1 == 0  # (only samples of odd columns are coded)
+        _sum(own_weights[np.int64(one)], around, found.sums)
+        if two and not one:
             _sum(own_weights[1], around, odd)
             found.sums[1::2] = odd[1::2]
         _miss(around, found.sums, skips[row], found.residuals)
@@ -190,14 +191,15 @@ def look(whole, skips, classes, weights, shares, step, seen, counts, values, gro
                     _note(around, found.sums, j, seen[k, counts[k]])
                     counts[k] += 1
             continue
-        _activate(own_shares[0], around, found.sums, found.active)
-        if two:
+        _activate(own_shares[np.int64(one)], around, found.sums, found.active)
+        if two and not one:
             _activate(own_shares[1], around, found.sums, odd)
             found.active[1::2] = odd[1::2]
         _place(found, real)
-        for j in range(cols):
-            if skips[row, j] == 0:
-                values[at], groups[at] = np.uint32(found.values[j]), found.groups[j]
-                kinds[at] = BINS * class_of(row, j, classes) + found.bins[j]
-                at += 1
+        skip, of_even, of_odd = skips[row], BINS * class_of(row, 0, classes), BINS * class_of(row, 1, classes)
+        for j in range(cols):  # (without a branch: what is skipped is written over)
+            here = np.uint64(at)
+            values[here], groups[here] = np.uint32(found.values[j]), found.groups[j]
+            kinds[here] = (of_odd if j & 1 else of_even) + found.bins[j]
+            at += 1 - np.int64(skip[j])
     return at

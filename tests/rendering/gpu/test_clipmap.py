@@ -21,8 +21,10 @@ from orograph.lod.registry import chosen
 from orograph.lod.selection import ClipRings, TriangleMesh
 from orograph.rendering.gpu.draw import draw
 from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.stream.image_tiles import ImageTiles
 from orograph.rendering.gpu.surface import ground
 from orograph.rendering.gpu.surface.clipmap import BLOCK, HeldRings, blocks_of, ready_of
+from orograph.rendering.lookup import LEAST
 from orograph.scene.camera import whole
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
@@ -139,8 +141,8 @@ def test_what_splits_along_missing_ground_or_does_not_fit_is_drawn_as_triangles(
     assert isinstance(ready_of(t.grid.shape, MOST)(selection, None), TriangleMesh)
 
 
-def test_a_layer_over_rings_blends_as_it_does_without_them(device: Device, tmp_path: Path) -> None:
-    """On a plane rings change nothing but where triangles end: the colours may not show where that is."""
+def plane(tmp_path: Path) -> tuple[Any, Layer]:
+    """A tilted plane, and a layer of random squares of eight pixels of 15 m over it."""
     rows, cols = np.mgrid[:600, :533]
     grid = Grid((600, 533), Affine(30.0, 0.0, 5e5, 0.0, -30.0, 4e6), CRS.from_epsg(32632))
     t = in_memory(Dem((0.1 * rows + 0.07 * cols).astype(np.float32), grid))
@@ -151,13 +153,50 @@ def test_a_layer_over_rings_blends_as_it_does_without_them(device: Device, tmp_p
         transform=transform, crs="EPSG:32632", tiled=True,
     ) as file:  # fmt: skip
         file.write(colors)
+    return t, Layer(str(path))
+
+
+def test_a_layer_over_rings_blends_as_it_does_without_them(device: Device, tmp_path: Path) -> None:
+    """On a plane rings change nothing but where triangles end: the colours may not show where that is."""
+    t, layer = plane(tmp_path)
     view = low(t, 300, 200)
-    how: dict[str, Any] = {"layers": (Layer(str(path)),), "light": "none", "samples": 1, "tolerance": 0.0}
+    how: dict[str, Any] = {"layers": (layer,), "light": "none", "samples": 1, "tolerance": 0.0}
     rings = draw(Scene.of(t, view, method="clipmap,n=63", **how), device=device)
     other = draw(Scene.of(t, view, method="chunked-lod", **how), device=device)
-    selection = chosen("clipmap,n=63").make(t).select(Camera.over(grid, view, 1.0), Goal(0.0))
+    selection = chosen("clipmap,n=63").make(t).select(Camera.over(t.grid, view, 1.0), Goal(0.0))
     assert len(selection.stack) > 3
     there = np.isfinite(rings.depth)
     assert np.array_equal(there, np.isfinite(other.depth)) and there.mean() > 0.2
     off = np.abs(rings.pixels.astype(int) - other.pixels).max(-1)[there]
     assert rings.pixels[there].std(axis=0).max() > 10 and (off > 2).mean() < 2e-3
+
+
+def test_colours_come_as_the_eye_moves_and_none_comes_twice(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under moving rings a frame brings the tiles that its view wants and the views before it did not."""
+    t, layer = plane(tmp_path)
+    came: list[int] = []
+    read = ImageTiles.tile
+
+    def tile(sheet: ImageTiles, place: int) -> Any:
+        came.append(place)
+        return read(sheet, place)
+
+    monkeypatch.setattr(ImageTiles, "tile", tile)
+    moving, held = Renderer(device, t), set[int]()
+    for k in range(6):
+        view = low(t, 60 + 35.0 * (k - k // 3), 80 + 20.0 * (k - k // 3), (120, 80))
+        scene = Scene.of(
+            t, view, method="clipmap,n=63", layers=(layer,), light="none", samples=1, tolerance=0.0, depths=(1.0, 1e5)
+        )
+        came.clear()
+        ours = draw(scene, device=device, renderer=moving)
+        (sheet,) = (held.sheet for held in moving.imagery._held.values())
+        wanted = set(sheet.tree.of(view, 1.0, pixels=LEAST)[0].tolist())
+        assert sorted(came) == sorted(wanted - held)
+        assert came or k in (0, 3), k  # (the third view is drawn twice)
+        held |= wanted
+        off = np.abs(ours.pixels.astype(int) - draw(scene, device=device).pixels)
+        assert off.max() <= 1  # (of a texel's place in the atlas)
+    moving.close()
