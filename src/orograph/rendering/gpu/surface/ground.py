@@ -167,9 +167,9 @@ class Ground:
             RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
             CodedChunks: Chunks(device, most).ready, TinBatches: self.batches.ready,
             ClipRings: ready_of(terrain.grid.shape, most),
-            PieceSet: Pieces(device, absent, most).ready,
+            PieceSet: Pieces(device, tiles).ready,
         }  # fmt: skip
-        self._selected = Selected(terrain, own)
+        self._selected = Selected(terrain, own, self._have)
         self._growing = Growing(device, terrain, 2 * most, jobs)
         self._drawn: Drawn | None = None
 
@@ -206,6 +206,10 @@ class Ground:
             self._mixer.forget()
         self._drawn = Drawn(chosen, found)
         return self._drawn
+
+    def _have(self, selection: Selection, wait: bool) -> bool:
+        """Have the tiles that a selection is drawn from; whether all are there."""
+        return not isinstance(selection, DrawnPieces) or self.tiles.hold(selection.tiles, wait=wait)
 
     @property
     def _mixes(self) -> bool:
