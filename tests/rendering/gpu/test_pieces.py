@@ -10,6 +10,7 @@ import numpy as np
 import plain
 import pytest
 
+from orograph.errors import StoreError
 from orograph.gpu.device import Device
 from orograph.lod.method import Goal
 from orograph.lod.registry import chosen
@@ -188,6 +189,32 @@ def test_while_tiles_come_the_frame_shows_what_was_there(device: Device, monkeyp
     gate.set()
     assert stats.current or stats.triangles == before
     assert frames(lambda one: one.current).triangles > before
+    renderer.close()
+
+
+def test_a_tile_that_cannot_be_read_is_told(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Patches go on, and nothing is waited for."""
+    t = hills((520, 600), amplitude=1000.0)
+    make = residency.make_tile
+
+    def broken(terrain: Any, kind: Any, key: Any) -> Any:
+        if kind == "heights":
+            raise StoreError("It is gone.")
+        return make(terrain, kind, key)
+
+    monkeypatch.setattr(residency, "make_tile", broken)
+    scene = Scene.of(t, whole(t, (200, 140)), method=METHOD, tolerance=1.0, samples=1)
+    renderer = Renderer(device, t)
+    target = device.texture((200, 140), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+    selected = renderer._ground._selected
+    for _ in range(2000):
+        stats = renderer.draw(target.create_view(), "rgba8unorm", scene)
+        if selected.failure:
+            break
+        time.sleep(0.005)
+    assert "It is gone." in stats.failed and stats.patches > 0 and not selected.busy
+    with pytest.raises(StoreError, match="It is gone"):
+        renderer.draw(target.create_view(), "rgba8unorm", scene, wait=True)
     renderer.close()
 
 

@@ -135,7 +135,7 @@ class Residency:
             patches, missing, took = self._select(view, tolerance, exaggeration, wait)
             self._ask()
             seconds += took
-            self._must_be_read()
+            self._must_be_read(self._asked)
         self._held = 0
         return Chosen(patches, seconds, missing + int(patches.stats["absent"]))
 
@@ -154,23 +154,26 @@ class Residency:
             tiles: (n,) places in the page table, ``most_held`` at most. wait: until all are there.
 
         Raises:
-            StoreError: with ``wait``, a tile cannot be read.
+            StoreError: a tile cannot be read.
         """
         self._held += len(tiles)
         if wait:
             self._frame += 2  # the patches' tiles may make room
-        lack = tiles[self.heights.lacking(tiles, self._frame)]
-        self._asked |= {("heights", self.heights.tables.key(tile)): HELD for tile in lack.tolist()}
-        while wait and len(lack):
+        while True:
+            lack = tiles[self.heights.lacking(tiles, self._frame)]
+            asked: dict[tuple[Kind, Key], float] = {
+                ("heights", self.heights.tables.key(tile)): HELD for tile in lack.tolist()
+            }
+            self._must_be_read(asked)
+            self._asked |= asked
+            if not (wait and asked):
+                return not asked
             self._ask()
             self.streamer.wait(1.0)
             self._upload(wait)
-            lack = tiles[self.heights.lacking(tiles, self._frame)]
-            self._must_be_read()
-        return not len(lack)
 
-    def _must_be_read(self) -> None:
-        for kind, key in self.streamer.failed.keys() & self._asked.keys():
+    def _must_be_read(self, asked: dict[tuple[Kind, Key], float]) -> None:
+        for kind, key in self.streamer.failed.keys() & asked.keys():
             why = self.streamer.failed[kind, key][1]
             raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
 

@@ -108,10 +108,13 @@ class Selected:
             self.failure = made
         elif made is not None:
             self._coming = made
-        if self.selection is not None:
-            self.have(self.selection, False)
-        if self._coming is not None and self.have(self._coming, False):
-            self.selection, self._coming = self._coming, None
+        try:
+            if self.selection is not None:
+                self.have(self.selection, False)
+            if self._coming is not None and self.have(self._coming, False):
+                self.selection, self._coming = self._coming, None
+        except OrographError as error:
+            self.failure, self._coming = str(error), None
         self.current = self.selection is not None and self._coming is None and self._aside.done == key
         if self._aside.wants(key) and not self.failure and self._coming is None:
 
