@@ -4,10 +4,11 @@
 
 The flight is that of ``bench/roam.py`` (300 m above the ground, 60 frames a second, turning), 1280 × 720; both ways
 draw the same selections. *welded*: all patches in one mesh of shared vertices, packed and brought, as any method's
-triangles are (``surface.meshes``); *resident*: only new patches are brought, or of ``seamless-patches`` the heights of
-new pieces, and the runs that are drawn (``surface.batches``, ``surface.pieces``).
-*kB*: brought in the first frame, and in the others (mean, largest). *made*: ms of the CPU from the selection to what
-is drawn. *frame*: ms of a whole frame, until it is drawn. Medians but for the first frame.
+triangles are (``surface.meshes``); *resident*: only new patches are brought, of ``seamless-patches`` only shapes, and
+the runs that are drawn (``surface.batches``, ``surface.pieces``).
+*kB*: brought in the first frame, and in the others (mean, largest). *tiles*: kB of tiles of heights and slopes, which
+are brought besides: those of the terrain's own patches, and of pieces. *made*: ms of the CPU from the selection to what
+is drawn. *frame*: ms of a whole frame, until it is drawn, and of all threads. Medians but for the first frame.
 """
 
 from __future__ import annotations
@@ -79,20 +80,23 @@ def main() -> None:
         for usual in (Batches, Pieces):
             setattr(ground, usual.__name__, type(usual.__name__, (kind, usual), {}))
         renderer = Renderer(device, terrain)
-        frames, triangles = [], []
+        frames, threads, triangles, tiles = [], [], [], []
         for view in views:
             scene = Scene.of(terrain, view, method=given.method, tolerance=given.tolerance, samples=1)
-            began = time.perf_counter()
+            began, busy = time.perf_counter(), time.process_time()
             stats = renderer.draw(target.create_view(), "rgba8unorm", scene, wait=True)
             device.wait()
             frames.append(1e3 * (time.perf_counter() - began))
+            threads.append(1e3 * (time.process_time() - busy))
             triangles.append(stats.triangles)
+            tiles.append(stats.bytes_uploaded / 1e3)
         renderer.close()
         rest = [size / 1e3 for size in kind.brought[1:]]
         print(
             f"  {name:9} {statistics.mean(triangles):9,.0f} triangles  {kind.brought[0] / 1e3:8,.0f} kB first, then "
-            f"{statistics.mean(rest):8,.1f} (at most {max(rest):8,.1f})  made {statistics.median(kind.took[1:]):6.2f}  "
-            f"frame {statistics.median(frames[1:]):6.1f} ms",
+            f"{statistics.mean(rest):8,.1f} (at most {max(rest):8,.1f})  tiles {tiles[0]:8,.0f} first, then "
+            f"{statistics.mean(tiles[1:]):6,.0f}  made {statistics.median(kind.took[1:]):6.2f}  "
+            f"frame {statistics.median(frames[1:]):6.1f} ms, of threads {statistics.median(threads[1:]):6.1f}",
             flush=True,
         )
 

@@ -8,6 +8,7 @@ import pytest
 from test_quadtin import ground, scattered
 
 from orograph import verify
+from orograph.lod import hyperblock
 from orograph.lod.hyperblock import HyperBlock
 from orograph.lod.hyperblock_blocks import depth_for
 from orograph.lod.method import Goal
@@ -46,13 +47,17 @@ def test_levels_as_they_come_make_the_mesh_of_the_rule(points):
         assert len(drawn) == len(set(drawn.tolist())) and set(drawn.tolist()) == plainly.drawn(levels)
 
 
-def test_the_strip_is_the_triangles_and_keeping_strips_changes_nothing():
+def test_the_strip_is_the_triangles_and_keeping_strips_changes_nothing(monkeypatch):
     t = scattered(np.random.default_rng(3), (50, 40), 700)
     kept, made = plain.refiner(HyperBlock, t, cells=8), plain.refiner(HyperBlock, t, cells=8, cache=False)
+    monkeypatch.setattr(hyperblock, "READY", 1 << 40)
+    late = plain.refiner(HyperBlock, t, cells=8)  # no room for what is made ahead
+    assert kept.method.ready and not late.method.ready
     for seed in (0, 1, 2, 1, 0):
         view = plain.random_view(np.random.default_rng(seed), t)
-        mesh, other = (m.refine(view, tolerance=2.0) for m in (kept, made))
-        assert np.array_equal(mesh.triangles, other.triangles) and np.array_equal(mesh.strip, other.strip)
+        mesh, *others = (m.refine(view, tolerance=2.0) for m in (kept, made, late))
+        for other in others:
+            assert np.array_equal(mesh.triangles, other.triangles) and np.array_equal(mesh.strip, other.strip)
         found = []
         for i in range(len(mesh.strip) - 2):
             a, b, c = mesh.strip[i : i + 3]

@@ -164,6 +164,29 @@ def test_one_view_that_needs_too_much_is_refused(monkeypatch):
         Resident(make_quadtin(t, 0.0, "nearest"), t.grid, 1 << 20, "t", whole=True)
 
 
+def test_memory_is_what_it_says(monkeypatch):
+    """Whole, with the room to refine; and by parts, which are kept as read only where there is room."""
+    t = plain.terrain(plain.rough(np.random.default_rng(6), (300, 260), gaps=0.05))
+    source = make_quadtin(t, 0.0, "nearest")
+    view = plain.random_view(np.random.default_rng(0), t)
+    method = plain.refiner(QuadTin, t, cull=False)
+    wanted = method.refine(view, tolerance=0.5)
+    own, tree = method.method, method.method.tree
+    assert sum(a.nbytes for a in tree if isinstance(a, np.ndarray)) + sum(
+        a.nbytes for a in (own._active, own._met, own._stack, own._colors)
+    ) <= quadtin_tree.BYTES * len(tree.vertices)
+    paged(monkeypatch)
+    for each, kept in ((quadtin_tree.BYTES + quadtin_tree.HELD, True), (quadtin_tree.BYTES, False)):
+        less = plain.refiner(QuadTin, t, cull=False)
+        less.method._resident = resident = Resident(source, t.grid, 1 << 30, "t")
+        resident.max_memory = int(source.summary.vertices.sum()) * each
+        less.refine(view, tolerance=0.01)
+        held = sum(a.nbytes for parts in resident._held.values() for one in parts for a in one)
+        assert kept == (0 < held <= quadtin_tree.HELD * source.summary.vertices.sum())
+        mesh = less.refine(view, tolerance=0.5)
+        assert np.array_equal(mesh.vertices, wanted.vertices) and np.array_equal(mesh.triangles, wanted.triangles)
+
+
 @pytest.mark.parametrize("across", [1, 2, 4, 8])
 def test_the_top_ends_in_the_blocks(across):
     top = top_of(across)

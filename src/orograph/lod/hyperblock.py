@@ -33,12 +33,16 @@ from orograph.lod.hyperblock_blocks import (
 from orograph.lod.method import MethodInfo
 from orograph.lod.options import option
 from orograph.lod.quadtin import ColoredOptions, QuadTin, Refined
+from orograph.lod.quadtin_tree import BYTES
 from orograph.lod.smart_blocks import thresholds, weigh_boxes
 from orograph.parallel import map_ordered, threads_for
 from orograph.raycast.select import Boxes, distances, in_frustum, off_axis
 from orograph.viewpoint import Camera
 
 Key = tuple[int, bytes]
+
+READY = 100
+"""Bytes that the triangulations ready of a vertex take, about."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +58,8 @@ class HyperBlock(QuadTin):
     """HyperBlock-QuadTIN. See ``QuadTin``.
 
     Attributes:
-        blocks: of the hierarchy. ready: their triangulations by block and level. levels: (b,) uint8, of the last view.
+        blocks: of the hierarchy. levels: (b,) uint8, of the last view. ready: their triangulations by block and level;
+            none where there is no room for all: then they are made on first use, as those beside finer blocks are.
     """
 
     info = MethodInfo(
@@ -74,12 +79,11 @@ class HyperBlock(QuadTin):
         self.levels = np.zeros(count, np.uint8)
         self._boxes = Boxes(*np.ascontiguousarray(blocks.boxes.T))
         self._rest = Triangulation(blocks.rest, blocks.rest, joined(tree.corners[blocks.rest]))
-        jobs = threads_for(self.resources.jobs)
-        with self.resources.progress.task("Triangulating blocks"):
-            found = map_ordered(self._levels_of, range(count), jobs)
-            self.ready: dict[tuple[int, int], Triangulation] = {
-                (block, level): one for block, every in enumerate(found) for level, one in every
-            }
+        self.ready: dict[tuple[int, int], Triangulation] = {}
+        if len(tree.vertices) * (BYTES + READY) <= self.resources.max_memory:
+            with self.resources.progress.task("Triangulating blocks"):
+                found = map_ordered(self._levels_of, range(count), threads_for(self.resources.jobs))
+                self.ready = {(block, level): one for block, every in enumerate(found) for level, one in every}
         self._kept: OrderedDict[Key, Triangulation] = OrderedDict()
         self._bytes = 0
         self._asked = np.full((count, 9), 255, np.uint8)
@@ -144,7 +148,7 @@ class HyperBlock(QuadTin):
         alone = np.count_nonzero(asked[changed], axis=1) == (asked[changed, OWN] > 0)
         lacking = []
         for block, lone in zip(changed.tolist(), alone.tolist()):
-            if lone:
+            if lone and self.ready:
                 self._drawn[block] = self.ready[block, int(asked[block, OWN])]
                 continue
             kept = self._kept.get((block, asked[block].tobytes()))

@@ -8,6 +8,8 @@ shares a side with the one before, so they are one generalised strip (Pajarola 1
 
 from __future__ import annotations
 
+import numpy as np
+
 from orograph._numba import inlined, kernel
 from orograph.error.screen import (
     ANISOTROPIC,
@@ -66,8 +68,8 @@ def activate(camera, cull, tree, colors, active, met, stack):
         depth -= 1
         v = stack[depth]
         col, row, z = tree.vertices[v, 0], tree.vertices[v, 1], tree.vertices[v, 2]
-        r = tree.radius[v] * camera.stretch
-        split, w = anisotropic_exceeds(camera, col, row, z, tree.error[v], r)
+        r = np.float64(tree.radius[v]) * camera.stretch
+        split, w = anisotropic_exceeds(camera, col, row, z, np.float64(tree.error[v]), r)
         split = split or color_exceeds(camera, colors[v], w, r)
         seen = True
         if cull and split:
@@ -92,10 +94,20 @@ def activate(camera, cull, tree, colors, active, met, stack):
 
 
 @inlined
+def distance(tree, i, j):
+    """Metres between two vertices."""
+    p, linear = tree.vertices, tree.linear
+    dx, dy, dz = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
+    east, north = linear[0, 0] * dx + linear[0, 1] * dy, linear[1, 0] * dx + linear[1, 1] * dy
+    return np.sqrt(east * east + north * north + dz * dz)
+
+
+@inlined
 def finest_bound(camera, tree, t):
     """The bound in pixels of a triangle that is not split any further; 0 where it is not in view."""
     a, b, c = tree.corners[t, 2], tree.corners[t, 0], tree.corners[t, 1]
-    p, r = tree.vertices, tree.reach[t] * camera.stretch
+    p, off = tree.vertices, np.float64(tree.off[t])
+    r = (max(distance(tree, a, b), distance(tree, a, c)) + off) * camera.stretch
     gone, _ = outside(camera, p[a, 0], p[a, 1], p[a, 2], r, 0)
     if gone:
         return 0.0
@@ -103,8 +115,8 @@ def finest_bound(camera, tree, t):
     bx, by, bw = to_camera(camera, p[b, 0], p[b, 1], p[b, 2])
     cx, cy, cw = to_camera(camera, p[c, 0], p[c, 1], p[c, 2])
     return min(
-        sphere_bound(camera, ANISOTROPIC, ax, ay, aw, tree.off[t], r),
-        triangle_bound(camera, ax, ay, aw, bx, by, bw, cx, cy, cw, tree.off[t]),
+        sphere_bound(camera, ANISOTROPIC, ax, ay, aw, off, r),
+        triangle_bound(camera, ax, ay, aw, bx, by, bw, cx, cy, cw, off),
     )
 
 

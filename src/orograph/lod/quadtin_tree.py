@@ -16,11 +16,13 @@ from orograph.error.screen import CameraParameters
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lod.quadtin_pass import parts_needed
+from orograph.store.quadtin_grow import rounded_up
 from orograph.store.quadtin_kernels import UNREAD, expand
 from orograph.store.quadtin_layout import DEPTHS, FIRST, Layout, Part, QuadTins, Top, top_of
 
-BYTES = 240
-"""A vertex and its two triangles, in memory, about."""
+BYTES, HELD = 170, 70
+"""A vertex and its four triangles, in memory; and as it was read, which is kept where views read parts, and there is
+room."""
 
 AT_ONCE = 1 << 20
 """Hierarchies of no more vertices are read whole."""
@@ -33,31 +35,32 @@ class Hierarchy(NamedTuple):
 
     Attributes:
         vertices: (v, 3) float64: column, row, metres; the first four are the corners of the domain.
-        error, radius: (v,) float64, metres: of the diamond that a vertex splits, with all that depends on it; of the
+        error, radius: (v,) float32, metres: of the diamond that a vertex splits, with all that depends on it; of the
             sphere around the vertex that holds its ground.
         parents: (v, 2) int32, the vertices that it depends on, twice the same on the border.
         corners: (t, 3) int32: left and right end of the base, apex; of positive area.
         child, node: (t,) int32: the first of two children, −1: none; the vertex that splits it, −1: none does, −2: it
             is not in memory.
         state: (t,) uint8: DEAD, LIVE or MIXED.
-        off, reach: (t,) float64, metres: how far a triangle is from the truth; from its apex to what it stands for.
+        off: (t,) float32, metres, how far a triangle is from the truth.
         nodes: (v, 4) int32, the vertices that depend on it, −1: none.
+        linear: (2, 2) float64, what a column and a row (the columns of the matrix) are in metres.
         points: how many vertices are the truth's. steiner: how many are not. finest: metres.
         stuck: triangles that could not be split although they are further off.
         whole: whether there is ground everywhere. (These five of all of it.)
     """
 
     vertices: Floats
-    error: Floats
-    radius: Floats
+    error: NDArray[np.float32]
+    radius: NDArray[np.float32]
     parents: NDArray[np.int32]
     corners: NDArray[np.int32]
     child: NDArray[np.int32]
     node: NDArray[np.int32]
     state: NDArray[np.uint8]
-    off: Floats
-    reach: Floats
+    off: NDArray[np.float32]
     nodes: NDArray[np.int32]
+    linear: Floats
     points: int
     steiner: int
     finest: float
@@ -106,8 +109,8 @@ class Resident:
         if (needed <= self.parts).all():
             return self.tree
         kept = np.maximum(needed, self.parts)
-        self.parts = kept if self._bytes(kept) <= self.max_memory // 2 else needed
-        if self._bytes(self.parts) > self.max_memory:
+        self.parts = kept if self._bytes(kept, BYTES + HELD) <= self.max_memory // 2 else needed
+        if self._bytes(self.parts, BYTES) > self.max_memory:
             raise UsageError(
                 f"One view needs more than {self.max_memory >> 20} MiB of the hierarchy.", path=self.name,
                 remedy="Allow more memory, or a larger tolerance.",
@@ -115,79 +118,89 @@ class Resident:
         self.tree = self._assembled()
         return self.tree
 
-    def _bytes(self, parts: NDArray[np.int8]) -> int:
+    def _bytes(self, parts: NDArray[np.int8], each: int) -> int:
+        """The bytes of parts of blocks, at so many a vertex."""
         there = np.arange(len(DEPTHS)) < parts[:, None]
-        return int(self.source.summary.vertices[there].sum()) * BYTES
+        return int(self.source.summary.vertices[there].sum()) * each
 
-    def _read(self) -> dict[int, list[Part]]:
-        """The parts of blocks that are to be there, by block."""
-        held: dict[int, list[Part]] = {}
-        for block in np.flatnonzero(self.parts).tolist():
-            have = self._held.get(block, [])
-            for p in range(len(have), int(self.parts[block])):
-                have = [*have, self.source.part(p, block)]
-                self.read += 1
-            held[block] = have[: int(self.parts[block])]
-        return held
+    def _of(self, block: int) -> list[Part]:
+        """The parts of a block that are to be there."""
+        have = self._held.get(block, [])
+        for p in range(len(have), int(self.parts[block])):
+            have = [*have, self.source.part(p, block)]
+            self.read += 1
+        return have[: int(self.parts[block])]
 
     def _assembled(self) -> Hierarchy:
         """The top, and the parts of blocks that are to be there."""
         layout, summary, facts = self.source.layout, self.source.summary, self.source.facts
         top, n = self._top, len(self._top.order)
-        held = self._held = self._read()
-        numbering = Numbering(layout, top)
-        ids = [numbering.of(block, parts) for block, parts in held.items()]
-        at = numbering.count
-        z, error, radius = np.empty(at), np.empty(at), np.empty(at)
-        z[:n], error[:n], radius[:n] = summary.z, summary.error, summary.sphere
-        for parts, number in zip(held.values(), ids):
-            for out, name in ((z, "z"), (error, "error"), (radius, "radius")):
-                out[number[4:]] = np.concatenate([getattr(one, name) for one in parts])
-        where = np.ldexp(np.concatenate(numbering.places).astype(np.float64), -layout.bits)
-        counts = [sum(len(one.node) for one in parts) - 2 for parts in held.values()]
-        base = len(top.node)
-        total = base + sum(counts)
+        blocks = np.flatnonzero(self.parts)
+        there = np.arange(len(DEPTHS)) < self.parts[:, None]
+        keeps = not self._static and self._bytes(self.parts, BYTES + HELD) <= self.max_memory
+        held: dict[int, list[Part]] = {}
+        most, base = n + int(summary.vertices[there].sum()), len(top.node)  # (vertices on sides count twice)
+        total = base + int(summary.triangles[there].sum()) - 2 * len(blocks)
+        vertices = np.empty((most, 3))
+        error, radius = np.empty(most, np.float32), np.empty(most, np.float32)
+        row, col = top.order.T
+        vertices[:n] = np.column_stack([_samples(layout.xs[col], layout), _samples(layout.ys[row], layout), summary.z])
+        error[:n], radius[:n] = summary.error, summary.sphere
         corners = np.zeros((total, 3), np.int32)
         corners[:2] = FIRST[0]
         child, node = np.full(total, -1, np.int32), np.full(total, -1, np.int32)
-        parents, nodes = np.full((at, 2), -1, np.int32), np.full((at, 4), -1, np.int32)
-        off, state = np.empty(total), np.empty(total, np.uint8)
-        off[:base], state[:base] = summary.off, summary.state
+        parents, nodes = np.full((most, 2), -1, np.int32), np.full((most, 4), -1, np.int32)
+        off, state = np.empty(total, np.float32), np.empty(total, np.uint8)
+        off[:base], state[:base] = rounded_up(summary.off), summary.state
         first = np.arange(n, dtype=np.int32)
         expand(top.node, first, first[:2], 2, corners, child, node, parents, nodes)
         node[top.roots[(summary.vertices.sum(axis=1) > 0) & (self.parts == 0)]] = UNREAD
-        for (block, parts), number, count in zip(held.items(), ids, counts):
+        numbering = Numbering(layout, top)
+        for block in blocks.tolist():
+            parts = self._of(block)
+            if keeps:
+                held[block] = parts
+            number, x, y = numbering.of(block, parts)
+            vertices[number[4:], 0], vertices[number[4:], 1] = _samples(x, layout), _samples(y, layout)
+            vertices[number[4:], 2] = np.concatenate([one.z for one in parts])
+            error[number[4:]] = np.concatenate([one.error for one in parts])
+            radius[number[4:]] = np.concatenate([one.radius for one in parts])
             splits = np.concatenate([one.node for one in parts])
             expand(splits, number, top.roots[block], base, corners, child, node, parents, nodes)
-            off[base : base + count] = np.concatenate([one.off for one in parts])[2:]
-            state[base : base + count] = np.concatenate([one.state for one in parts])[2:]
-            base += count
+            end = base + len(splits) - 2
+            off[base:end] = np.concatenate([one.off for one in parts])[2:]
+            state[base:end] = np.concatenate([one.state for one in parts])[2:]
+            base = end
+        self._held = held
         parents[parents < 0] = 0
-        metres = np.column_stack([where @ np.array(self.grid.linear).T, z])
-        reach = np.linalg.norm(metres[corners[:, :2]] - metres[corners[:, 2:]], axis=-1).max(axis=1) + off
+        v = numbering.count
         return Hierarchy(
-            np.column_stack([where, z]), error, radius, parents, corners, child, node, state, off, reach, nodes,
-            facts.points, facts.steiner, facts.finest, facts.stuck, facts.whole,
+            vertices[:v], error[:v], radius[:v], parents[:v], corners, child, node, state, off, nodes[:v],
+            np.array(self.grid.linear), facts.points, facts.steiner, facts.finest, facts.stuck, facts.whole,
         )  # fmt: skip
+
+
+def _samples(places: NDArray[np.int64], layout: Layout) -> Floats:
+    """Places on the lattice in samples."""
+    return np.ldexp(places.astype(np.float64), -layout.bits)
 
 
 class Numbering:
     """Numbers of vertices in the whole, given out block by block; those on sides between blocks have one.
 
     Attributes:
-        count: how many there are. places: (n, 2) int64, on the lattice, of the new ones by block; first the top's.
+        count: how many there are.
     """
 
     def __init__(self, layout: Layout, top: Top) -> None:
         row, col = top.order.T
         self.layout, self.count = layout, len(row)
-        self.places = [np.column_stack([layout.xs[col], layout.ys[row]])]
         self._corners = np.empty((layout.across + 1, layout.across + 1), np.int32)
         self._corners[row, col] = np.arange(len(row))
         self._sides: dict[tuple[bool, int, int], NDArray[np.int64]] = {}
 
-    def of(self, block: int, parts: list[Part]) -> NDArray[np.int32]:
-        """The numbers of a block's vertices, its corners' first."""
+    def of(self, block: int, parts: list[Part]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+        """The numbers of a block's vertices, its corners' first; columns and rows of the others on the lattice."""
         layout = self.layout
         r, c = divmod(block, layout.across)
         x = np.concatenate([one.x for one in parts]) + layout.xs[c]
@@ -208,10 +221,9 @@ class Numbering:
         new = numbers < 0
         numbers[new] = self.count + np.arange(np.count_nonzero(new))
         self.count += int(np.count_nonzero(new))
-        self.places.append(np.column_stack([x, y])[new])
         for key, along, on in sides:
             known, number = self._sides.get(key, np.zeros((2, 0), np.int64))
             places, first = np.unique(np.append(known, along[on]), return_index=True)
             self._sides[key] = np.stack([places, np.append(number, numbers[on])[first]])
         corners = self._corners[[r, r, r + 1, r + 1], [c, c + 1, c + 1, c]]
-        return np.append(corners, numbers).astype(np.int32)
+        return np.append(corners, numbers).astype(np.int32), x, y

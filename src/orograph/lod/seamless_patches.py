@@ -84,7 +84,6 @@ class SeamlessPatches(QuadtreePatches):
         return PieceSet(
             **{one.name: getattr(found, one.name) for one in fields(found)},
             side=1 << self.big, clockwise=turn(self.terrain.grid) < 0,
-            heights=lambda pieces, shape: self._points(pieces, shape)[1],
         )  # fmt: skip
 
     def _pieces(self, camera: Camera, tolerance: float) -> Pieces:

@@ -112,18 +112,15 @@ class PatchSet(Selection):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PieceSet(PatchSet):
-    """Instances (``PIECE``) of pieces of square patches, which lie on the terrain: only their heights are their own.
+    """Instances (``PIECE``) of pieces of square patches, whose heights are the terrain's samples of their levels.
 
     Attributes:
         side: lattice points from one side of a patch to the other.
         clockwise: whether the triangles of topologies have to be turned over to turn as a ``Tessellation``'s do.
-        heights: of some instances (m,) and the number of their topology the heights (m, v) float32 of its points, NaN
-            where there is no ground.
     """
 
     side: int
     clockwise: bool
-    heights: Callable[[NDArray[Any], int], NDArray[np.float32]]
 
 
 PIECE = np.dtype([("row", "<i4"), ("col", "<i4"), ("p", "<i4"), ("turns", "<i4"), ("level", "<i4")])

@@ -9,10 +9,15 @@ const HEIGHT_SIDE: i32 = 257;
 const HEIGHTS_PER_SIDE: i32 = 4;
 const MISSING: f32 = {{MISSING}}.0;  // added to heights that are missing
 
-fn load_height(slot: i32, at: vec2<i32>) -> f32 {
+// A sample of the tile in a slot, as it is stored.
+fn stored_height(slot: i32, at: vec2<i32>) -> f32 {
   let place = slot % (HEIGHTS_PER_SIDE * HEIGHTS_PER_SIDE);
   let origin = vec2<i32>(place % HEIGHTS_PER_SIDE, place / HEIGHTS_PER_SIDE) * HEIGHT_SIDE;
-  let height = textureLoad(heights, origin + at, slot / (HEIGHTS_PER_SIDE * HEIGHTS_PER_SIDE), 0).r;
+  return textureLoad(heights, origin + at, slot / (HEIGHTS_PER_SIDE * HEIGHTS_PER_SIDE), 0).r;
+}
+
+fn load_height(slot: i32, at: vec2<i32>) -> f32 {
+  let height = stored_height(slot, at);
   return select(height, height - MISSING, height >= 0.5 * MISSING);
 }
 

@@ -245,10 +245,10 @@ class Renderer(Reading):
         tiles, mesh = ground.streamed, ground.mesh
         layers = self.imagery.prepare(scene.data.layers, view, scene.surface.exaggeration, wait=wait)
         self._missing = tiles.missing + self.imagery.missing + self._ground.growing.lacking
-        loaded = tiles.loaded + self.imagery.loaded
+        loaded = len(self.tiles.came) + self.imagery.loaded
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
         state = loaded, layers, len(ground.patches.instances), ground.state, self._letters.state
-        size = tiles.bytes + 4 * SIDE**2 * self.imagery.loaded + self._ground.growing.came
+        size = self.tiles.bytes + 4 * SIDE**2 * self.imagery.loaded + self._ground.growing.came
         return FrameChoice(ground, tolerance, layers, bool(lettered), loaded, size, state)
 
     def _shaded(

@@ -44,6 +44,9 @@ RIM, WAITED_RIM = 0.5, 4.0
 are filled (``surface.void_fill``). In a picture that is waited for triangles there are no larger than a quarter of a
 pixel, so that voids end where those of the raster do."""
 
+HELD = 4.0
+"""Pixels of error that a tile counts without which what another method selected cannot be drawn."""
+
 ASK = 64
 """The most tiles of a kind that a frame requests: later frames request the rest."""
 
@@ -57,14 +60,12 @@ class Chosen:
 
     Attributes:
         patches: with the slots of their tiles. seconds: that it took to select them.
-        missing: tiles and pages of errors that would improve it. loaded: tiles that came for it, and their ``bytes``.
+        missing: tiles and pages of errors that would improve it.
     """
 
     patches: Patches
     seconds: float
     missing: int
-    loaded: int
-    bytes: int
 
 
 class Residency:
@@ -76,7 +77,7 @@ class Residency:
     Attributes:
         heights, slopes: the atlases. method: selects patches.
         look_ahead: whether tiles are prefetched for the predicted camera.
-        came: levels, rows and columns of the tiles that came for the last frame.
+        came: levels, rows and columns of the tiles that came for the last frame. bytes: theirs.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
@@ -97,7 +98,9 @@ class Residency:
         self._full = False
         self._drawn = True
         self._known: tuple[Any, Patches | None] = None, None
+        self._held = 0
         self.came: list[Key] = []
+        self.bytes = 0
         top = terrain.levels - 1
         for make, atlas in ((height_tile, self.heights), (slope_tile, self.slopes)):
             rows, cols = atlas.tables.shapes[top]
@@ -123,7 +126,8 @@ class Residency:
         self._frame += 2 if wait else 1
         self._full, self._drawn = False, drawn
         self.came.clear()
-        loaded, size = self._upload(wait)
+        self.bytes = 0
+        self._upload(wait)
         if wait:
             self._ahead.clear()
         patches, missing, seconds = self._select(view, tolerance, exaggeration, wait)
@@ -131,15 +135,51 @@ class Residency:
             self._ask()
         while wait and (missing or self.streamer.waiting) and not self._full:
             self.streamer.wait(1.0)
-            more, bytes_ = self._upload(wait)
-            loaded, size = loaded + more, size + bytes_
+            self._upload(wait)
             patches, missing, took = self._select(view, tolerance, exaggeration, wait)
             self._ask()
             seconds += took
-            for kind, key in self.streamer.failed.keys() & self._asked.keys():
-                why = self.streamer.failed[kind, key][1]
-                raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
-        return Chosen(patches, seconds, missing + int(patches.stats["absent"]), loaded, size)
+            self._must_be_read(self._asked)
+        self._held = 0
+        return Chosen(patches, seconds, missing + int(patches.stats["absent"]))
+
+    @property
+    def most_held(self) -> int:
+        """How many tiles of heights may be held: all, if the atlas has room for them, or half of what is not pinned."""
+        all_fit = self.heights.tables.total <= self.heights.capacity
+        return self.heights.capacity if all_fit else max(self.heights.room // 2, 1)
+
+    def hold(self, tiles: NDArray[np.int64], *, wait: bool) -> bool:
+        """Have tiles of heights for what another method selected, after ``choose``; whether all of them are there.
+
+        They stay while every frame holds them. Missing ones are requested with those of the patches.
+
+        Args:
+            tiles: (n,) places in the page table, ``most_held`` at most. wait: until all are there.
+
+        Raises:
+            StoreError: a tile cannot be read.
+        """
+        self._held += len(tiles)
+        if wait:
+            self._frame += 2  # the patches' tiles may make room
+        while True:
+            lack = tiles[self.heights.lacking(tiles, self._frame)]
+            asked: dict[tuple[Kind, Key], float] = {
+                ("heights", self.heights.tables.key(tile)): HELD for tile in lack.tolist()
+            }
+            self._must_be_read(asked)
+            self._asked |= asked
+            if not (wait and asked):
+                return not asked
+            self._ask()
+            self.streamer.wait(1.0)
+            self._upload(wait)
+
+    def _must_be_read(self, asked: dict[tuple[Kind, Key], float]) -> None:
+        for kind, key in self.streamer.failed.keys() & asked.keys():
+            why = self.streamer.failed[kind, key][1]
+            raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
 
     @property
     def areas(self) -> Array:
@@ -200,9 +240,9 @@ class Residency:
         every = self._asked.copy()
         for some in self._ahead.values():
             for p, kind, key in some:
-                if self._atlases[kind].slot(key) < 0:  # it may have come since
-                    every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
-        self.streamer.want([(p, kind, key) for (kind, key), p in every.items()])
+                every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
+        absent = ((kind, key) for kind, key in every if self._atlases[kind].slot(key) < 0)  # others came since
+        self.streamer.want([(every[kind, key], kind, key) for kind, key in absent])
 
     def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
         """Request what is missing, once a frame is handed over: its Python code no longer needs the interpreter then.
@@ -245,7 +285,7 @@ class Residency:
         wanted: list[tuple[float, Kind, Key]] = []
         missing, most = 0, ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
         if patches is not None:
-            tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
+            tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room - self._held)
             lack = self.heights.lacking(tiles, frame)
             missing = int(lack.sum())
             if missing:
@@ -262,9 +302,9 @@ class Residency:
                 wanted.append((p, "slopes", (k, i, j)))
         return wanted, missing
 
-    def _upload(self, wait: bool) -> tuple[int, int]:
-        """Upload tiles that have been read to the GPU; return their number and bytes."""
-        count = size = 0
+    def _upload(self, wait: bool) -> None:
+        """Upload tiles that have been read to the GPU."""
+        count = 0
         end = math.inf if wait else time.perf_counter() + UPLOADING
         while (wait or count < UPLOAD) and (not count or time.perf_counter() < end):
             taken = self.streamer.take(1)
@@ -274,10 +314,9 @@ class Residency:
             # What this frame or the last one wants is not to make room.
             self._full |= not self._atlases[kind].insert(key, data, self._frame - 1)
             self.came.append(key)
-            count, size = count + 1, size + data.nbytes
+            count, self.bytes = count + 1, self.bytes + data.nbytes
         for atlas in self._atlases.values():
             atlas.flush()
-        return count, size
 
 
 def _largest(which: NDArray[Any], errors: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -16,6 +16,7 @@ first and never leaves: something can always be drawn.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -188,6 +189,12 @@ class Tables:
     def index(self, key: Key) -> int:
         level, row, col = key
         return self.offsets[level] + row * self.shapes[level][1] + col
+
+    def key(self, index: int) -> Key:
+        """The tile at a place of the table."""
+        level = bisect_right(self.offsets, index) - 1
+        row, col = divmod(index - self.offsets[level], self.shapes[level][1])
+        return level, row, col
 
 
 class Atlas(TileAtlas):

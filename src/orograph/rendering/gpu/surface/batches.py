@@ -107,7 +107,8 @@ class Batches:
         pool = self._made(selection.batches)
         at = np.array([pool.places[id(one.vertices)][1:] for one in selection.batches], np.int64).reshape(-1, 2)
         counts = np.array([len(one.triangles) for one in selection.batches], np.int64)
-        runs, of = runs_of(INSTANCE, at[:, 1], counts, at[:, 0])
+        runs, of = runs_of(INSTANCE, at[:, 1], counts)
+        runs["vertex"] = at[of, 0]
         runs["share"] = np.array([one.share for one in selection.batches], np.float32)[of]
         return ResidentMeshes(
             method=selection.method, bound=selection.bound, stats=selection.stats, vertices=pool.vertices,

@@ -219,7 +219,8 @@ class Chunks:
         meshes = self._made(selection, heads)
         at = np.array([meshes.places[name] for name in selection.names], np.int64).reshape(-1, 2)
         counts = heads[:, TRIANGLES] + (2 * heads[:, EDGES] if selection.skirts else 0)
-        runs, of = resident.runs_of(INSTANCE, at[:, 1], counts, at[:, 0])
+        runs, of = resident.runs_of(INSTANCE, at[:, 1], counts)
+        runs["vertex"] = at[of, 0]
         runs["step"] = 2.0 ** ((heads[of, FLAGS] & 255) - 64)
         runs["left"] = selection.left[of]
         return DecodedChunks(

@@ -168,9 +168,9 @@ class Ground:
             RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
             CodedChunks: Chunks(device, most).ready, TinBatches: self.batches.ready,
             ClipRings: ready_of(terrain.grid.shape, most),
-            PieceSet: Pieces(device, absent, most).ready,
+            PieceSet: Pieces(device, tiles).ready,
         }  # fmt: skip
-        self._selected = Selected(terrain, own)
+        self._selected = Selected(terrain, own, self._have)
         self._growing = Growing(device, terrain, 2 * most, jobs)
         self._drawn: Drawn | None = None
 
@@ -213,6 +213,10 @@ class Ground:
         """Whether the last frame drew patches, at least in part, or the scene's lines are looked up in their tiles."""
         last = None if self._drawn is None else self._drawn.selection
         return last is None or isinstance(last, Patches | Mixed) or scene.annotations.contours is not None
+
+    def _have(self, selection: Selection, wait: bool) -> bool:
+        """Have the tiles that a selection is drawn from; whether all are there."""
+        return not isinstance(selection, DrawnPieces) or self.tiles.hold(selection.tiles, wait=wait)
 
     @property
     def _mixes(self) -> bool:

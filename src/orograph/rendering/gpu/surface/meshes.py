@@ -50,6 +50,7 @@ def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
 
 
 Ready = Callable[[Any, Callable[[float], Any]], Selection]
+Have = Callable[[Selection, bool], bool]
 
 
 class Selected:
@@ -58,15 +59,18 @@ class Selected:
     Args:
         own: what makes selections that have a surface of their own ready for it, by their type: a function of one and
             of a function that selects with another tolerance. Others are turned into their triangles.
+        have: asks for the tiles that a selection is drawn from, in every frame, and waits for them if so told; whether
+            all of them are there.
 
     Attributes:
         selection: to be drawn; None until one is there. current: whether it is what the last scene asked for.
         failure: why the method selected nothing, or "".
     """
 
-    def __init__(self, terrain: Terrain, own: Mapping[type, Ready]) -> None:
-        self.terrain, self.own = terrain, own
+    def __init__(self, terrain: Terrain, own: Mapping[type, Ready], have: Have) -> None:
+        self.terrain, self.own, self.have = terrain, own, have
         self.selection: Selection | None = None
+        self._coming: Selection | None = None
         self.current = False
         self.failure = ""
         self._aside = BackgroundTask()
@@ -77,7 +81,8 @@ class Selected:
     @property
     def busy(self) -> bool:
         """Whether another mesh is on its way, or is to be made."""
-        return self._wish is not None and not self.failure and (self._aside.busy or self._aside.done != self._wish)
+        making = self._aside.busy or self._aside.done != self._wish or self._coming is not None
+        return self._wish is not None and not self.failure and making
 
     def at_once(self, scene: Scene, view: View, tolerance: float) -> None:
         """Have the mesh of a scene for a camera.
@@ -91,6 +96,8 @@ class Selected:
         key = self._asked(scene, view, tolerance)
         if self.selection is None or self._aside.done != key:
             self.selection = self._refined(scene, view, tolerance, smooth=False)
+        self._coming = None
+        self.have(self.selection, True)
         self._aside.done, self.current = key, True
 
     def aside(self, scene: Scene, view: View, tolerance: float) -> None:
@@ -100,9 +107,16 @@ class Selected:
         if isinstance(made, str):
             self.failure = made
         elif made is not None:
-            self.selection = made
-        self.current = self.selection is not None and self._aside.done == key
-        if self._aside.wants(key) and not self.failure:
+            self._coming = made
+        try:
+            if self.selection is not None:
+                self.have(self.selection, False)
+            if self._coming is not None and self.have(self._coming, False):
+                self.selection, self._coming = self._coming, None
+        except OrographError as error:
+            self.failure, self._coming = str(error), None
+        self.current = self.selection is not None and self._coming is None and self._aside.done == key
+        if self._aside.wants(key) and not self.failure and self._coming is None:
 
             def make() -> Selection | str:
                 try:
@@ -114,7 +128,7 @@ class Selected:
 
     def none(self) -> None:
         """No method is wanted: forget the mesh."""
-        self.selection, self._wish, self.failure = None, None, ""
+        self.selection, self._coming, self._wish, self.failure = None, None, None, ""
         self._method = None, None
 
     def close(self) -> None:
@@ -124,7 +138,7 @@ class Selected:
         surface = scene.surface
         key = surface.method, surface.exaggeration, surface.tolerance, surface.triangles, view, tolerance
         if self._wish is None or self._wish[:2] != key[:2]:
-            self.failure, self.selection = "", None
+            self.failure, self.selection, self._coming = "", None, None
         self._wish = key
         return key
 

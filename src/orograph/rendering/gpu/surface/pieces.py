@@ -1,14 +1,15 @@
 """Pieces of square patches, such as ``seamless-patches`` selects: shapes are brought once, and drawn as instances.
 
-All pieces of a shape share its triangles. A piece is known by its shape and its place; its heights are read once and
-stay on the GPU (4 bytes a vertex) while there is room. All that a frame brings besides new pieces' heights is 24 bytes
-for every ``RUN`` triangles: of which shape they are, where they lie, and where their heights are.
+All pieces of a shape share its triangles, and all take their heights from the atlas, as the terrain's own patches do:
+a patch lies within one tile of each level that its vertices may be of. So a frame brings nothing but 20 bytes for every
+``RUN`` triangles: of which shape they are, where they lie, and of which level. A selection is drawn when all its tiles
+are there (``stream.residency.Residency.hold``); they stay while it is drawn.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,29 +17,43 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.lod.selection import PieceSet, Topology
-from orograph.rendering.gpu.surface.resident import ROOM, ResidentMeshes, RunPass, runs_of
+from orograph.rendering.gpu.stream.residency import Residency
+from orograph.rendering.gpu.surface.resident import Resident, RunPass, runs_of
+from orograph.store.terrain import TILE
 
-INSTANCE = np.dtype(
-    [("first", "<u4"), ("count", "<u4"), ("vertex", "<u4"), ("row", "<i4"), ("col", "<i4"), ("how", "<i4")]
-)
+INSTANCE = np.dtype([("first", "<u4"), ("count", "<u4"), ("row", "<i4"), ("col", "<i4"), ("how", "<i4")])
 """A run of triangles: ``Run`` of ``shaders/piece_draw.wgsl``."""
 
 RUNS = {
     "array_stride": INSTANCE.itemsize,
     "step_mode": "instance",
     "attributes": [
-        {"format": "uint32x3", "offset": 0, "shader_location": 0},
-        {"format": "sint32x3", "offset": 12, "shader_location": 1},
+        {"format": "uint32x2", "offset": 0, "shader_location": 0},
+        {"format": "sint32x3", "offset": 8, "shader_location": 1},
     ],
 }
 
 COARSER = 1.25
-"""By how much a tolerance grows until its pieces fit."""
+"""By how much a tolerance grows until the atlas has room for its tiles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DrawnPieces(ResidentMeshes):
-    """Pieces whose heights are on the GPU."""
+class DrawnPieces(Resident):
+    """Pieces whose shapes are on the GPU.
+
+    Attributes:
+        corners: the buffer of the shapes' triangles. runs: (n,) of ``INSTANCE``.
+        tiles: (k,) int64, the tiles of heights that it needs, by their places in the page table.
+    """
+
+    corners: Any
+    runs: NDArray[np.void]
+    tiles: NDArray[np.int64]
+
+    @property
+    def buffers(self) -> dict[str, Any]:
+        """By the names that the shader has for them."""
+        return {"triangles": self.corners}
 
 
 @dataclass(slots=True, eq=False)
@@ -47,61 +62,41 @@ class Shapes:
 
     Attributes:
         of: which, and whether their triangles were turned over. corners: the buffer, 3 words a triangle.
-        firsts, counts: of their triangles. points: how many each has.
+        firsts, counts: of their triangles.
     """
 
     of: tuple[Sequence[Topology], bool]
     corners: Any
     firsts: NDArray[np.int64]
     counts: NDArray[np.int64]
-    points: NDArray[np.int64]
-
-
-@dataclass(slots=True, eq=False)
-class Pool:
-    """Heights in the GPU's memory.
-
-    Attributes:
-        heights: the buffer. room, used: how many it holds, and how many are there.
-        places: by a piece's shape and instance, as bytes, the number of its first height.
-    """
-
-    heights: Any
-    room: int
-    used: int = 0
-    places: dict[bytes, int] = field(default_factory=dict)
 
 
 def packed(topologies: Sequence[Topology], turned_over: bool) -> NDArray[np.uint32]:
-    """The corners (3 t,) of all triangles: a point's number (16 bits), its row and its column on the lattice (8, 8)."""
+    """The corners (3 t,) of all triangles: rows and columns on the lattice, a byte each."""
     parts = []
     for one in topologies:
-        points = one.points.astype(np.uint32)
-        words = np.arange(len(points), dtype=np.uint32) | points[:, 0] << 16 | points[:, 1] << 24
+        words = one.points[:, 0].astype(np.uint32) | one.points[:, 1].astype(np.uint32) << 8
         parts.append(words[one.triangles[:, [0, 2, 1]] if turned_over else one.triangles].ravel())
     return np.concatenate(parts)
 
 
 class Pieces:
-    """Brings pieces to the GPU.
+    """Makes selections of pieces ready to be drawn.
 
     Args:
-        missing: the height of what has none (``tiles.missing``), metres.
-        most: bytes that there are for heights; while frames still draw the last ones, twice as many.
+        tiles: whose atlas has the heights.
 
     Attributes:
-        sent: bytes that the last selection brought, besides its runs.
+        sent: bytes that the last selection brought, besides its runs and tiles.
     """
 
-    def __init__(self, device: Device, missing: int, most: int) -> None:
-        self.device, self.missing = device, missing
-        self.most = min(most, device.largest) // 4
+    def __init__(self, device: Device, tiles: Residency) -> None:
+        self.device, self.tiles = device, tiles
         self.sent = 0
         self._shapes: Shapes | None = None
-        self._pool: Pool | None = None
 
     def ready(self, selection: PieceSet, again: Callable[[float], PieceSet]) -> DrawnPieces:
-        """A selection on the GPU; coarser where memory holds no more.
+        """A selection with its shapes on the GPU; coarser where the atlas has no room for its tiles.
 
         Args:
             again: selects with another tolerance, pixels.
@@ -111,59 +106,49 @@ class Pieces:
         """
         shapes = self._made(selection)
         tolerance = float(selection.stats.get("tolerance") or 0.25)
-        while len(selection.instances) > 8 and int(shapes.points[selection.shapes].sum()) > self.most:
+        tiles = self._tiles(selection)
+        while len(tiles) > self.tiles.most_held and len(selection.instances) > 8:
             tolerance *= COARSER
             selection = again(tolerance)
-        pool, vertices = self._held(selection, shapes)
+            tiles = self._tiles(selection)
         order = np.argsort(selection.shapes, kind="stable")  # as ``PieceSet.tessellation`` has them
         which = selection.shapes[order]
         counts = shapes.counts[which]
-        runs, of = runs_of(INSTANCE, shapes.firsts[which], counts, vertices[order])
+        runs, of = runs_of(INSTANCE, shapes.firsts[which], counts)
         pieces = selection.instances[order[of]]
         runs["row"], runs["col"] = pieces["row"], pieces["col"]
         runs["how"] = pieces["p"] | (selection.side.bit_length() - 1) << 8 | pieces["turns"] << 16
+        runs["how"] |= self._level(pieces) << 24
         return DrawnPieces(
-            method=selection.method, bound=selection.bound, stats=selection.stats, vertices=pool.heights,
-            corners=shapes.corners, runs=runs, triangles=int(counts.sum()), given=selection,
+            method=selection.method, bound=selection.bound, stats=selection.stats, corners=shapes.corners, runs=runs,
+            triangles=int(counts.sum()), given=selection, tiles=tiles,
         )  # fmt: skip
 
     def _made(self, selection: PieceSet) -> Shapes:
-        """The shapes of a selection, brought there; the heights of other shapes are forgotten."""
+        """The shapes of a selection, brought there."""
         of, shapes = (selection.topologies, selection.clockwise), self._shapes
         self.sent = 0
         if shapes is None or shapes.of[0] is not of[0] or shapes.of[1] != of[1]:
             corners = packed(*of)
             counts = np.array([len(one.triangles) for one in of[0]], np.int64)
-            points = np.array([len(one.points) for one in of[0]], np.int64)
             buffer = self.device.buffer(corners, "STORAGE|COPY_SRC", "triangles of pieces")
-            shapes = self._shapes = Shapes(of, buffer, np.cumsum(counts) - counts, counts, points)
-            self._pool, self.sent = None, corners.nbytes
+            shapes = self._shapes = Shapes(of, buffer, np.cumsum(counts) - counts, counts)
+            self.sent = corners.nbytes
         return shapes
 
-    def _held(self, selection: PieceSet, shapes: Shapes) -> tuple[Pool, NDArray[np.int64]]:
-        """Where the heights of pieces are, those that lacked brought there; the number of each one's first."""
-        names = [bytes((shape,)) + one.tobytes() for shape, one in zip(selection.shapes, selection.instances)]
-        pool = self._pool
-        lacking = np.array([pool is None or name not in pool.places for name in names], bool)
-        sizes = shapes.points[selection.shapes]
-        if pool is None or pool.used + int(sizes[lacking].sum()) > pool.room:
-            lacking[:] = True
-            room = min(max(2 * int(sizes.sum()), ROOM), max(self.most, int(sizes.sum())))
-            buffer = self.device.buffer(4 * room, "STORAGE|COPY_SRC", "heights of pieces")
-            pool = self._pool = Pool(buffer, room)
-        if lacking.any():
-            begin, parts = pool.used, []
-            for shape in np.unique(selection.shapes[lacking]).tolist():
-                here = np.flatnonzero(lacking & (selection.shapes == shape))
-                found = selection.heights(selection.instances[here], shape)
-                parts.append(np.where(np.isnan(found), np.float32(self.missing), found).ravel())
-                for number in here.tolist():
-                    pool.places[names[number]] = pool.used
-                    pool.used += found.shape[1]
-            heights = np.concatenate(parts).astype(np.float32)
-            self.device.queue.write_buffer(pool.heights, 4 * begin, heights)
-            self.sent += heights.nbytes
-        return pool, np.array([pool.places[name] for name in names], np.int64)
+    def _level(self, pieces: NDArray[Any]) -> NDArray[np.int32]:
+        """The levels of their tiles: the coarsest tile holds the samples of all coarser levels, too."""
+        levels: NDArray[np.int32] = pieces["level"]
+        return np.minimum(levels, len(self.tiles.heights.tables.shapes) - 1)
+
+    def _tiles(self, selection: PieceSet) -> NDArray[np.int64]:
+        """The tiles of heights of a selection, by their places in the page table."""
+        pieces, tables = selection.instances, self.tiles.heights.tables
+        level = self._level(pieces)
+        shift = level + TILE.bit_length() - 1
+        across = np.array([cols for _, cols in tables.shapes], np.int64)
+        places = np.array(tables.offsets, np.int64)[level] + (pieces["row"] >> shift) * across[level]
+        return np.unique(places + (pieces["col"] >> shift))
 
 
 class PiecePass(RunPass):

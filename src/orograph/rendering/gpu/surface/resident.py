@@ -7,7 +7,7 @@ draw the last pool hold it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +55,27 @@ class ResidentMeshes(Resident):
     corners: Any
     runs: NDArray[np.void]
 
+    @property
+    def buffers(self) -> dict[str, Any]:
+        """By the names that shaders have for them."""
+        return {"vertices": self.vertices, "triangles": self.corners}
 
-def runs_of(dtype: np.dtype[Any], firsts: Any, counts: Any, vertices: Any) -> tuple[NDArray[Any], NDArray[np.int64]]:
+
+class Runs(Protocol):
+    """What is drawn by runs: ``ResidentMeshes``, or others with triangles."""
+
+    @property
+    def buffers(self) -> dict[str, Any]: ...
+
+    @property
+    def runs(self) -> NDArray[np.void]: ...
+
+
+def runs_of(dtype: np.dtype[Any], firsts: Any, counts: Any) -> tuple[NDArray[Any], NDArray[np.int64]]:
     """The runs of meshes, and which mesh each is of.
 
     Args:
-        dtype: with ``first``, ``count``, ``vertex``. firsts, counts: of the meshes' triangles. vertices: their first.
+        dtype: with ``first``, ``count``. firsts, counts: of the meshes' triangles.
     """
     parts = -(-counts // RUN)
     of = np.repeat(np.arange(len(counts)), parts)
@@ -68,7 +83,6 @@ def runs_of(dtype: np.dtype[Any], firsts: Any, counts: Any, vertices: Any) -> tu
     runs = np.zeros(len(of), dtype)
     runs["first"] = firsts[of] + RUN * number
     runs["count"] = np.minimum(RUN, counts[of] - RUN * number)
-    runs["vertex"] = vertices[of]
     return runs, of
 
 
@@ -80,14 +94,14 @@ class RunPass(FacePass):
         runs: dict[str, Any], **constants: int,
     ) -> None:  # fmt: skip
         super().__init__(device, shader, camera, field, missing, [runs], **constants)
-        self._held: tuple[Any, Any, Any] = (None, None, None)
+        self._held: tuple[list[Any], Any] = ([], None)
         self._runs: tuple[Any, Any, int] = (None, None, 0)
 
-    def draw(self, encoder: Any, targets: Targets, selection: ResidentMeshes, left: Left) -> None:
+    def draw(self, encoder: Any, targets: Targets, selection: Runs, left: Left) -> None:
         """Clear the targets and draw."""
-        vertices, corners, runs = selection.vertices, selection.corners, selection.runs
-        if self._held[0] is not vertices or self._held[1] is not corners:
-            self._held = vertices, corners, self.bind(vertices=vertices, triangles=corners)
+        buffers, runs = selection.buffers, selection.runs
+        if [id(one) for one in buffers.values()] != [id(one) for one in self._held[0]]:
+            self._held = list(buffers.values()), self.bind(**buffers)
         if self._runs[0] is not runs and len(runs):
             buffer, room = self._runs[1:]
             if len(runs) > room:
@@ -97,7 +111,7 @@ class RunPass(FacePass):
             self._runs = runs, buffer, room
         pass_ = self.begin(encoder, targets, left)
         if len(runs):
-            pass_.set_bind_group(0, self._held[2])
+            pass_.set_bind_group(0, self._held[1])
             pass_.set_vertex_buffer(0, self._runs[1])
             pass_.draw(3 * RUN, len(runs))
         pass_.end()
