@@ -93,6 +93,7 @@ class BuildState:
     def __init__(self, recipe: BuildRecipe) -> None:
         self.recipe, self.plan = recipe, recipe.plan
         self.storage = guarded(storage_at(recipe.url, recipe.storage_options), recipe.at, recipe.begun)
+        self.storage.get(recipe.at)  # which tells a bucket where in ``parts/`` to read
         if recipe.keyed:
             from orograph.store.bucket_updates import go_on
 
