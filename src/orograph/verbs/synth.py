@@ -14,7 +14,7 @@ from orograph.dem.raster import Dem
 from orograph.dem.synth import Synth, parse_size, write_windows
 from orograph.dem.target import parse_crs
 from orograph.errors import UsageError
-from orograph.folders import Amount
+from orograph.folders import Amount, bytes_of
 from orograph.output import check_vacant
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -93,7 +93,7 @@ def synth(
         ReadError: the exemplar cannot be read. OutputError: the file cannot be written, or exists.
         StoreError: the store cannot be written, or the interrupted store was begun with other arguments.
     """
-    path = None if output is None else Path(output)
+    path, max_memory = None if output is None else Path(output), bytes_of(max_memory)
     how = {"workers": workers, "dask": dask, "part": part, "finish": finish}
     check_output(path, overwrite, resume, how)
     heard = reporting(progress)
