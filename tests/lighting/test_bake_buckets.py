@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+
 import numpy as np
 import pytest
 from buckets import ENVIRONMENT, bucket_server
-from test_bake_cluster import CASES, files, made
+from test_bake_cluster import CASES, Workers, files, made
 
 from orograph import store
 from orograph.errors import StoreError, UsageError
@@ -21,6 +24,7 @@ pytest.importorskip("obstore")
 pytest.importorskip("moto.server")
 
 NAMES, OPTIONS = CASES["radius"]
+bake_module = importlib.import_module("orograph.lighting.bake")
 
 
 @pytest.fixture(scope="module")
@@ -173,3 +177,27 @@ def test_parts_bake_into_a_version(s3, tmp_path):
         np.testing.assert_array_equal(layers[0], layers[1])
         assert not np.array_equal(layers[0], layers[2])
     assert not any(name.startswith(PARTIAL) for name in objects(url))
+
+
+@pytest.mark.parametrize("case", ["swept", "rays"])
+def test_workers_of_other_machines_make_what_one_process_makes(s3, area, tmp_path, case, monkeypatch):
+    names, options = CASES[case][0][:2], CASES[case][1]
+    left = [9]
+
+    @contextlib.contextmanager
+    def on_workers(recipe, *_):
+        assert recipe.folder == ""
+        yield Workers(recipe, left[0])
+
+    monkeypatch.setattr(bake_module, "on_workers", on_workers)
+    with pytest.raises(StoreError, match="stopped"):
+        bake(area, names, options, dask="tcp://elsewhere:8786")
+    with store.open(area) as terrain:
+        assert terrain.layers == () and terrain.check() == []
+    with pytest.raises(StoreError, match=r"Another bake into this store was interrupted.*`overwrite=True`"):
+        bake(area, names, options)
+    left[0], s3.refuse = None, 0.05
+    bake(area, names, options, dask="tcp://elsewhere:8786").close()
+    s3.well()
+    bake(made(tmp_path / "whole"), names, options).close()
+    assert objects(area) == files(tmp_path / "whole")

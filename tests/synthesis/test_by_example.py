@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,3 +169,25 @@ def test_what_makes_no_sense_is_refused(lidar: Path) -> None:
         orograph.synth(size=40, exemplar=orograph.Dem(holed, grid), progress=False)
     ran = CliRunner().invoke(command, ["-o", str(lidar), "--exemplar", str(lidar), "--overwrite"], obj=None)
     assert isinstance(ran.exception, UsageError) and "overwrite" in str(ran.exception)
+
+
+def test_a_store_by_workers_or_in_parts_is_that_of_one_process(lidar: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    how: dict[str, Any] = {"size": (700, 1100), "seed": 4, "exemplar": lidar, "jitter": [0.5, 0.4], "progress": False}
+    fractal: dict[str, Any] = {"size": (700, 600), "seed": 4, "progress": False}
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        for name, given in (("like", how), ("fractal", fractal)):
+            whole = orograph.synth(tmp_path / f"{name}.oro", jobs=1, **given)
+            by_dask = orograph.synth(tmp_path / f"{name}-dask.oro", dask=client, **given)
+            assert isinstance(whole, Path) and isinstance(by_dask, Path)
+            assert files(by_dask) == files(whole)
+    parts = tmp_path / "parts.oro"
+    for index in (2, 1):
+        orograph.synth(parts, part=(index, 2), jobs=1, **how)
+    orograph.synth(parts, finish=True, jobs=1, **how)
+    assert files(parts) == files(tmp_path / "like.oro")
+    with pytest.raises(UsageError, match="Only a store is made by several processes"):
+        orograph.synth(tmp_path / "a.tif", workers=2, **fractal)

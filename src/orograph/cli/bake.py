@@ -123,7 +123,8 @@ def run(
     """As ``lighting.bake.bake``, but after Ctrl-C or on a full disk says how to continue."""
     from orograph.lighting.bake import bake
 
-    resumes = "finished sweeps are kept" if "://" not in store else "it starts from the beginning"
+    shared = part or how.get("workers") or how.get("dask")
+    resumes = "finished sweeps are kept" if shared or "://" not in store else "it starts from the beginning"
     again = f"orograph bake {store} again with the same {'part' if part else 'products'} to finish ({resumes})."
     try:
         return bake(store, names, options, progress=progress, part=part, **how)

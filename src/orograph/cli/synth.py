@@ -7,8 +7,15 @@ from pathlib import Path
 import click
 
 from orograph.cli.files import check_ending, check_outputs
-from orograph.cli.options import Float, FloatRange, Numbers, jobs_option, progress_of
-from orograph.output import check_vacant
+from orograph.cli.options import (
+    Float,
+    FloatRange,
+    Numbers,
+    cluster_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+)
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[float, ...] | None:
@@ -73,7 +80,11 @@ def _numbers(ctx: click.Context, param: click.Parameter, value: str | None) -> t
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--resume", is_flag=True, help="Finish an interrupted store that was begun with the same options.")
+@click.option("--part", metavar="I/N", help="Make only this part of a store's heights (for job arrays), such as 3/64.")
+@click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
+@memory_option
 @jobs_option
+@cluster_options("Build a store", ", which share --max-memory")
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -92,7 +103,12 @@ def command(
     compress: str,
     overwrite: bool,
     resume: bool,
+    part: str | None,
+    finish: bool,
+    max_memory: int,
     jobs: int | None,
+    workers: int | None,
+    dask: str | None,
 ) -> None:
     """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that imitates an example; or
     colours for a terrain that imitate a photo (a layer for pictures: --layer).
@@ -110,14 +126,13 @@ def command(
       orograph synth -o like.tif --exemplar lidar.tif --size 8193
       orograph synth -o like.oro --exemplar lidar.tif --size 65537
       orograph synth -o like.oro --exemplar lidar.tif --size 65537 --resume
+      orograph synth -o like.oro --exemplar lidar.tif --size 65537 --workers 4 --max-memory 4GiB
       orograph synth -o colours.tif --over dem.tif --exemplar photo.tif --ground lidar.tif
     """
-    from orograph.verbs.synth import STORE, check_resumable, colours, maker, write
+    from orograph.verbs.synth import STORE, check_output, colours, maker, write
 
-    if resume:
-        check_resumable(output)
-    else:
-        check_vacant(output, overwrite)
+    how = {"workers": workers, "dask": dask, "part": part, "finish": finish}
+    check_output(output, overwrite, resume, how)
     if output.suffix.lower() != STORE:
         check_ending("--output", str(output))
     check_outputs({"--output": str(output)}, {"--exemplar": [exemplar], "--over": [over], "--ground": [ground]})
@@ -130,12 +145,18 @@ def command(
         return
     made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, progress_of(ctx), passes=passes)
     try:
-        write(made, output, compress=compress, overwrite=overwrite, resume=resume, jobs=jobs, progress=progress_of(ctx))
+        write(
+            made, output, compress=compress, overwrite=overwrite, resume=resume, jobs=jobs, progress=progress_of(ctx),
+            max_memory=max_memory, **how,
+        )  # fmt: skip
     except KeyboardInterrupt:
         if output.suffix.lower() == STORE:
-            again = "with --resume" + " in place of --overwrite" * overwrite
+            again = "again" if part or finish else "with --resume" + " in place of --overwrite" * overwrite
             click.echo(f"\n{output} is not complete; run the same command {again} to finish it.", err=True)
         raise
+    if part is not None:
+        click.echo(f"{output}: part {part} is made")
+        return
     rows, cols = made.grid.shape
     apart = " × ".join(f"{metres:g}" for metres in dict.fromkeys(made.grid.spacing))
     click.echo(f"{output}: {rows} × {cols} samples, {apart} m apart, {made.name if exemplar else f'seed {seed}'}")

@@ -8,9 +8,10 @@ missing. The points stay with the terrain (``surface``): its samples are interpo
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -116,6 +117,34 @@ class PointRaster:
         for note in made.notes:
             progress.note(note)
         return made
+
+    def made(self) -> dict[str, NDArray[Any]]:
+        """What takes long to make of a file: for other processes (``taken_over``)."""
+        grid = self.grid
+        about = {
+            "path": self.path, "name": self.name, "vertical": self.vertical, "said": self._said, "bits": self.bits,
+            "shape": grid.shape, "transform": tuple(grid.transform)[:6],
+            "crs": None if grid.crs is None else grid.crs.to_wkt(),
+        }  # fmt: skip
+        s = self.surface
+        return {
+            "about": np.frombuffer(json.dumps(about).encode(), np.uint8), "x": s.x, "y": s.y, "z": s.z,
+            "triangles": s.triangles,
+        }  # fmt: skip
+
+    @classmethod
+    def taken_over(cls, made: Mapping[str, NDArray[Any]]) -> PointRaster:
+        """The raster that another process has made of a file."""
+        about = json.loads(made["about"].tobytes())
+        found = object.__new__(cls)
+        found.path, found.name, found.vertical = about["path"], about["name"], about["vertical"]
+        found.bits, found._said, found._options = about["bits"], about["said"], None
+        found.warnings, found.notes = [], []
+        crs = None if about["crs"] is None else CRS.from_wkt(about["crs"])
+        found.grid = Grid(tuple(about["shape"]), Affine(*about["transform"]), crs)
+        found.surface = Surface(made["x"], made["y"], made["z"], made["triangles"], found.bits)
+        found._gridded = Gridded(found.surface)
+        return found
 
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:

@@ -16,8 +16,9 @@ import math
 import os
 import re
 import threading
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from affine import Affine
@@ -85,6 +86,16 @@ class Synth:
     def fingerprint(self) -> str:
         """The parameters that define it."""
         return f"synthetic {self.grid.shape} {self.seed} {self.spacing} {self.relief} {self.roughness}"
+
+    def again(self) -> tuple[SynthAgain, dict[str, Floats]]:
+        """What opens it in another process, and with which arrays (``store.handing``)."""
+        self.prepare()
+        assert self._carved is not None
+        left, top = self.grid.transform @ (0, 0)
+        how = SynthAgain(
+            self.grid.shape, self.seed, self.spacing, self.grid.crs, self.relief, self.roughness, (left, top)
+        )  # fmt: skip
+        return how, {"carved": self._carved}
 
     def prepare(self, progress: Progress = SILENT) -> None:
         """Carve the coarse grid, if that is not done yet; ``read`` does so too, silently."""
@@ -228,6 +239,27 @@ class Synth:
         """
         self.prepare(progress)
         write_windows(self, path, compress=compress, jobs=jobs, progress=progress)
+
+
+class SynthAgain(NamedTuple):
+    """Opens a synthetic terrain in another process. Attributes: as of ``Synth``."""
+
+    shape: tuple[int, int]
+    seed: int
+    spacing: float
+    crs: CRS | None
+    relief: float
+    roughness: float
+    origin: tuple[float, float]
+
+    def open(self, made: Mapping[str, NDArray[Any]]) -> Synth:
+        """The terrain. Args: made: "carved", the grid that rivers have carved."""
+        found = Synth(
+            self.shape, self.seed, spacing=self.spacing, crs=self.crs, relief=self.relief, roughness=self.roughness,
+            origin=self.origin,
+        )  # fmt: skip
+        found._carved = made["carved"]
+        return found
 
 
 class Windows(Protocol):

@@ -379,6 +379,15 @@ _LOCK = threading.Lock()
 _OPEN: dict[str, Device] = {}
 
 
+def has_adapter() -> bool:
+    """Whether this process has an adapter to use."""
+    try:
+        choose()
+    except NoAdapterError:
+        return False
+    return True
+
+
 def open_device(wanted: str | None = None, *, portable: bool = False) -> Device:
     """The device on the chosen adapter (see ``choose``): one for the process, made on first use, made anew if lost.
 

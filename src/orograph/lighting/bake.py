@@ -14,7 +14,8 @@ last, each level by itself. How a product is averaged:
 A bake into a folder is made in ``layers/.partial``, keeps what has been swept there, and takes its place when all of it
 is complete (``bake_folder``); the store stays readable, with the layers it had, until then. Parts make it there
 together (``bake_parts``). At a URL there is no renaming: layers are taken out of the store's record first, and are in
-it again when they are complete; workers make them in a folder of this machine, and they are sent then.
+it again when they are complete. Workers of this machine make them in a folder and send them then; those of a cluster
+exchange what they make in the bucket.
 """
 
 from __future__ import annotations
@@ -28,7 +29,19 @@ from typing import Any, Literal, get_args, overload
 
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.lighting.bake_folder import KEY, kept, publish, removed, scratch, send
+from orograph.lighting.bake_folder import (
+    KEY,
+    Place,
+    begin,
+    kept,
+    partial_of,
+    plan_text,
+    publish,
+    removed,
+    scratch,
+    send,
+    take_place,
+)
 from orograph.lighting.bake_layers import SAID, LayerStage, is_cap
 from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
@@ -39,6 +52,7 @@ from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import words
 from orograph.store.addresses import storage_at
+from orograph.store.bucket import BucketStorage
 from orograph.store.clusters import check_workers, on_workers
 from orograph.store.digests import Spot
 from orograph.store.executing import Threads
@@ -179,9 +193,9 @@ def bake(
     share = None if part is None else part_of(part)
     store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
-    if dask is not None and not isinstance(storage, FolderStorage):
+    if dask is not None and not isinstance(storage, Place):
         raise UsageError(
-            "The workers of a remote cluster bake only into stores in folders: they exchange files there.",
+            "The workers of a remote cluster exchange what they make in the store: they bake into folders and buckets.",
             remedy="Use `workers` of this machine.",
         )
     if workers is not None and storage.url.startswith("memory:"):
@@ -204,7 +218,7 @@ def bake(
                 progress.note(f"{layer.name} is already in {storage.url}, made with the same options.")
             made = [layer for layer in made if layer not in there]
         if folder is None:
-            bake_parts.check_none(storage, overwrite)
+            bake_parts.check_none(storage, before, overwrite, None if dask is None else plan_text(made))
         if folder is not None and share is None:
             bake_parts.finish(folder, before, made, progress)
         elif made and folder is not None and share is not None:
@@ -248,21 +262,28 @@ def _on_cluster(
     storage: Storage, before: Record, made: list[LayerRecord], options: Options, overwrite: bool,
     how: tuple[int | None, Any, int, int], progress: Progress,
 ) -> None:  # fmt: skip
-    """Have workers bake layers, and let these take their places. Those of a store in a bucket are made in the cache
-    folder of this machine, and sent when they are complete.
+    """Have workers bake layers, and let these take their places. Of a store in a bucket workers of this machine make
+    them in the cache folder, and they are sent when they are complete; others make them in the bucket.
 
     Args:
         how: workers, dask, threads of each worker, bytes.
     """
     from orograph.lighting.bake_state import on_cluster, recipe_of
 
+    workers, dask, jobs, max_memory = how
+    each = max_memory // ((workers or 1) * jobs)
+    if dask is not None and isinstance(storage, BucketStorage):
+        plan = plan_text(made)
+        recipe = recipe_of(None, storage.named(), options, made, plan, before.shard, each)
+        begin(storage, plan, "begin anew with `overwrite=True`")
+        writer = ShardWriter(partial_of(storage))
+        with on_workers(recipe, workers, dask, jobs, max_memory, "A bake") as cluster:
+            on_cluster(cluster, recipe.open(), writer, progress)
+        take_place(storage, before, made, writer.digests, progress)
+        return
     folder = storage if isinstance(storage, FolderStorage) else scratch(storage)
     checkpoint = kept(folder, before, made, overwrite)
-    workers, dask, jobs, max_memory = how
-    recipe = recipe_of(
-        folder, storage.named(), options, made, folder.get(KEY) or b"", before.shard,
-        max_memory // ((workers or 1) * jobs),
-    )  # fmt: skip
+    recipe = recipe_of(folder, storage.named(), options, made, folder.get(KEY) or b"", before.shard, each)
     partial = FolderStorage(folder.path / PARTIAL, many=True)
     writer = ShardWriter(partial)
     with on_workers(recipe, workers, dask, jobs, max_memory, "A bake") as cluster:

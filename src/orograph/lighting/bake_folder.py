@@ -1,8 +1,8 @@
 """Where a bake is made, what it is made of, and how its layers take their places in the store.
 
 The folder ``layers/.partial`` holds a plan (the layers, and in how many parts they are made, if in parts) and whatever
-has been done. The plan is the first thing there and the last to go, so what lies beside it belongs to it. Only parts
-have it in a bucket; what they sweep lies on their own machines.
+has been done. The plan is the first thing there and the last to go, so what lies beside it belongs to it. Parts and the
+workers of a remote cluster have it in a bucket, too; what parts sweep lies on their own machines.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from orograph.errors import OutputError, StoreError
 from orograph.folders import cache_folder
-from orograph.lighting.raster_resume import PLAN, Checkpoint, clear
+from orograph.lighting.raster_resume import PLAN, Checkpoint, clear, text_of
 from orograph.parallel import map_ordered
 from orograph.progress import Progress
 from orograph.store.bucket import BucketStorage
@@ -29,6 +29,8 @@ from orograph.store.publishing import AT_ONCE
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import read_record
 
+Place = FolderStorage | BucketStorage
+
 KEY = f"{PARTIAL}/{PLAN}"
 """Where its plan lies."""
 
@@ -37,6 +39,11 @@ def plan_of(made: list[LayerRecord], count: int | None = None) -> dict[str, Any]
     """The plan of a bake of layers, in ``count`` parts."""
     layers = {layer.name: layer.to_json() for layer in made}
     return {"layers": layers} if count is None else {"layers": layers, "parts": count}
+
+
+def plan_text(made: list[LayerRecord], count: int | None = None) -> bytes:
+    """The plan as it lies there."""
+    return text_of(plan_of(made, count)).encode()
 
 
 def kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Checkpoint:
@@ -115,16 +122,49 @@ def publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set
         tidy(storage)
 
 
-def partial_of(storage: FolderStorage | BucketStorage) -> FolderStorage | BucketStorage:
-    """Where parts make layers."""
+def partial_of(storage: Storage) -> Place:
+    """Where parts or workers make layers."""
     if isinstance(storage, FolderStorage):
         return FolderStorage(storage.path / PARTIAL, many=True)
+    assert isinstance(storage, BucketStorage)
     found = storage.below(f"{storage.prefix}/{PARTIAL}".strip("/"), f"{storage.url}/{PARTIAL}")
     found.scope, found.elsewhere = "", {}  # the store's own are of its updates
     return found
 
 
-def discard(storage: FolderStorage | BucketStorage) -> None:
+def begin(storage: Place, plan: bytes, anew: str) -> None:
+    """Put the plan where layers are made, or see that it is the one that is there.
+
+    Args:
+        anew: what is done to begin anew.
+
+    Raises:
+        StoreError: another bake was begun.
+    """
+    there = storage.get(KEY)
+    if there is not None and there != plan:
+        raise another(storage, there, anew)
+    if there is None:
+        if isinstance(storage, FolderStorage):
+            group(storage)
+        partial_of(storage).put(PLAN, [plan])
+
+
+def take_place(
+    storage: Place, before: Record, made: list[LayerRecord], digests: Digests, progress: Progress
+) -> None:  # fmt: skip
+    """Let layers that were made where ``partial_of`` says take their places, and remove what else lies there."""
+    partial, names = partial_of(storage), {layer.name for layer in made}
+    if isinstance(partial, FolderStorage):
+        partial.sweep()
+    else:
+        before = removed(storage, before, names)
+        send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), digests, progress)
+    publish(storage, before, made, names, digests)
+    discard(storage)
+
+
+def discard(storage: Place) -> None:
     """Remove what was made of a bake, if anything was; nobody else may be at work there."""
     if isinstance(storage, FolderStorage):
         clear(storage.path / PARTIAL)
@@ -148,7 +188,7 @@ def scratch(storage: Storage, *more: bytes) -> FolderStorage:
 
 
 def send(
-    made: FolderStorage | BucketStorage, storage: Storage, record: Record, digests: Digests, progress: Progress
+    made: Place, storage: Storage, record: Record, digests: Digests, progress: Progress
 ) -> None:  # fmt: skip
     """Put the shards of the record's layers into a bucket, whose own record does not name them yet; those that are in
     the bucket already are copied there by the server."""

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import DamagedChunkError
+from orograph.gpu.device import has_adapter
 from orograph.lighting.context import Values
 from orograph.lighting.gather import Window
+from orograph.lighting.occlusion import ELSEWHERE
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.digests import SIZE, Spot
@@ -76,6 +78,8 @@ class LayerStage(Stage[Handed]):
             writer, layer, cap, reader, keeps, number,
         )  # fmt: skip
         self.label = f"Baking {layer.name}"
+        if layer.options.get("method") in ELSEWHERE:
+            self.able = has_adapter
         self.shape, self.shard = record.grid.shape, record.shard
         levels = level_count(self.shape)
         self.direct = min(self.shard.bit_length() - 1, levels - 1)  # the coarsest level that shards make themselves

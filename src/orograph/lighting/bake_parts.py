@@ -17,37 +17,34 @@ from collections.abc import Sequence
 from orograph.errors import StoreError, UsageError
 from orograph.lighting.bake_folder import (
     KEY,
+    Place,
     another,
+    begin,
     discard,
     finished,
     group,
     partial_of,
-    plan_of,
-    publish,
-    removed,
+    plan_text,
     scratch,
-    send,
+    take_place,
 )
 from orograph.lighting.bake_layers import layer_stages
 from orograph.lighting.bake_state import SweepStage, recipe_of
 from orograph.lighting.context import BASE, Context, Options
 from orograph.lighting.gather import Sweep
-from orograph.lighting.occlusion import ELSEWHERE
 from orograph.lighting.products import Product
-from orograph.lighting.raster_resume import PLAN, text_of
+from orograph.lighting.raster_resume import PLAN
 from orograph.progress import Progress
 from orograph.store.bucket import BucketStorage
 from orograph.store.digests import Spot
 from orograph.store.in_parts import Part, count_of, gather, share
-from orograph.store.layers import LAYERS, PARTIAL, LayerRecord
+from orograph.store.layers import PARTIAL, LayerRecord
 from orograph.store.layout import Record
 from orograph.store.shards import go_through
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.terrain import Terrain
 from orograph.store.worker_state import guarded
 from orograph.store.writer import ShardWriter
-
-Place = FolderStorage | BucketStorage
 
 
 def check(storage: Storage, terrain: Terrain, products: Sequence[Product], options: Options) -> Place:
@@ -61,10 +58,9 @@ def check(storage: Storage, terrain: Terrain, products: Sequence[Product], optio
             "Parts bake into stores in folders or buckets, where what they leave for one another lies beside the "
             "layers.", remedy="Use one process, or bake a copy in a folder and publish that.",
         )  # fmt: skip
-    elsewhere = options.more.get("method") in ELSEWHERE  # which is refused as for workers (``recipe_of``)
     unlimited = [
         each.name for each in products
-        if options.radius is None and not elsewhere and isinstance(each.make(Context(terrain, options)), Sweep)
+        if options.radius is None and isinstance(each.make(Context(terrain, options)), Sweep)
     ]  # fmt: skip
     if unlimited:
         raise UsageError(
@@ -85,15 +81,15 @@ def make(
         jobs: threads. max_memory: bytes the process should stay within.
 
     Raises:
-        StoreError: another bake was begun, or it cannot be written. UsageError: a product is made by the GPU.
+        StoreError: another bake was begun, or it cannot be written.
     """
     index, count = part
     room = max_memory - BASE
-    plan = text_of(plan_of(made, count)).encode()
+    plan = plan_text(made, count)
     # (In a folder of its own: another part on this machine may end first, and clear what it has swept.)
     here = storage if isinstance(storage, FolderStorage) else scratch(storage, plan, str(index).encode())
     recipe = recipe_of(here, storage.named(), options, made, plan, shard, BASE + room // jobs)
-    _begin(storage, plan)
+    begin(storage, plan, _anew(storage))
     group(here)
     state = recipe.open()
     if here is not storage:
@@ -120,31 +116,21 @@ def make(
         here.remove()
 
 
-def check_none(storage: Storage, overwrite: bool) -> None:
-    """Before a bake that is not in parts: in a bucket nothing else tells of one that is (``kept``).
+def check_none(storage: Storage, before: Record, overwrite: bool, own: bytes | None) -> None:
+    """Before a bake that is not in parts: in a bucket nothing else tells of one that was begun there (``kept``).
 
     Args:
-        overwrite: remove what its parts have made.
+        before: the store's record. overwrite: remove what was made of one. own: the plan that is gone on with, if any.
 
     Raises:
-        StoreError: one was begun.
+        StoreError: another was begun.
     """
     if not isinstance(storage, BucketStorage) or (there := storage.get(KEY)) is None:
         return
-    if not overwrite:
+    if overwrite or finished(storage, before):
+        discard(storage)
+    elif there != own:
         raise another(storage, there, "begin anew with `overwrite=True`")
-    discard(storage)
-
-
-def _begin(storage: Place, plan: bytes) -> None:
-    """Put the plan where parts make layers, or see that it is the one that is there."""
-    there = storage.get(KEY)
-    if there is not None and there != plan:
-        raise another(storage, there, _anew(storage))
-    if there is None:
-        if isinstance(storage, FolderStorage):
-            group(storage)
-        partial_of(storage).put(PLAN, [plan])
 
 
 def _anew(storage: Place) -> str:
@@ -175,16 +161,8 @@ def finish(storage: Place, before: Record, made: list[LayerRecord], progress: Pr
             "A bake was begun there that is not in parts.", path=storage.url,
             remedy="Run it again with the same products and options, and without `finish`.",
         )  # fmt: skip
-    if there != text_of(plan_of(made, count)).encode():
+    if there != plan_text(made, count):
         raise another(storage, there, _anew(storage))
-    partial = partial_of(storage)
-    writer = ShardWriter(partial)
+    writer = ShardWriter(partial_of(storage))
     gather(layer_stages(writer, before, made), count, storage.url, progress)
-    names = {layer.name for layer in made}
-    if isinstance(partial, FolderStorage):
-        partial.sweep()
-    else:
-        before = removed(storage, before, names)
-        send(partial, storage, LAYERS.put(before, {layer.name: layer for layer in made}), writer.digests, progress)
-    publish(storage, before, made, names, writer.digests)
-    discard(storage)
+    take_place(storage, before, made, writer.digests, progress)

@@ -8,10 +8,12 @@ that leave it. Rows follow one another, and strips of a row are swept at once. L
 into the next are swept in both; the flatter strips are, the fewer these are. Sums lie in squares as long as strips are
 wide, for the next way's strips may lie across. *Within a radius* a task needs heights alone: it sweeps a shard in all
 azimuths.
-*Rays and walks* are made window by window. In the end a task codes a shard's values (``bake_layers``).
+*Rays and walks* are made window by window, and so is what a GPU makes, by workers that have one. In the end a task
+codes a shard's values (``bake_layers``).
 
-Sums come about in the order of azimuths of one process, so the bytes are those of one process. All files lie in the
-bake's folder (``layers/.partial``) until it is complete.
+Sums come about in the order of azimuths of one process, so the bytes are those of one process. All files lie in
+``layers/.partial`` until the bake is complete: in a folder, or in the store's bucket, where workers of other machines
+find them.
 """
 
 from __future__ import annotations
@@ -26,17 +28,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import StoreError, UsageError
+from orograph.errors import StoreError
+from orograph.lighting.bake_folder import partial_of
 from orograph.lighting.bake_layers import LayerStage, is_cap, layer_stages
 from orograph.lighting.context import BASE, Context, Options, Values
 from orograph.lighting.gather import Sweep, Window
-from orograph.lighting.occlusion import ELSEWHERE
 from orograph.lighting.products import product
 from orograph.lighting.raster_resume import PLAN, Checkpoint
 from orograph.lighting.sweep import Block, ways
 from orograph.lighting.sweep_lines import Lines
 from orograph.lighting.sweep_part import Hulls, Part
 from orograph.progress import Progress, Within
+from orograph.store.addresses import storage_at
 from orograph.store.clusters import Cluster
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
@@ -61,7 +64,8 @@ class BakeRecipe(NamedTuple):
     """Everything that workers get once for a bake.
 
     Attributes:
-        named: the store (``Storage.named``). folder: in which ``layers/.partial`` lies, the store's or another.
+        named: the store (``Storage.named``). folder: in which ``layers/.partial`` lies, the store's or another; "": it
+            lies in the store's bucket.
         options: of the products. layers: what is made. plan: as it lies in the bake's folder.
         memory, base: as of all recipes.
     """
@@ -79,26 +83,19 @@ class BakeRecipe(NamedTuple):
 
 
 def recipe_of(
-    folder: FolderStorage, named: tuple[str, dict[str, Any] | None], options: Options, layers: list[LayerRecord],
+    folder: FolderStorage | None, named: tuple[str, dict[str, Any] | None], options: Options, layers: list[LayerRecord],
     plan: bytes, shard: int, memory: int,
 ) -> BakeRecipe:  # fmt: skip
     """The recipe of a bake.
 
     Args:
-        folder, named, options, layers, plan: as of the recipe.
+        folder: None: the store's bucket. named, options, layers, plan: as of the recipe.
         shard: samples along the sides of the store's shards. memory: bytes for each task, if that is enough.
-
-    Raises:
-        UsageError: a product is made by the GPU.
     """
-    if any(layer.options.get("method") in ELSEWHERE for layer in layers):
-        raise UsageError(
-            "What the GPU makes of a whole terrain is made by one process.",
-            remedy="Leave out `workers`, `dask` and `part`.",
-        )
     bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
     needed = SWEEP + 3 * 4 * bands * shard * shard
-    return BakeRecipe(named, str(folder.path.absolute()), options, layers, plan, max(needed, memory - BASE), BASE)
+    at = "" if folder is None else str(folder.path.absolute())
+    return BakeRecipe(named, at, options, layers, plan, max(needed, memory - BASE), BASE)
 
 
 class BakeState:
@@ -111,14 +108,16 @@ class BakeState:
 
     def __init__(self, recipe: BakeRecipe) -> None:
         self.recipe = recipe
-        folder = Path(recipe.folder) / PARTIAL
-        self.storage = guarded(FolderStorage(folder), PLAN, recipe.plan)
-        self.made = self.storage
         url, said = recipe.named
+        folder = Path(recipe.folder) / PARTIAL if recipe.folder else None
+        self.storage = guarded(
+            FolderStorage(folder) if folder is not None else partial_of(storage_at(url, said)), PLAN, recipe.plan
+        )
+        self.made = self.storage
         self.terrain = open_store(url, cache_bytes=CACHE, storage_options=said)
         self.record = self.terrain.record
         self.strip = max(1, self.record.shard // STRIPS)
-        kept = Checkpoint(folder, json.loads(recipe.plan or b"{}"))
+        kept = None if folder is None else Checkpoint(folder, json.loads(recipe.plan or b"{}"))
         self.context = Context(
             self.terrain, recipe.options, jobs=1, max_memory=recipe.base + recipe.memory, kept=kept
         )  # fmt: skip

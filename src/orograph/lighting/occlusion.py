@@ -231,14 +231,14 @@ def by_blocks(
 
     with context.progress.task(what, total=-(-rows // _BLOCK) * -(-cols // _WIDTH)) as task:
         windows = (
-            w for w in rectangles(context.shape, _BLOCK, _WIDTH) if context.only is None or _meet(w, context.only)
+            w for w in rectangles(context.shape, _BLOCK, _WIDTH) if context.only is None or meet(w, context.only)
         )
         for block in map_ordered(lambda w: (w[0], w[2], make(*w)), windows, context.jobs):
             yield block
             task.advance()
 
 
-def _meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+def meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
     """Whether windows (row0, row1, col0, col1) have samples in common."""
     return max(a[0], b[0]) < min(a[1], b[1]) and max(a[2], b[2]) < min(a[3], b[3])
 

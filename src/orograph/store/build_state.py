@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from orograph.errors import StoreError, UsageError
@@ -19,6 +18,7 @@ from orograph.store.cache import ChunkCache
 from orograph.store.coding import Coding
 from orograph.store.digests import Digests
 from orograph.store.executing import KNOWN, Stage
+from orograph.store.handing import Again, Kinds, again_of, leave, take
 from orograph.store.layout import TABLES_AND_VALID, table_spec
 from orograph.store.places import UPDATE
 from orograph.store.source import HeightSource
@@ -35,7 +35,7 @@ class BuildRecipe(NamedTuple):
         url: where the store is made. storage_options: for the bucket (obstore's), in addition to the environment.
         plan: of the build. coding: how heights are encoded. begun: the plan, as stored at the key ``at``.
         keyed: as of ``Digests``: of updates in buckets.
-        files, options: of the source (``inputs.opened``).
+        source: opens the source, with arrays of these kinds (``handing``).
         levels: of the groups of heights and errors; 0: none.
         memory: bytes that a task may take, in addition to ``base`` of the process.
     """
@@ -47,8 +47,8 @@ class BuildRecipe(NamedTuple):
     begun: bytes
     at: str
     keyed: bool
-    files: list[str]
-    options: dict[str, Any]
+    source: Again
+    kinds: Kinds
     levels: int
     memory: int
     base: int
@@ -61,26 +61,26 @@ def recipe_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at: str, memory: int, base: int,
 ) -> BuildRecipe:  # fmt: skip
-    """The recipe of a build without groups, whose plan lies in the storage at the key ``at``.
+    """The recipe of a build without groups, whose plan lies in the storage at the key ``at``; leaves there what workers
+    take over of the source.
 
     Raises:
         UsageError: the heights are not in files, or the store would be in this process's memory.
     """
-    said = getattr(raster, "recipe", lambda: None)()
-    if said is None:
+    found = again_of(raster)
+    if found is None:
         raise UsageError(
             "Workers of a cluster open the files of a terrain themselves, but these heights are not in files.",
             remedy="Write them to a file (orograph.write), or build without a cluster.",
         )
     if storage.url.startswith("memory:"):
         raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Give a folder.")
-    files, options = said
-    if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
-        files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
-    here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
+    source, made = found
     url, _ = storage.named()
     begun, keyed = storage.get(at) or b"", at == UPDATE
-    return BuildRecipe(url, storage_options, plan, coding, begun, at, keyed, here, options, 0, memory, base)
+    return BuildRecipe(
+        url, storage_options, plan, coding, begun, at, keyed, source, leave(storage, made), 0, memory, base
+    )
 
 
 class BuildState:
@@ -93,6 +93,7 @@ class BuildState:
     def __init__(self, recipe: BuildRecipe) -> None:
         self.recipe, self.plan = recipe, recipe.plan
         self.storage = guarded(storage_at(recipe.url, recipe.storage_options), recipe.at, recipe.begun)
+        self.storage.get(recipe.at)  # which tells a bucket where in ``parts/`` to read
         if recipe.keyed:
             from orograph.store.bucket_updates import go_on
 
@@ -121,9 +122,7 @@ class BuildState:
             StoreError: its files are not those that the build was begun with.
         """
         if self._raster is None:
-            from orograph.store.inputs import opened
-
-            raster = opened(self.recipe.files, self.recipe.options)
+            raster = self.recipe.source.open(take(self.storage, self.recipe.kinds))
             if raster.fingerprint() != self.plan["source"]:
                 raise StoreError(
                     "A worker finds different files under the names of the sources than the building process.",

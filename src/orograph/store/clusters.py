@@ -205,6 +205,7 @@ class _Round:
         self.begun: Counter[Spot] = Counter()
         self.given_up: dict[Spot, str] = {}
         self.heard, self.counted, self.threads = time.monotonic(), -math.inf, 1
+        self.able: dict[str, bool] = {}
 
     def go(self) -> None:
         """Do them."""
@@ -226,18 +227,38 @@ class _Round:
     def _fill(self) -> bool:
         """Begin tasks as far as there is room; whether any are under way."""
         if time.monotonic() - self.counted > COUNTING:  # it is asked of the scheduler, which takes some milliseconds
-            self.threads, self.counted = threads_of(self.client), time.monotonic()
+            self.threads, self.counted = self._threads(), time.monotonic()
         room = AHEAD * self.threads - len(self.pending)
         if len(self.given_up) < GIVEN_UP:
             for spot in itertools.islice(self._next(), max(room, 0)):
                 self.begun[spot] += 1
                 future = self.client.submit(
                     do, self.ident, self.stage.name, self.stage.number, spot, pure=False,
+                    workers=[who for who, able in self.able.items() if able] or None,
                     key=f"{self.ident}-{self.stage.name}-{self.stage.number}-{spot[0]}-{spot[1]}-{self.begun[spot]}",
                 )  # fmt: skip
                 self.pending[future] = spot
                 future.add_done_callback(self.done.put)
         return bool(self.pending)
+
+    def _threads(self) -> int:
+        """Threads of the workers that can do the stage's tasks, at least 1.
+
+        Raises:
+            StoreError: the scheduler is gone, or none of them can.
+        """
+        there = workers_of(self.client)
+        if self.stage.able is not None:
+            new = [who for who in there if who not in self.able]
+            found = answer(self.client.run, self.stage.able, workers=new, on_error="return") if new else {}
+            self.able = {who: found.get(who, self.able.get(who)) is True for who in there}
+            there = {who: threads for who, threads in there.items() if self.able[who]}
+            if self.able and not there:
+                raise StoreError(
+                    "No worker of the cluster has what these tasks need (a GPU).", path=self.stage.place,
+                    remedy="Start workers on machines that have it.",
+                )  # fmt: skip
+        return max(1, sum(there.values()))
 
     def _next(self) -> Iterator[Spot]:
         while self.again:

@@ -13,7 +13,7 @@ An *executor* runs stages: ``Threads`` in this process, ``clusters.Cluster`` on 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from orograph.progress import Progress
@@ -33,11 +33,13 @@ class Stage(ABC, Generic[Found]):
     Attributes:
         name: of the kind. number: which of several stages of that kind. label: for the progress line.
         again: how to resume interrupted work.
+        able: whether a process can do its tasks, asked there; None: all can.
     """
 
     name: ClassVar[str]
     number: int = 0
     label: str
+    able: Callable[[], bool] | None = None
     again: ClassVar[str] = "What was done is kept: run the same again to go on."
 
     @property

@@ -128,11 +128,13 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     return Mosaic([raster for raster, _ in made], **grid)
 
 
-def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) -> HeightSource | None:
+def points_of(
+    files: Sequence[str], progress: Progress, said: dict[str, Any], made: Mapping[str, Any] | None = None
+) -> HeightSource | None:
     """The raster of a file of points; None if the files are rasters.
 
     Args:
-        said: options of reading.
+        said: options of reading. made: what another process has made of the file (``PointRaster.made``).
 
     Raises:
         ReadError, UsageError: as ``PointRaster.open``; points among other files; an option that does not apply to
@@ -152,7 +154,8 @@ def points_of(files: Sequence[str], progress: Progress, said: dict[str, Any]) ->
 
     how = said_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
     area = {name: how.pop(name) for name in OF_AREAS if name in how}
-    return _part(PointRaster.open(found[0], progress=progress, **how), area)
+    raster = PointRaster.taken_over(made) if made else PointRaster.open(found[0], progress=progress, **how)
+    return _part(raster, area)
 
 
 def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:

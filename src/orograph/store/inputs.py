@@ -70,8 +70,13 @@ def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSo
     return opened([file["path"] for file in inputs["files"]], inputs["options"], progress)
 
 
-def opened(files: list[str], options: dict[str, Any], progress: Progress = SILENT) -> HeightSource:
+def opened(
+    files: list[str], options: dict[str, Any], progress: Progress = SILENT, made: Mapping[str, Any] | None = None
+) -> HeightSource:
     """The source of these files and options (``recipe`` lists them): points, or rasters.
+
+    Args:
+        made: of points, what another process has made of them (``PointRaster.made``).
 
     Raises:
         ReadError: a file cannot be read.
@@ -79,7 +84,7 @@ def opened(files: list[str], options: dict[str, Any], progress: Progress = SILEN
     from orograph.dem.mosaic import Mosaic
     from orograph.store.given import points_of
 
-    points = points_of(files, progress, options)
+    points = points_of(files, progress, options, made)
     return Mosaic.open(files, progress=progress, **options) if points is None else points
 
 

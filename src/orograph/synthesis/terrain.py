@@ -4,8 +4,8 @@ or builds a store of."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from affine import Affine
@@ -60,7 +60,8 @@ class ByExample:
         self._digest = hashlib.sha256(np.ascontiguousarray(heights, np.float32).view(np.uint8).data).hexdigest()[:32]
         a, b, _, d, e, _ = source.grid.transform[:6]
         self.grid = Grid(shape, Affine(a, b, ORIGIN[0], d, e, ORIGIN[1]), crs or source.grid.crs)
-        self.name, self.vertical = f"after {source.name} {seed}", None
+        self.name: str = f"after {source.name} {seed}"
+        self.vertical: str | None = None
         self.attribution: tuple[str, ...] = tuple(getattr(source, "attribution", ()))
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
@@ -72,10 +73,53 @@ class ByExample:
         e = self.endless
         return f"after {self._digest} {self.grid.shape} {tuple(self.grid.transform)} {e.seed} {e.reach} {e.passes}"
 
+    def again(self) -> tuple[ExampleAgain, dict[str, NDArray[Any]]]:
+        """What opens it in another process, and with which arrays (``store.handing``)."""
+        e = self.endless
+        how = ExampleAgain(
+            self.grid, self.name, self._digest, e.seed, e.reach, e.passes, e.exemplar.quantum, e.exemplar.base
+        )
+        return how, {
+            f"{name}.{level}": array
+            for name in ("stack", "features", "similar") for level, array in enumerate(getattr(e.exemplar, name))
+        }  # fmt: skip
+
     @property
     def tags(self) -> dict[str, str]:
         """The description in a file of it."""
         return {"TIFFTAG_IMAGEDESCRIPTION": f"synthetic terrain {self.name}", **copyright_tags(self.attribution)}
+
+
+class ExampleAgain(NamedTuple):
+    """Opens a terrain by example in another process, which need not search the example for similar places.
+
+    Attributes:
+        grid, name, digest, seed, reach, passes: of the terrain. quantum, base: of its exemplar.
+    """
+
+    grid: Grid
+    name: str
+    digest: str
+    seed: int
+    reach: list[int]
+    passes: list[int]
+    quantum: float
+    base: float
+
+    def open(self, made: Mapping[str, NDArray[Any]]) -> ByExample:
+        """The terrain. Args: made: of each level the exemplar's "stack", "features" and "similar"."""
+        levels = range(len(self.reach))
+        stack, features, similar = (
+            tuple(made[f"{name}.{level}"] for level in levels) for name in ("stack", "features", "similar")
+        )
+        found = object.__new__(ByExample)
+        found.endless = Endless(
+            Exemplar(stack, features, similar, self.quantum, self.base), self.seed,
+            jitter=[reach / 256 for reach in self.reach], passes=self.passes,
+        )  # fmt: skip
+        found.grid, found.name, found.vertical, found.attribution = self.grid, self.name, None, ()
+        found._digest = self.digest
+        return found
 
 
 def example(source: HeightSource) -> NDArray[np.float32]:

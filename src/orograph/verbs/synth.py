@@ -14,6 +14,7 @@ from orograph.dem.raster import Dem
 from orograph.dem.synth import Synth, parse_size, write_windows
 from orograph.dem.target import parse_crs
 from orograph.errors import UsageError
+from orograph.folders import Amount, bytes_of
 from orograph.output import check_vacant
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 SPACING, CRS, ROUGHNESS = 30.0, "EPSG:32633", 1.0
 """Defaults for a fractal terrain; an exemplar brings its own."""
+
+MEMORY = 1 << 30
+"""Bytes of a build, by default."""
 
 STORE = ".oro"
 """The ending of a store's name."""
@@ -47,6 +51,11 @@ def synth(
     overwrite: bool = False,
     resume: bool = False,
     jobs: int | None = None,
+    max_memory: Amount = MEMORY,
+    workers: int | None = None,
+    dask: Any = None,
+    part: str | tuple[int, int] | None = None,
+    finish: bool = False,
     progress: Progress | bool | None = None,
 ) -> Dem | Path:
     """Make a fractal terrain: plains, and ranges carved by rivers; or a terrain that resembles an example; or colours.
@@ -72,21 +81,21 @@ def synth(
         compress: of the file: "zstd", "deflate" or "none". overwrite: replace an existing file or store.
         resume: finish an interrupted store that was begun with the same arguments, to the same bytes; starts one if
             there is none.
-        jobs: threads; None: all processors. progress: gets progress reports; False: silent.
+        jobs: threads; None: all processors.
+        max_memory, workers, dask, part, finish: how a store is built, as of ``orograph.build``.
+        progress: gets progress reports; False: silent.
 
     Returns:
-        a ``Dem``, or the path of the file.
+        a ``Dem``, or the path of the file or store.
 
     Raises:
         UsageError: an option makes no sense, or the exemplar is unsuitable.
         ReadError: the exemplar cannot be read. OutputError: the file cannot be written, or exists.
         StoreError: the store cannot be written, or the interrupted store was begun with other arguments.
     """
-    path = None if output is None else Path(output)
-    if resume:
-        check_resumable(path)
-    elif path is not None:
-        check_vacant(path, overwrite)
+    path, max_memory = None if output is None else Path(output), bytes_of(max_memory)
+    how = {"workers": workers, "dask": dask, "part": part, "finish": finish}
+    check_output(path, overwrite, resume, how)
     heard = reporting(progress)
     if over is not None or ground is not None:
         said = {"spacing": spacing, "crs": crs, "relief": relief, "roughness": roughness, "jitter": jitter,
@@ -94,7 +103,10 @@ def synth(
         return colours(over, exemplar, ground, path, seed, said, compress=compress, jobs=jobs, progress=heard)
     made = maker(size, seed, spacing, crs, relief, roughness, exemplar, jitter, jobs, heard, passes=passes)
     if path is not None:
-        write(made, path, compress=compress, overwrite=overwrite, resume=resume, jobs=jobs, progress=heard)
+        write(
+            made, path, compress=compress, overwrite=overwrite, resume=resume, jobs=jobs, max_memory=max_memory,
+            progress=heard, **how,
+        )  # fmt: skip
         return path
     rows, cols = made.grid.shape
     if isinstance(made, Synth):
@@ -102,13 +114,29 @@ def synth(
     return Dem(made.read(0, rows, 0, cols), made.grid, None, made.name, tuple(getattr(made, "attribution", ())))
 
 
-def check_resumable(path: Path | None) -> None:
-    """Raise UsageError unless the output to resume is a store."""
-    if path is None or path.suffix.lower() != STORE:
+def check_output(path: Path | None, overwrite: bool, resume: bool, how: Mapping[str, Any]) -> None:
+    """Raise an error if the output is there already, or is no store but is to be resumed, or made by several processes.
+
+    Args:
+        how: ``workers``, ``dask``, ``part`` and ``finish``.
+
+    Raises:
+        UsageError, OutputError: see above.
+    """
+    several = [name for name, value in how.items() if value]
+    store = path is not None and path.suffix.lower() == STORE
+    if resume and not store:
         raise UsageError(
             "Only a store can be resumed: a file is either complete or absent.", path=path,
             remedy=f"Leave out `resume`, or write a store ({STORE}).",
         )  # fmt: skip
+    if several and not store:
+        raise UsageError(
+            f"Only a store is made by several processes (`{several[0]}`); a file is written by one.", path=path,
+            remedy=f"Leave out `{several[0]}`, or write a store ({STORE}).",
+        )  # fmt: skip
+    if path is not None and not (resume or how["part"] or how["finish"]):
+        check_vacant(path, overwrite)
 
 
 def maker(
@@ -174,9 +202,12 @@ def colours(
 
 def write(
     made: Synth | ByExample, path: Path, *, compress: str, overwrite: bool, resume: bool, jobs: int | None,
-    progress: Progress,
+    progress: Progress, **how: Any,
 ) -> None:  # fmt: skip
     """Write a terrain as a GeoTIFF, or build a store of it (``.oro``).
+
+    Args:
+        how: the store is built: ``max_memory``, ``workers``, ``dask``, ``part``, ``finish``.
 
     Raises:
         OutputError, StoreError: it cannot be written.
@@ -186,7 +217,9 @@ def write(
 
         if isinstance(made, Synth):
             made.prepare(progress)
-        build(made, path, overwrite=overwrite, resume=resume, jobs=jobs, progress=progress).close()
+        built = build(made, path, overwrite=overwrite, resume=resume, jobs=jobs, progress=progress, **how)
+        if built is not None:
+            built.close()
     elif isinstance(made, Synth):
         made.write(path, compress=compress, jobs=jobs, progress=progress)
     else:

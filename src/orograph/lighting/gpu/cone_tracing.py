@@ -285,9 +285,9 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     if about < 3:
         raise UsageError(f"At least three cones are needed, not {about}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)
-    gpu = device or open_device()
 
-    def blocks() -> Blocks:
-        yield from by_tiles(context, TILE, "Tracing cones", Tracer(gpu, context, ways, about).tile)
+    def blocks() -> Blocks:  # (the device is opened by whoever makes them)
+        tracer = Tracer(device or open_device(), context, ways, about)
+        yield from by_tiles(context, TILE, "Tracing cones", tracer.tile)
 
     return blocks()

@@ -26,6 +26,7 @@ towards the light are drawn only for directions that may meet a hole: twice the 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -40,7 +41,7 @@ from orograph.hierarchy.clip_stack import Ring
 from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.gpu.occlusion_frames import Frames, corners
 from orograph.lighting.gpu.rings import BLOCK, REACH, Held, Store, rings
-from orograph.lighting.occlusion import flat_only
+from orograph.lighting.occlusion import flat_only, meet
 from orograph.lighting.raster import rectangles
 from orograph.lighting.rho import Transmission, transmission
 
@@ -247,6 +248,9 @@ class Maps:
         return found, missed
 
 
+_ONE = threading.Lock()
+
+
 def run(context: Context, device: Device | None = None) -> Blocks:
     """The product ``ambient-occlusion`` with ``method`` "shadow-maps": ``rays`` directions.
 
@@ -259,23 +263,24 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     if options.rays < 1:
         raise UsageError(f"At least one direction is needed, not {options.rays}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)
-    gpu = device or open_device()
     how = SETTINGS
 
-    def blocks() -> Blocks:
-        maps = Maps(gpu, context, ways, options.rays, int(options.more.get("seed", 0)), how)
+    def blocks() -> Blocks:  # (the device is opened by whoever makes them)
+        maps = Maps(device or open_device(), context, ways, options.rays, int(options.more.get("seed", 0)), how)
         yield from by_tiles(context, how.tile, "Drawing shadow maps", maps.tile)
 
     return blocks()
 
 
 def by_tiles(context: Context, side: int, what: str, make: Callable[[int, int, int, int], Values]) -> Blocks:
-    """The product tile by tile, in order; tiles are kept where the context keeps anything."""
-    windows = list(rectangles(context.shape, side, side))
+    """The product tile by tile, in order, those in the window that the context asks for; tiles are kept where the
+    context keeps anything. A process makes one at a time."""
+    windows = [w for w in rectangles(context.shape, side, side) if context.only is None or meet(w, context.only)]
 
     def one(window: tuple[int, int, int, int]) -> Values:
         def new() -> Values:
-            return make(*window)[None]
+            with _ONE:
+                return make(*window)[None]
 
         if context.kept is None:
             return new()

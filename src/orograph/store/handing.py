@@ -1,0 +1,83 @@
+"""How other processes get the source of a build: they open its files, and take over what took long to make of them.
+
+Such arrays (the triangulation of points, an example with its similar places) lie in ``parts/handed/source`` while the
+store is built. Workers map them: those of one machine share the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.store.inputs import opened
+from orograph.store.places import HANDED
+from orograph.store.source import HeightSource
+from orograph.store.storage import FolderStorage, Storage
+
+PLACE = f"{HANDED}/source"
+
+Arrays = Mapping[str, NDArray[Any]]
+Kinds = dict[str, tuple[str, tuple[int, ...]]]
+"""The type and shape of arrays by their names."""
+
+
+class Again(Protocol):
+    """Opens a source in another process; it can be pickled."""
+
+    def open(self, made: Arrays) -> HeightSource:
+        """The source. Args: made: what took long to make."""
+
+
+class Files(NamedTuple):
+    """Opens rasters or points from their files (``inputs.opened``)."""
+
+    files: list[str]
+    options: dict[str, Any]
+
+    def open(self, made: Arrays) -> HeightSource:
+        return opened(self.files, self.options, made=made)
+
+
+def again_of(raster: HeightSource) -> tuple[Again, Arrays] | None:
+    """What opens a source in another process, and with which arrays; None if its heights are in this process only."""
+    if (own := getattr(raster, "again", None)) is not None:
+        found: tuple[Again, Arrays] = own()
+        return found
+    said = getattr(raster, "recipe", lambda: None)()
+    if said is None:
+        return None
+    files, options = said
+    if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
+        files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
+    here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
+    return Files(here, options), next((each.made() for each in _parts(raster) if hasattr(each, "made")), {})
+
+
+def _parts(raster: HeightSource) -> list[Any]:
+    """A source, and what it is put together from."""
+    return [raster, *getattr(raster, "sources", ())]
+
+
+def leave(storage: Storage, made: Arrays) -> Kinds:
+    """Write arrays for other processes."""
+    for name, array in made.items():
+        data: Any = np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
+        storage.put(f"{PLACE}/{name}", [data])
+    return {name: (array.dtype.str, array.shape) for name, array in made.items()}
+
+
+def take(storage: Storage, kinds: Kinds) -> dict[str, NDArray[Any]]:
+    """The arrays that another process has left."""
+    # (Not read-only, for which kernels would be compiled once more.)
+    found: dict[str, NDArray[Any]] = {}
+    for name, (dtype, shape) in kinds.items():
+        key = f"{PLACE}/{name}"
+        if isinstance(storage, FolderStorage) and 0 not in shape:
+            found[name] = np.asarray(np.memmap(storage.path / key, dtype, "c", shape=shape))
+        else:
+            found[name] = np.frombuffer(bytearray(storage.get(key) or b""), dtype).reshape(shape)
+    return found

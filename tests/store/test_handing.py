@@ -1,0 +1,88 @@
+"""Sources that other processes open again: with what took long to make of them, and wherever the store is made."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import pickle
+
+import numpy as np
+import pytest
+from buckets import ENVIRONMENT, bucket_server
+from test_in_parts import files
+
+from orograph import store
+from orograph.dem.gridding import PointRaster
+from orograph.store.addresses import storage_at
+from orograph.store.build_state import BuildState, recipe_of
+from orograph.store.places import PLAN
+
+SIZES = {"shard": 64, "chunk": 16, "jobs": 1, "progress": False, "resolution": 4, "assume_crs": "EPSG:32633"}
+
+
+class NewEachTime:
+    """Stands for a cluster whose workers die after each task: nothing is known to them but what lies in files."""
+
+    here = 0
+
+    def __init__(self, recipe):
+        self.text = pickle.dumps(recipe)
+
+    def groups(self, *_):
+        return 0
+
+    def run(self, stage, progress):
+        stage.hand_over()
+        for spot in stage.tasks():
+            BuildState(pickle.loads(self.text)).stage(stage.name, stage.number).make(spot)
+            found = stage.found(spot, proof=False)
+            assert found is not None
+            stage.add(spot, found)
+        stage.finish()
+
+
+@pytest.fixture
+def by_workers(monkeypatch):
+    """Builds that name workers are done by ``NewEachTime``, which do not triangulate; the sizes of their recipes."""
+    sizes = []
+
+    @contextlib.contextmanager
+    def executor_of(raster, storage, options, plan, coding, at_once, *_):
+        made = NewEachTime(recipe_of(raster, storage, options, plan, coding, PLAN, at_once.task, at_once.base))
+        sizes.append(len(made.text))
+        monkeypatch.setattr(PointRaster, "open", None)
+        yield made
+
+    monkeypatch.setattr(importlib.import_module("orograph.store.build"), "executor_of", executor_of)
+    return sizes
+
+
+@pytest.fixture
+def points(tmp_path):
+    rng = np.random.default_rng(4)
+    rows = np.c_[rng.uniform(500_000, 500_900, 500), rng.uniform(0, 700, 500), rng.normal(0, 9, 500)].round(2)
+    path = tmp_path / "p.csv"
+    path.write_text("x,y,z\n" + "".join(f"{x},{y},{z}\n" for x, y, z in rows))
+    return str(path)
+
+
+@pytest.mark.parametrize("area", [{}, {"bbox": (15.0005, -0.0005, 15.006, 0.007)}], ids=["whole", "an area"])
+def test_workers_take_over_the_triangulation(tmp_path, points, area, request):
+    store.build(points, tmp_path / "whole", **SIZES, **area).close()
+    sizes = request.getfixturevalue("by_workers")
+    store.build(points, tmp_path / "s", **SIZES, **area).close()
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
+    assert sizes[0] < 20_000  # what goes through the scheduler
+
+
+def test_in_a_bucket(tmp_path, points, monkeypatch, request):
+    pytest.importorskip("obstore")
+    pytest.importorskip("moto.server")
+    store.build(points, tmp_path / "whole", **SIZES).close()
+    with bucket_server() as server:
+        for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": server.url}.items():
+            monkeypatch.setenv(name, value)
+        request.getfixturevalue("by_workers")
+        store.build(points, "s3://terrain/p.oro", **SIZES).close()
+        place = storage_at("s3://terrain/p.oro")
+        assert {name: place.get(name) for name in place.listed()} == files(tmp_path / "whole")
