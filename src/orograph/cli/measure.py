@@ -80,7 +80,7 @@ def command() -> None:
               "left corner.")  # fmt: skip
 @without("lonlat", "look_at")
 @camera_options
-@scene_option("exaggeration", help="Size of the picture.")
+@scene_option("exaggeration", help="Exaggeration of the heights in the picture.")
 @points_option
 @click.pass_context
 def pick(
