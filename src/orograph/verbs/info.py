@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 KEYS = (
     "kind", "path", "crs", "transform", "shape", "points", "bounds", "lonlat", "spacing_m", "height_range",
     "height_range_exact", "valid_fraction", "dtype", "nodata", "vertical_datum", "attribution", "version", "versions",
-    "levels", "side", "errors", "colors", "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes", "warnings",
+    "levels", "side", "errors", "colors", "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes",
+    "warnings",
 )  # fmt: skip
 """The keys, in their order."""
 
