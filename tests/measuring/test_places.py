@@ -136,7 +136,7 @@ def test_degrees_need_a_crs_and_a_place():
         Places(terrain_of(FLAT)).of_lonlat((10, 50))
     places = Places(terrain_of(FLAT, crs="EPSG:32611"))
     with pytest.raises(UsageError, match="Longitude comes first"):
-        places.of_lonlat((36.0, 9.0))
+        places.of_lonlat((36.0, -117.0))
 
 
 def test_a_single_row_is_no_surface():

@@ -100,7 +100,7 @@ class Map:
         """
         if Path(path).suffix.lower() not in (".tif", ".tiff"):
             raise UsageError(
-                "A map is saved as a GeoTIFF.", path=path, remedy="Use .tif; `plot` draws it for a picture.",
+                "A map is saved as a GeoTIFF.", path=path, remedy="Use .tif; its method plot() draws it.",
             )  # fmt: skip
         smooth = "nearest" if any(b.name in ("aspect", "code") for b in self.bands) else "average"
         write(path, self.grid, self.bands, [(0, 0, 0, self.values)], byte=byte, overviews=smooth)
