@@ -106,7 +106,7 @@ def pick(
             raise UsageError("A pixel needs the camera of its picture, not a point.", remedy="Give an orograph.View.")
         return place(terrain, view, lonlat=lonlat)
     if pixel is None:
-        raise UsageError("A camera needs a pixel of its picture.", remedy="Give `pixel`, or a point instead.")
+        raise UsageError("A camera needs a pixel of its picture.", remedy="Give a point instead, or the pixel, too.")
     px, py = (float(v) for v in pixel)
     if not (math.isfinite(px) and math.isfinite(py)):
         raise UsageError(f"A pixel must be two finite numbers, not {pixel!r}.")
