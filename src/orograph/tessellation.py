@@ -26,6 +26,8 @@ from orograph._named import named
 from orograph.cards import amount, card, heights_row
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
+from orograph.mesh_files import Origin, check_origin, mesh_format, write
+from orograph.mesh_models import MODELS, Print, solid, write_solid
 from orograph.output import Beside
 
 
@@ -149,30 +151,49 @@ class Tessellation:
 
     # ---- files -----------------------------------------------------------------------------------------------------
 
-    def save(self, path: str | os.PathLike[str], grid: Grid | None = None) -> Path:
-        """Write a self-contained .npz.
+    def save(
+        self, path: str | os.PathLike[str], grid: Grid | None = None, *, colors: ArrayLike | None = None,
+        origin: Origin | None = None,
+    ) -> Path:  # fmt: skip
+        """Write the mesh; the format follows the ending.
 
         Args:
-            path: ends with .npz. grid: the one that columns and rows refer to; None: the mesh's own.
+            path: ends in .npz (everything, for ``load`` and NumPy), .ply, .obj or .glb (``orograph.mesh_files``), or,
+                for a TIN, .stl or .3mf: a closed model for 3D printing of the usual size (``orograph.tin`` makes
+                others).
+            grid: the one that columns and rows refer to; None: the mesh's own.
+            colors: (n, 3) uint8, sRGB by vertex. origin: easting, northing and perhaps a height that positions are
+                relative to, or "auto"; both for .ply, .obj and .glb only.
 
-        Its arrays: ``vertices``, ``triangles``, ``strip`` (if there is one), ``stats`` (a JSON string); and the grid's
-        ``shape`` (rows, cols), ``transform`` (the six numbers of GDAL's affine map in the order a, b, c, d, e, f) and
-        ``crs`` (WKT, empty if unknown).
+        The arrays of an .npz: ``vertices``, ``triangles``, ``strip`` (if there is one), ``stats`` (a JSON string); and
+        the grid's ``shape`` (rows, cols), ``transform`` (the six numbers of GDAL's affine map in the order a, b, c, d,
+        e, f) and ``crs`` (WKT, empty if unknown).
 
         Raises:
-            UsageError: the statistics are not JSON, the ending is not .npz, or no grid is known. OutputError: the file
-                cannot be written.
+            UsageError: the ending is unknown or does not suit the mesh or its options, no grid is known, or the
+                statistics are not JSON. NothingInViewError: the format needs triangles, and there are none.
+                OutputError: the file cannot be written.
         """
-        grid = self._grid(grid)
-        if Path(path).suffix.lower() != ".npz":
-            raise UsageError(
-                "This writes .npz files only.", path=path,
-                remedy="For other formats give `output` to tessellate or tin.",
-            )  # fmt: skip
+        grid, out = self._grid(grid), Path(path)
+        model = out.suffix.lower() in MODELS and self.stats.get("method") == "tin"
+        ending = out.suffix.lower() if model else mesh_format(out)
+        if origin is not None:
+            check_origin(origin, None if model else out)
+        if colors is not None and (model or ending == ".npz"):
+            raise UsageError(f"{ending} files cannot hold colours.", path=out, remedy="Write a .ply.")
+        if model:
+            write_solid(solid(self.positions(grid), self.triangles, Print()), out, out.stem)
+        elif ending == ".npz":
+            self._save_arrays(out, grid)
+        else:
+            write(out, self.positions(grid), self.triangles, grid.crs, colors=colors, origin=origin)
+        return out
+
+    def _save_arrays(self, out: Path, grid: Grid) -> None:
         try:
             stats = json.dumps(self.stats, allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise UsageError(f"The statistics of the tessellation are not JSON: {error}.", path=path) from error
+            raise UsageError(f"The statistics of the tessellation are not JSON: {error}.", path=out) from error
         arrays: dict[str, NDArray[Any]] = {
             "vertices": self.vertices,
             "triangles": self.triangles,
@@ -183,10 +204,8 @@ class Tessellation:
         }
         if self.strip is not None:
             arrays["strip"] = self.strip
-        out = Path(path)
         with Beside(out) as part, part.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
-        return out
 
     def _grid(self, given: Grid | None) -> Grid:
         if (grid := given or self.grid) is None:

@@ -34,6 +34,7 @@ KEYS = {
     "shape",
     "points",
     "bounds",
+    "lonlat",
     "spacing_m",
     "height_range",
     "height_range_exact",

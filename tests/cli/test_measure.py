@@ -114,6 +114,19 @@ def test_a_line_of_sight(run, hilly, measured, tmp_path):
     assert code == 0 and "obstructed at" in said and "target needs" in said, err
 
 
+def test_picked_places_as_files(run, hilly, measured, tmp_path):
+    table, points = tmp_path / "places.csv", tmp_path / "places.geojson"
+    told = measured("pick", A, B, "-o", table, "-o", points)
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    for hit, row, feature in zip(told["places"], rows, json.loads(points.read_text())["features"], strict=True):
+        assert float(row["height"]) == pytest.approx(hit["height"], abs=1e-4) and row["depth"] == ""
+        assert feature["geometry"]["coordinates"] == [round(hit[k], 9) for k in ("longitude", "latitude")]
+        assert feature["properties"]["slope"] == float(row["slope"])
+    code, _, err = run("measure", "pick", hilly, A, "-o", tmp_path / "a.png")
+    assert code == 2 and "a .csv or .geojson" in err
+
+
 def test_a_viewshed(run, hilly, measured, tmp_path):
     seen, picture, needed = tmp_path / "seen.tif", tmp_path / "seen.png", tmp_path / "n.tif"
     told = measured("viewshed", A, "--radius", 1200, "-o", seen, "--picture", picture, "--size", "320x200")

@@ -142,3 +142,14 @@ def test_degrees_need_a_crs_and_a_place():
 def test_a_single_row_is_no_surface():
     with pytest.raises(UsageError, match="no surface"):
         Places(terrain_of(np.zeros((1, 9))))
+
+
+@pytest.mark.parametrize(
+    ("point", "lonlat", "remedy"),
+    [((36.1, 9.0), True, "other way round"), ((36.1, 9.0), False, "As latitude, longitude"),
+     ((9.0, 36.1), False, "As longitude, latitude"), ((20.0, 50.1), True, "Give easting, northing")],
+)  # fmt: skip
+def test_degrees_in_the_wrong_order_are_told(point, lonlat, remedy):
+    places = Places(terrain_of(FLAT, Affine(300, 0, 495000, 0, -300, 4004000), "EPSG:32632"))
+    with pytest.raises(UsageError, match=remedy):
+        places.points(point, lonlat=lonlat)

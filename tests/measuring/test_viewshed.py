@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 import brute
+import geopandas
 import numpy as np
 import pytest
 import rasterio
+import rasterio.features
 from affine import Affine
 from closed_forms import RECTANGULAR, ROTATED, SQUARE, of_function, rough, terrain_of
 from pyproj import CRS
@@ -253,3 +255,36 @@ def test_measures_are_silenced_as_all_functions_are(recwarn):
     seen = orograph.measure.viewshed(ground, ground.grid.xy(20.0, 15.0), progress=False)
     assert seen.values(progress=False).shape == (30, 40)
     assert orograph.measure.area(ground, [(50, 50), (250, 50), (250, 200)], progress=False).surface > 0
+
+
+@pytest.mark.parametrize("ending", [".gpkg", ".geojson"])
+@pytest.mark.parametrize("transform", [SQUARE, ROTATED])
+def test_polygons_are_the_cells_that_are_seen(tmp_path, transform, ending):
+    terrain = terrain_of(rough((60, 64), 5, True), transform, "EPSG:32611")
+    shed = viewshed(terrain, terrain.grid.xy(30.0, 31.0), 8.0)
+    seen = shed.values() > 0
+    told = shed.save(tmp_path / f"seen{ending}")
+    assert told == shed.summary() and told["seen"] == seen.sum() > 0
+    found = geopandas.read_file(tmp_path / f"seen{ending}")
+    assert found.geom_type.eq("Polygon").all() and found.is_valid.all() and len(found) > 5
+    assert found.grid_m2.sum() == pytest.approx(told["seen_grid_m2"], rel=1e-9)
+    back = found.to_crs("EPSG:32611").geometry
+    a = shed.grid.transform
+    again = rasterio.features.rasterize(back, seen.shape, transform=a)
+    np.testing.assert_array_equal(again, seen)
+    if ending == ".geojson":  # as RFC 7946 wants it
+        turns = [part.exterior.is_ccw and not any(ring.is_ccw for ring in part.interiors) for part in found.geometry]
+        assert all(turns)
+
+
+def test_what_a_viewshed_cannot_be_written_as(tmp_path):
+    terrain = terrain_of(np.full((30, 30), 5.0, np.float32), SQUARE)
+    for needed, name, problem in (
+        (False, "a.png", "polygons"),
+        (True, "a.gpkg", "raster"),
+        (False, "a.geojson", "CRS"),
+    ):
+        shed = viewshed(terrain, terrain.grid.xy(3, 3), heights=needed)
+        with pytest.raises(UsageError, match=problem):
+            shed.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from orograph.errors import NothingInViewError, OutputError, UsageError
 from orograph.geo.grid import Grid
-from orograph.meshing import write, write_surface
+from orograph.mesh_models import write_surface
 from orograph.tessellation import Tessellation
 
 GRID = Grid((40, 50), Affine(8.5, 6, 448262.125, 6, -8.5, 5411932.75), CRS.from_epsg(32632))
@@ -111,7 +111,7 @@ def turns_left(points: np.ndarray, faces: np.ndarray) -> bool:
 @pytest.mark.parametrize("colored", [False, True])
 def test_ply_keeps_every_bit(tmp_path: Path, mesh: Tessellation, colored: bool):
     colors = COLORS[: len(mesh.vertices)] if colored else None
-    path = write(mesh, GRID, tmp_path / "m.PLY", colors=colors)
+    path = mesh.save(tmp_path / "m.PLY", GRID, colors=colors)
     points, faces, read_colors, comments = read_ply(path)
     assert np.array_equal(points, mesh.positions(GRID)) and np.allclose(points, truth(mesh), rtol=0, atol=1e-8)
     assert np.array_equal(faces, mesh.triangles) and turns_left(points, faces)
@@ -126,7 +126,7 @@ def test_ply_keeps_every_bit(tmp_path: Path, mesh: Tessellation, colored: bool):
 @pytest.mark.parametrize("colored", [False, True])
 def test_obj_keeps_micrometres(tmp_path: Path, mesh: Tessellation, colored: bool):
     colors = COLORS[: len(mesh.vertices)] if colored else None
-    path = write(mesh, GRID, tmp_path / "m.obj", colors=colors)
+    path = mesh.save(tmp_path / "m.obj", GRID, colors=colors)
     lines = [line.split() for line in path.read_text().splitlines()]
     points = np.array([line[1:] for line in lines if line[0] == "v"], float)
     faces = np.array([line[1:] for line in lines if line[0] == "f"], int) - 1
@@ -140,15 +140,15 @@ def test_obj_keeps_micrometres(tmp_path: Path, mesh: Tessellation, colored: bool
 
 
 def test_obj_of_more_lines_than_are_formatted_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mesh):
-    whole = write(mesh, GRID, tmp_path / "whole.obj").read_text()
-    monkeypatch.setattr("orograph.meshing.export.LINES", 3)
-    assert write(mesh, GRID, tmp_path / "parts.obj").read_text() == whole
+    whole = mesh.save(tmp_path / "whole.obj", GRID).read_text()
+    monkeypatch.setattr("orograph.mesh_files.LINES", 3)
+    assert mesh.save(tmp_path / "parts.obj", GRID).read_text() == whole
 
 
 @pytest.mark.parametrize("colored", [False, True])
 def test_glb_is_precise_about_its_origin(tmp_path: Path, mesh: Tessellation, colored: bool):
     colors = COLORS[: len(mesh.vertices)] if colored else None
-    path = write(mesh, GRID, tmp_path / "m.glb", colors=colors)
+    path = mesh.save(tmp_path / "m.glb", GRID, colors=colors)
     tree, buffer = read_glb(path)
     (node,) = (node for node in tree["nodes"] if "mesh" in node)
     (primitive,) = tree["meshes"][node["mesh"]]["primitives"]
@@ -172,45 +172,45 @@ def test_glb_is_precise_about_its_origin(tmp_path: Path, mesh: Tessellation, col
 
 
 def test_npz_is_the_tessellation(tmp_path: Path, mesh: Tessellation):
-    again = Tessellation.load(write(mesh, GRID, tmp_path / "m.npz"))
+    again = Tessellation.load(mesh.save(tmp_path / "m.npz", GRID))
     assert np.array_equal(again.vertices, mesh.vertices) and again.stats == {"method": "fan"} and again.grid == GRID
 
 
 def test_a_grid_without_crs_and_a_mesh_without_triangles(tmp_path: Path, mesh: Tessellation):
     bare = Grid(GRID.shape, GRID.transform)
-    tree, _ = read_glb(write(mesh, bare, tmp_path / "m.glb"))
+    tree, _ = read_glb(mesh.save(tmp_path / "m.glb", bare))
     assert next(node for node in tree["nodes"] if "mesh" in node)["extras"]["crs"] == ""
-    assert read_ply(write(mesh, bare, tmp_path / "m.ply"))[3] == ["metres; x east, y north, z up"]
+    assert read_ply(mesh.save(tmp_path / "m.ply", bare))[3] == ["metres; x east, y north, z up"]
     nothing = Tessellation(np.empty((0, 3)), np.empty((0, 3), np.int32))
-    assert b"element face 0\n" in write(nothing, bare, tmp_path / "n.ply").read_bytes()
-    assert "f " not in write(nothing, bare, tmp_path / "n.obj").read_text()
+    assert b"element face 0\n" in nothing.save(tmp_path / "n.ply", bare).read_bytes()
+    assert "f " not in nothing.save(tmp_path / "n.obj", bare).read_text()
     with pytest.raises(NothingInViewError, match="no triangles"):
-        write(nothing, bare, tmp_path / "n.glb")
+        nothing.save(tmp_path / "n.glb", bare)
 
 
 def test_what_cannot_be_written(tmp_path: Path, mesh: Tessellation, monkeypatch: pytest.MonkeyPatch):
     for name in ("m.dxf", "m"):
         with pytest.raises(UsageError, match=r"\.npz, \.ply, \.obj or \.glb"):
-            write(mesh, GRID, tmp_path / name)
+            mesh.save(tmp_path / name, GRID)
     with pytest.raises(UsageError, match="Colours"):
-        write(mesh, GRID, tmp_path / "m.ply", colors=COLORS)
+        mesh.save(tmp_path / "m.ply", GRID, colors=COLORS)
     with pytest.raises(UsageError, match="Colours"):
-        write(mesh, GRID, tmp_path / "m.ply", colors=np.zeros((len(mesh.vertices), 3)))
+        mesh.save(tmp_path / "m.ply", GRID, colors=np.zeros((len(mesh.vertices), 3)))
     with pytest.raises(UsageError, match="cannot hold colours"):
-        write(mesh, GRID, tmp_path / "m.npz", colors=COLORS[: len(mesh.vertices)])
+        mesh.save(tmp_path / "m.npz", GRID, colors=COLORS[: len(mesh.vertices)])
     for name in ("m.ply", "m.obj", "m.glb", "m.npz"):
         with pytest.raises(OutputError, match="no folder"):
-            write(mesh, GRID, tmp_path / "none" / name)
+            mesh.save(tmp_path / "none" / name, GRID)
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(UsageError, match=r"orograph\[mesh\]"):
-        write(mesh, GRID, tmp_path / "m.glb")
+        mesh.save(tmp_path / "m.glb", GRID)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("ending", [".ply", ".obj", ".glb"])
 @pytest.mark.parametrize("origin", ["auto", "448500,5411700", (448_500.0, 5_411_700.0, 120.0)])
 def test_positions_are_relative_to_an_origin(mesh, tmp_path, ending, origin) -> None:
-    path = write(mesh, GRID, tmp_path / f"m{ending}", origin=origin)
+    path = mesh.save(tmp_path / f"m{ending}", GRID, origin=origin)
     middle = np.round((mesh.positions(GRID).min(0) + mesh.positions(GRID).max(0)) / 2)
     start = [*middle[:2], 0] if origin == "auto" else [448_500, 5_411_700, 0 if isinstance(origin, str) else 120]
     read = trimesh.load(path, process=False)
@@ -223,15 +223,15 @@ def test_positions_are_relative_to_an_origin(mesh, tmp_path, ending, origin) -> 
 
 def test_mistakes_about_origins(mesh, tmp_path) -> None:
     with pytest.raises(UsageError, match="easting, northing"):
-        write(mesh, GRID, tmp_path / "m.ply", origin=(1.0,))
+        mesh.save(tmp_path / "m.ply", GRID, origin=(1.0,))
     with pytest.raises(UsageError, match=r"surfaces as \.stl only"):
-        write(mesh, GRID, tmp_path / "m.npz", origin="auto")
+        mesh.save(tmp_path / "m.npz", GRID, origin="auto")
     with pytest.raises(UsageError, match=r"Use \.npz"):
-        write(mesh, GRID, tmp_path / "m.dxf")
+        mesh.save(tmp_path / "m.dxf", GRID)
 
 
 def test_an_open_surface_in_metres(mesh, tmp_path) -> None:
-    start = write_surface(mesh, GRID, tmp_path / "m.stl", "auto")
+    start = write_surface(mesh.positions(GRID), mesh.triangles, tmp_path / "m.stl", "auto")
     read = trimesh.load(tmp_path / "m.stl", process=False)
     corners = mesh.positions(GRID)[mesh.triangles] - start
     np.testing.assert_allclose(read.vertices.reshape(-1, 3, 3), corners, atol=1e-3)

@@ -18,7 +18,7 @@ import orograph
 from orograph.cli import cli
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.meshing import Print, solid
+from orograph.mesh_models import Print, solid
 from orograph.tessellation import Tessellation
 
 MAPS = [Affine(10, 0, 5e5, 0, -10, 4e6), Affine(10, 0, 5e5, 0, 20, 4e6), Affine(6, 8, 5e5, 8, -6, 4e6)]
@@ -80,13 +80,28 @@ def test_the_longer_side_has_the_size_that_is_asked(tmp_path):
     assert max(orograph.tin(dem, max_error=5, output=tmp_path / "m.stl", model_size=90).stats["model"]["size_mm"]) == 90
 
 
+def test_a_tin_saves_itself_as_the_model_that_its_verb_writes(tmp_path):
+    dem = hills(MAPS[0])
+    for ending in (".stl", ".3mf"):
+        tin = orograph.tin(dem, max_error=5, output=tmp_path / f"verb{ending}")
+        assert tin.save(tmp_path / f"own{ending}") == tmp_path / f"own{ending}"
+    assert (tmp_path / "own.stl").read_bytes() == (tmp_path / "verb.stl").read_bytes()
+    assert read_3mf(tmp_path / "own.3mf").is_watertight
+    for options, problem in (({"origin": "auto"}, "origin"), ({"colors": np.zeros((4, 3), np.uint8)}, "colours")):
+        with pytest.raises(UsageError, match=problem):
+            tin.save(tmp_path / "no.stl", **options)
+    with pytest.raises(UsageError, match="tin"):  # a mesh for a view is no model
+        orograph.tessellate(dem, tolerance=4).save(tmp_path / "no.stl")
+    assert not (tmp_path / "no.stl").exists()
+
+
 def test_parts_that_meet_in_a_vertex_are_moved_apart():
     """Two squares that share a corner: without that a vertical edge would have four walls."""
     places = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 1], [2, 2], [1, 2], [9, 9]], float)
     vertices = np.column_stack([places, np.full(8, 7.0)])
     faces = np.array([[0, 2, 1], [0, 3, 2], [2, 5, 4], [2, 6, 5]], np.int32)
     grid = Grid((3, 3), Affine(1, 0, 0, 0, -1, 0))
-    made = solid(Tessellation(vertices, faces), grid, Print(base=2, scale=1000))
+    made = solid(Tessellation(vertices, faces).positions(grid), faces, Print(base=2, scale=1000))
     edges = Counter(tuple(sorted(e)) for t in made.triangles.tolist() for e in zip(t, t[1:] + t[:1]))
     assert set(edges.values()) == {2}
     assert len({tuple(v) for v in made.vertices.tolist()}) == len(made.vertices) == 16

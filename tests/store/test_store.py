@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from surfaces import grid_of, rough, source
 
-from orograph import store
+from orograph import read, sample, store
 from orograph.errors import DamagedChunkError, StoreError
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
@@ -190,7 +190,7 @@ def test_the_cache_keeps_to_its_budget_and_drops_the_oldest():
 def test_reading_a_store_starts_no_compiler_and_no_zarr(built):
     code = f"""
 import sys
-from orograph import store
+from orograph import read, sample, store
 store.open({built!r}).read(0, 0, 50, 0, 50)
 print(*[name for name in ("numba", "zarr", "tensorstore", "fsspec", "rasterio", "scipy") if name in sys.modules])
 """
@@ -227,3 +227,9 @@ def test_degrees_are_refused(tmp_path):
     with pytest.raises(Exception, match="degrees"):
         store.build(source(rough((5, 5)), "EPSG:4326"), tmp_path / "s")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_store_of_files_has_its_own_name_and_one_of_heights_theirs(tmp_path):
+    path = sample.write_jacksboro(tmp_path)
+    assert path.stem != "area" and store.build(str(path), tmp_path / "area.oro").name == "area"
+    assert store.build(read(path), tmp_path / "other.oro").name == read(path).name

@@ -80,7 +80,12 @@ def test_texts_are_read_and_wrong_ones_refused_by_the_options_name(given, name, 
 
 @pytest.mark.parametrize("name", ["export", "tin", "light", "terrain", "measure.viewshed", "build", "tour"])
 def test_memory_as_text_does_the_same(given, name):
-    more = {"tin": {"max_error": 5}, "export": {"overwrite": True}, "build": {"overwrite": True}}.get(name, {})
+    more = {
+        "tin": {"max_error": 5},
+        "light": {"name": "slope"},
+        "export": {"overwrite": True},
+        "build": {"overwrite": True},
+    }.get(name, {})
     called(functions()[name], given, max_memory="512MiB", **more)
 
 

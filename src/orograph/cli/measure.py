@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
+from orograph.cli.files import TIFF
 from orograph.cli.measure_probable import check_files, contours, error_options, flood, height_error, slope
 from orograph.cli.measure_probable import viewshed as probable_viewshed
 from orograph.cli.measuring import (
@@ -80,12 +81,13 @@ def command() -> None:
               "left corner.")  # fmt: skip
 @without("lonlat", "look_at")
 @camera_options
-@scene_option("exaggeration", help="Size of the picture.")
+@scene_option("exaggeration", help="Exaggeration of the heights in the picture.")
+@output_option("A table (.csv) or points (.geojson); may be repeated.")
 @points_option
 @click.pass_context
 def pick(
     ctx: click.Context, /, points: tuple[tuple[float, ...], ...], pixels: tuple[tuple[float, ...], ...],
-    degrees: bool, as_json: bool, **camera: Any,
+    outputs: tuple[str, ...], degrees: bool, as_json: bool, **camera: Any,
 ) -> None:  # fmt: skip
     """Height, coordinates, slope and aspect of the ground at points, or under pixels of a picture.
 
@@ -97,7 +99,8 @@ def pick(
         raise UsageError("Give a point, or a pixel with --pixel.")
     camera = {**camera, "lonlat": None, "look_at": None}
     check_camera({k: camera[k] for k in CAMERA})
-    terrain = opened(ctx)
+    kinds(outputs, False, (".csv", ".geojson"))
+    terrain = opened(ctx, outputs)
     from orograph import measuring
 
     places = measuring.Places(terrain)
@@ -112,7 +115,9 @@ def pick(
             if found is None:
                 raise UsageError(f"There is no ground at pixel {x:g},{y:g}: sky, or no data.")
             hits.append(found)
-    tell(ctx, terrain, {"places": [hit.to_dict() for hit in hits]}, hits, as_json)
+    for path in outputs:
+        measuring.save_hits(hits, path)
+    tell(ctx, terrain, {"places": [hit.to_dict() for hit in hits]}, hits, as_json, outputs)
 
 
 @command.command("profile", context_settings=POINTS, short_help="Lengths, climb and descent along a line.")
@@ -246,7 +251,8 @@ def los(
     "--heights", is_flag=True, help="Write how high a target must be to be visible, instead of 1 (visible) and 0."
 )
 @error_options
-@click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF to write.")
+@click.option("--output", "-o", type=FILE, metavar="OUT", help="The Cloud Optimized GeoTIFF (.tif), or the visible "
+              "ground as polygons (.gpkg, .geojson, .shp, .parquet, .fgb), to write.")  # fmt: skip
 @click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the visible ground painted.")
 @without("lonlat", "look_at")
 @camera_options
@@ -265,9 +271,17 @@ def viewshed(
     is the probability that a sample is visible.
     """
     check_points(points, 1, "A viewshed", 1)
-    camera = check_files(output, picture, camera)
-    error = height_error(sigma, reach, horizontal, checks, check_sigma)
     uncertain = sigma is not None or horizontal > 0
+    if output is not None and not uncertain:
+        from pyproj import CRS
+
+        from orograph.measuring.viewshed_polygons import ENDINGS, check_polygons
+
+        check_polygons(Path(output), heights, CRS.from_epsg(4326))  # (that of the terrain is not known yet)
+        camera = check_files(output, picture, camera, (*TIFF, *ENDINGS))
+    else:
+        camera = check_files(output, picture, camera)
+    error = height_error(sigma, reach, horizontal, checks, check_sigma)
     if uncertain and heights:
         raise UsageError("--heights and --sigma contradict each other: uncertain heights give a probability.")
     outputs = () if output is None else (output,)

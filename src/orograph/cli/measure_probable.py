@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from orograph.cli.camera import CAMERA, camera_options, check_camera
-from orograph.cli.files import check_ending
+from orograph.cli.files import TIFF, check_ending
 from orograph.cli.measuring import POINTS, Measure, Point, of_terrain, on_terrain, opened, points_option, tell, without
 from orograph.cli.options import FILE, F, Float, progress_of, with_options
 from orograph.errors import UsageError
@@ -87,14 +88,16 @@ def _checks(text: str | None) -> Any:
     return Dataset.parse(text)
 
 
-def check_files(output: str | None, picture: str | None, camera: dict[str, Any]) -> dict[str, Any]:
+def check_files(
+    output: str | None, picture: str | None, camera: dict[str, Any], endings: Sequence[str] = TIFF
+) -> dict[str, Any]:  # fmt: skip
     """Raise UsageError unless there is something to write, with endings that fit, and the camera options agree."""
     if output is None and picture is None:
         raise UsageError("Give an output: --output out.tif, --picture out.png, or both.")
     camera = {**camera, "lonlat": None, "look_at": None, "exaggeration": 1.0}
     check_camera({k: camera[k] for k in CAMERA})
     if output is not None:
-        check_ending("--output", output)
+        check_ending("--output", output, endings)
     if picture is not None:
         from orograph.rendering.picture import picture_format
 

@@ -51,7 +51,12 @@ class Measure(Verb):
     """A measure: an argument that begins with a minus is a point if a number follows, else an option."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        options = [name for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)]
+        options = [
+            name
+            for param in self.get_params(ctx)
+            for name in (*param.opts, *param.secondary_opts)
+            if name.startswith("-")
+        ]
         for arg in args:
             name = arg.partition("=")[0]
             if arg == "--":
@@ -156,7 +161,7 @@ def kinds(outputs: tuple[str, ...], plots: bool, tables: tuple[str, ...] = (".cs
         if Path(path).suffix.lower() in tables:
             continue
         if not plots or Path(path).suffix.lower() not in ENDINGS:
-            known = [*tables, *ENDINGS]
+            known = [*tables, *(ENDINGS if plots else ())]
             raise UsageError(f"--output must be a {', '.join(known[:-1])} or {known[-1]}.", path=path)
         check_plot(path)
 
@@ -165,8 +170,10 @@ def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], results: Se
          outputs: tuple[str, ...] = ()) -> None:  # fmt: skip
     """Print measurements, or rows of ``measuring.told``: names and values in columns, or JSON."""
     if as_json:
+        from orograph.dem.inspect import crs_text
+
         crs = terrain.grid.crs
-        click.echo(json.dumps({"crs": crs.to_string() if crs else None, **told, "outputs": list(outputs)},
+        click.echo(json.dumps({"crs": crs_text(crs), **told, "outputs": list(outputs)},
                               allow_nan=False))  # fmt: skip
         return
     from orograph.measuring.told import lines

@@ -65,6 +65,9 @@ class Names(click.ParamType["tuple[str, ...]"]):
 
     name = "NAME"
 
+    def get_missing_message(self, param: click.Parameter, ctx: click.Context | None) -> str:
+        return "Say what to make: --product hillshade, slope, sky-view-factor… (orograph light --help lists all)."
+
     def convert(
         self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, ...]:

@@ -16,6 +16,11 @@ SAID = {
 }  # fmt: skip
 """Options that people try, and what says it here."""
 
+POINTS = frozenset(
+    ("at", "point", "points", "place", "location", "coords", "coordinates", "observer", "start", "lat", "lon")
+)
+"""Options that people try for the points of a measurement."""
+
 _flags: dict[str, str] = {}
 """What the running verb calls its arguments."""
 
@@ -47,6 +52,10 @@ def spoken(text: str, flags: Mapping[str, str] | None = None) -> str:
 def lead(error: click.NoSuchOption) -> None:
     """Have an error suggest the option that a user of another tool's name may mean, if the verb has it."""
     there = {flag for one in (error.ctx.command.params if error.ctx else ()) for flag in one.opts}
+    if "points" in there and error.option_name.lstrip("-").lower() in POINTS:
+        setattr(error, "possibilities", [])  # noqa: B010 (given to a new error it would have to look alike)
+        setattr(error, "message", f"{error.message} Points follow the file: E,N, or --lonlat LON,LAT.")  # noqa: B010
+        return
     name = error.option_name.lstrip("-").lower().replace("-", "_")
     meant = wording.flag("uncertainty" if name in ("error", "sigma") else wording.MEANT.get(name, name))
     meant = SAID.get(name, meant)

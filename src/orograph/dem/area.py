@@ -213,12 +213,26 @@ def degrees_of(grid: Grid) -> CRS:
 
 def reach(grid: Grid) -> str:
     """A raster's location, as the end of a message; "" if unknown."""
+    found = lonlat_bounds(grid)
+    if found is None:
+        return ""
+    west, south, east, north = found
+    return f": it reaches from {west:.5g}, {south:.4g} to {east:.5g}, {north:.4g} (longitude, latitude)"
+
+
+def lonlat_bounds(grid: Grid) -> Box | None:
+    """West, south, east, north of a raster's samples, as an area has them (west > east across the 180th meridian); None
+    where they are unknown."""
+    if grid.crs is None:
+        return None
     x, y = grid.xy(*np.meshgrid(np.linspace(0, grid.cols - 1, 9), np.linspace(0, grid.rows - 1, 9)))
     lon, lat = transformer(grid.crs, degrees_of(grid))(np.ravel(x), np.ravel(y))
     if not (np.isfinite(lon).all() and np.isfinite(lat).all()):
-        return ""
-    corners = f"{lon.min():.5g}, {lat.min():.4g} to {lon.max():.5g}, {lat.max():.4g}"
-    return f": it reaches from {corners} (longitude, latitude)"
+        return None
+    west, east = float(lon.min()), float(lon.max())
+    if east - west > 180 and not grid.crs.is_geographic:  # on both sides of the 180th meridian
+        west, east = float(lon[lon > 0].min()), float(lon[lon < 0].max())
+    return west, float(lat.min()), east, float(lat.max())
 
 
 def turns(grid: Grid) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import kernel, read_only
 
 LEAST_SAMPLES = 120
 """Level samples (whose eight neighbours have their height) that an area must have."""
@@ -202,7 +202,7 @@ def judge(
     if level.any():
         reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
         inner = _same(heights, level)
-        heights = np.ascontiguousarray(heights)
+        heights = read_only(np.ascontiguousarray(heights))
         clipped = lowest if _is_clipped(heights, level, inner, spacing, lowest) else np.nan
         verdicts = _flood(heights, level, inner, clipped, reach, cut, verdict, open_area)
     return verdict, open_area, verdicts

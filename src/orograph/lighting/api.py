@@ -18,6 +18,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,7 +93,15 @@ class Map:
         return image
 
     def save(self, path: str | os.PathLike[str], *, byte: bool = False) -> None:
-        """Write a Cloud Optimized GeoTIFF, float32 or 8-bit (see ``raster.write``)."""
+        """Write a Cloud Optimized GeoTIFF, float32 or 8-bit (see ``raster.write``).
+
+        Raises:
+            UsageError: the ending is not .tif or .tiff. OutputError: it cannot be written.
+        """
+        if Path(path).suffix.lower() not in (".tif", ".tiff"):
+            raise UsageError(
+                "A map is saved as a GeoTIFF.", path=path, remedy="Use .tif; its method plot() draws it.",
+            )  # fmt: skip
         smooth = "nearest" if any(b.name in ("aspect", "code") for b in self.bands) else "average"
         write(path, self.grid, self.bands, [(0, 0, 0, self.values)], byte=byte, overviews=smooth)
 
@@ -117,7 +126,7 @@ class Map:
 
 def make(
     data: Any,
-    name: str,
+    name: str = "",
     *,
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
@@ -130,7 +139,7 @@ def make(
     Args:
         data: heights: an array (rows, cols), metres, NaN where missing, or whatever else ``orograph.terrain`` takes: a
             path, a list of them, a Dem, a Terrain, a DataArray, an open rasterio dataset…
-        name: "slope", "sky-view-factor"…: ``products.names()``.
+        name: "slope", "sky-view-factor"…: ``products.names()``; it must be given.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
         jobs: threads; None: all processors. max_memory: bytes the process should stay within.

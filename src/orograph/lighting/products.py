@@ -116,8 +116,10 @@ def product(name: str) -> Product:
     """A product by its name.
 
     Raises:
-        UsageError: there is no such product.
+        UsageError: there is no such product, or no name.
     """
+    if not name:
+        raise UsageError(f"Say what to make: one of the products {', '.join(_HOMES)}.")
     if name not in _HOMES:
         plain = name.lower().replace("_", "-").replace(" ", "-")
         close = MEANT.get(plain) or next(iter(difflib.get_close_matches(plain, _HOMES, 1, 0.6)), None)

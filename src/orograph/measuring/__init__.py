@@ -18,7 +18,7 @@ from orograph.errors import absent
 from orograph.measuring.area import Area, area
 from orograph.measuring.flood import flood
 from orograph.measuring.height_error import HeightError
-from orograph.measuring.pick import Hit, heights, pick, place, slope_aspect
+from orograph.measuring.pick import Hit, heights, pick, place, save_hits, slope_aspect
 from orograph.measuring.places import Places
 from orograph.measuring.probable import Probable, contours, probable_viewshed, slope
 from orograph.measuring.profile import Profile, profile
@@ -50,6 +50,7 @@ __all__ = [
     "place",
     "probable_viewshed",
     "profile",
+    "save_hits",
     "slope",
     "slope_aspect",
     "viewshed",
@@ -57,6 +58,9 @@ __all__ = [
 
 
 if not TYPE_CHECKING:  # (type checkers look for names themselves)
+
+    def __dir__() -> list[str]:
+        return __all__
 
     def __getattr__(name: str) -> object:
         raise absent("orograph.measure", name, __all__)

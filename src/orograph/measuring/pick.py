@@ -12,8 +12,13 @@ them, converted to true metres (``places``). Units: metres, degrees.
 
 from __future__ import annotations
 
+import csv
+import json
 import math
-from dataclasses import asdict, dataclass
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.errors import UsageError
 from orograph.measuring.ground import facets, height_error, own_heights
 from orograph.measuring.places import Places, lift
+from orograph.output import Beside
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -76,21 +82,31 @@ class Hit:
 
 
 @takes_terrain
-def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration: float = 1.0) -> Hit | None:
-    """The ground that a picture shows at a pixel.
+def pick(
+    terrain: Terrain, view: View | ArrayLike, pixel: tuple[float, float] | None = None, exaggeration: float = 1.0, *,
+    lonlat: bool = False,
+) -> Hit | None:  # fmt: skip
+    """The ground at a point, or what a picture shows at a pixel.
 
     Args:
-        view: the picture's camera.
+        view: a point (easting, northing; with ``lonlat`` longitude, latitude in degrees), or a picture's camera.
         pixel: position in the picture: (0.5, 0.5) is the middle of the upper left pixel.
         exaggeration: of the picture; the answer is in true metres.
 
     Returns:
-        the first hit of the pixel's ray with the full-resolution surface; None if there is none (sky, a hole).
+        the ground at the point; or the first hit of the pixel's ray with the full-resolution surface, None if there is
+        none (sky, a hole).
 
     Raises:
-        UsageError: the terrain has no surface, or the pixel is not two finite numbers.
+        UsageError: the terrain has no surface, the point is not on it, or the pixel is not two finite numbers.
         DamagedChunkError: a chunk of a store fails its checksum.
     """
+    if not isinstance(view, View):
+        if pixel is not None:
+            raise UsageError("A pixel needs the camera of its picture, not a point.", remedy="Give an orograph.View.")
+        return place(terrain, view, lonlat=lonlat)
+    if pixel is None:
+        raise UsageError("A camera needs a pixel of its picture.", remedy="Give a point instead, or the pixel, too.")
     px, py = (float(v) for v in pixel)
     if not (math.isfinite(px) and math.isfinite(py)):
         raise UsageError(f"A pixel must be two finite numbers, not {pixel!r}.")
@@ -135,6 +151,32 @@ def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
             remedy="For heights of many points use `orograph.measure.heights`.",
         )
     return _at(places, points[0])
+
+
+def save_hits(hits: Sequence[Hit], path: str | os.PathLike[str]) -> None:
+    """Write places with all that is known of them: a table (.csv, unknown values empty) or points (.geojson).
+
+    Raises:
+        UsageError: a .geojson of places without longitude and latitude. OutputError: the file cannot be written.
+    """
+    digits = {"longitude": 9, "latitude": 9}
+    rows = [
+        {k: v if v is None else round(v, digits.get(k, 4)) for k, v in hit.to_dict().items()} for hit in hits
+    ]  # fmt: skip
+    with Beside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as file:
+        if Path(path).suffix.lower() == ".csv":
+            writer = csv.DictWriter(file, [one.name for one in fields(Hit)])
+            writer.writeheader()
+            writer.writerows(rows)
+            return
+        if any(row["longitude"] is None for row in rows):
+            raise UsageError("GeoJSON needs longitudes and latitudes, but the terrain has no CRS.", path=path)
+        features = [
+            {"type": "Feature", "properties": row,
+             "geometry": {"type": "Point", "coordinates": [row["longitude"], row["latitude"]]}}
+            for row in rows
+        ]  # fmt: skip
+        json.dump({"type": "FeatureCollection", "features": features}, file, allow_nan=False)
 
 
 def _at(

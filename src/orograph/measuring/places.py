@@ -143,15 +143,25 @@ class Places:
         degrees."""
         how = "with `lonlat=True`."
         plain = f"Give easting, northing in the terrain's CRS, or longitude, latitude {how}"
-        if self.grid.crs is None or not (abs(point[0]) <= 360 and abs(point[1]) <= 90):
-            return plain
+        if self._holds(point):
+            return f"As longitude, latitude it would lie there: give it so {how}"
+        if self._holds(point[::-1]):
+            return f"As latitude, longitude it would lie there: give longitude, latitude {how}"
+        degrees = self.lonlat(point[None])
+        if degrees is not None and self._holds(degrees[0, ::-1]):
+            return "The other way round it would lie there: longitude comes first, then latitude."
+        return plain
+
+    def _holds(self, degrees: Array) -> bool:
+        """Whether a longitude and latitude (2,) lie on the terrain."""
+        if self.grid.crs is None or not (abs(degrees[0]) <= 360 and abs(degrees[1]) <= 90):
+            return False
         try:
-            at = np.stack(self.grid.index(*self.of_lonlat([point]).T), axis=-1)
+            at = np.stack(self.grid.index(*self.of_lonlat([degrees]).T), axis=-1)
         except UsageError:
-            return plain
+            return False
         rows, cols = self.grid.shape
-        on = (at > -1).all() and (at < [cols, rows]).all()
-        return f"As longitude, latitude it would lie there: give it so {how}" if on else plain
+        return bool((at > -1).all() and (at < [cols, rows]).all())
 
     def _nearest(self, at: Array) -> str:
         """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; it is moved inwards

@@ -24,7 +24,8 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,6 +106,12 @@ class Viewshed:
 
         return Map(self.values()[None], self.grid, (self.band,)).to_xarray()
 
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draw ``values`` on matplotlib's axes, where they lie in their CRS (``Map.plot``)."""
+        from orograph.lighting.api import Map
+
+        return Map(self.values()[None], self.grid, (self.band,)).plot(ax, **options)
+
     @property
     def band(self) -> Band:
         """The meaning of the values, for a file."""
@@ -128,14 +135,22 @@ class Viewshed:
         return out
 
     def save(self, path: str | os.PathLike[str], progress: Progress | bool | None = None) -> dict[str, float]:
-        """Write a Cloud Optimized GeoTIFF of float32, and return how much is visible (``summary``).
+        """Write it, and return how much is visible (``summary``).
+
+        Args:
+            path: .tif: a Cloud Optimized GeoTIFF of float32. .gpkg, .geojson, .shp, .parquet, .fgb: the visible ground
+                as polygons, with their areas on the grid (``grid_m2``).
 
         Raises:
-            OutputError: it cannot be written.
+            UsageError: there is another ending, or ``heights`` are to be polygons. OutputError: it cannot be written.
         """
         from orograph.lighting.sweep import curvature_of
+        from orograph.measuring.viewshed_polygons import check_polygons, save_polygons
 
         told = Summary(self)
+        if check_polygons(Path(path), self.heights, self.grid.crs):
+            save_polygons(Path(path), self.grid, told.over(self.blocks(progress)))
+            return told.result()
         tags = {
             "software": "orograph", "measure": "viewshed", "eye": f"{self.point[0]:.10g}, {self.point[1]:.10g}",
             "eye_height": f"{self.eye:g} m", "target_height": f"{self.target:g} m",

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import Function, kernel
+from orograph._numba import Function, kernel, read_only
 from orograph.parallel import map_ordered, threads_for
 
 MAX_LEVEL0 = 1
@@ -112,6 +112,7 @@ def build_mips(heights: NDArray[np.float32], jobs: int | None = None) -> Mips:
     rows, cols = heights.shape
     if rows < 2 or cols < 2:
         raise ValueError("a surface needs at least two rows and two columns of samples")
+    heights = read_only(heights)
     shapes = []
     level = 0
     while True:

@@ -64,7 +64,7 @@ class Stack:
     def build(cls, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> Stack:
         """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""
         check_diagonals(windows)
-        pyramids: list[Mips] = [build_mips(read_only(w.heights), jobs) for w in windows]
+        pyramids: list[Mips] = [build_mips(w.heights, jobs) for w in windows]
         ints = np.zeros((len(windows), 6), np.int64)
         floats = np.zeros((len(windows), 8), np.float64)
         base = mip = max_base = min_base = 0

@@ -39,10 +39,13 @@ STANDING = "view=orograph.camera.standing(terrain, size, (lon, lat, height), (lo
 CAMERA = {
     **dict.fromkeys(("azimuth", "pitch", "distance", "from", "from_"), AROUND),
     **dict.fromkeys(("lonlat", "look_at"), STANDING),
-    "projection": "view=orograph.camera.plan(terrain, size)",
+    "projection": 'view="plan", or view=orograph.camera.plan(terrain, size)',
     **dict.fromkeys(("eye", "target", "fov", "fov_y", "up", "camera"), "view=orograph.View(eye, target, fov_y=30)"),
 }
 """Command-line options that are part of a view here."""
+
+SAVED = frozenset({"output", "out", "path", "filename", "outfile", "save"})
+"""Names that people give a file to write."""
 
 FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name}
 """Names of options on the command line or in other tools, and here."""
@@ -133,6 +136,8 @@ def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()
         known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
         if name in CAMERA:
             remedy = f"Here the camera is given as a view: {CAMERA[name]}."
+        elif name in SAVED:
+            remedy = "Save the result: `picture.save('relief.png')`."
         elif name in FLAGS or name in MEANT:
             remedy = f"It is called {FLAGS.get(name) or MEANT[name]} here."
         elif close := difflib.get_close_matches(name, known, 3, 0.6):

@@ -23,6 +23,7 @@ from orograph.store.tin_kind import TINS
 
 def plan_for(
     raster: HeightSource,
+    name: str,
     shard: int,
     chunk: int,
     kinds: tuple[ErrorKind, ...],
@@ -36,7 +37,7 @@ def plan_for(
     return {
         "format": FORMAT,
         "source": raster.fingerprint(),
-        "name": raster.name,
+        "name": name,
         "vertical": raster.vertical,
         "shape": list(grid.shape),
         "transform": list(grid.transform[:6]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from pyproj import CRS
 
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
+from orograph.geo.vector_files import Batch, check_vector_file, vector_file
 from orograph.measuring.isolines import isolines
 from orograph.output import check_folder
 from orograph.progress import Progress
@@ -24,7 +25,6 @@ from orograph.scene.contours import Contours, round_number
 from orograph.several import Numbers, numbers
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
-from orograph.verbs.vector_files import Batch, check_lines_file, lines_file
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,6 @@ class ContourLines:
     crs: CRS | None
     vertical: str | None
     name: str
-    _terrain: Terrain = field(repr=False)
 
     def __len__(self) -> int:
         return len(self.heights)
@@ -120,8 +119,8 @@ class ContourLines:
             UsageError: lines cannot be written to such a file. OutputError: it cannot be written.
         """
         out = Path(path)
-        check_lines_file(out, self.crs)
-        with lines_file(out, self.crs, degrees_of(self._terrain), dict(COLUMNS)) as write:
+        check_vector_file(out, self.crs)
+        with vector_file(out, self.crs, dict(COLUMNS)) as write:
             if len(self):
                 write(Batch(self.coordinates, self.offsets, {"height": self.heights, "is_index": self.is_index}))
         return out
@@ -215,7 +214,7 @@ def traced(
     heard = reporting(progress)
     if output is not None:
         check_folder(Path(output))
-        check_lines_file(Path(output), CRS.from_epsg(4326))
+        check_vector_file(Path(output), CRS.from_epsg(4326))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="contours", **reading)
     chosen, marked, interval = levels_of(ground, interval, levels, base, index)
     limit = None if output is None else (max_memory or 1 << 30) // 2
@@ -231,7 +230,7 @@ def traced(
     (whole,) = every  # without a limit, all at once
     return ContourLines(
         whole.points, whole.offsets, whole.columns["height"], whole.columns["is_index"], interval, ground.grid.crs,
-        ground.vertical, ground.name, ground,
+        ground.vertical, ground.name,
     )  # fmt: skip
 
 
@@ -248,10 +247,10 @@ def _number(value: Any, called: str) -> float:
 
 
 def _written(ground: Terrain, batches: Iterator[Batch], interval: float | None, path: Path) -> Written:
-    check_lines_file(path, ground.grid.crs)
+    check_vector_file(path, ground.grid.crs)
     lines = points = 0
     heights: list[float] = []
-    with lines_file(path, ground.grid.crs, degrees_of(ground), dict(COLUMNS)) as write:
+    with vector_file(path, ground.grid.crs, dict(COLUMNS)) as write:
         for batch in batches:
             write(batch)
             lines, points = lines + len(batch.offsets) - 1, points + len(batch.points)
@@ -288,14 +287,3 @@ def levels_of(
     number = np.arange(first, last + 1)
     marked = np.asarray(number % index == 0) if index else np.zeros(len(number), np.bool_)
     return np.asarray(base + number * float(interval), np.float64), marked, float(interval)
-
-
-def degrees_of(terrain: Terrain) -> Any:
-    """A function that transforms points (n, 2) of a terrain to longitudes and latitudes; None if it has no CRS."""
-
-    def degrees(points: Array) -> Array | None:
-        from orograph.measuring.places import Places
-
-        return Places(terrain).lonlat(points)
-
-    return degrees

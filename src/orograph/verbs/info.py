@@ -2,7 +2,8 @@
 
 The keys are fixed: kind ("dem", "store", "terrain" or "points"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], points (how many a file of points holds), bounds [west, south, east, north] (of such a
-file, in its CRS), spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype,
+file, in its CRS), lonlat [west, south, east, north] (of a raster's samples, in degrees, as ``bbox`` takes them),
+spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction, dtype,
 nodata, vertical_datum, attribution (the credit that its makers ask for), version (of a store that is updated), versions
 (older ones kept beside it), levels, side, errors (the kinds that a store has), colors (what its color errors are of:
 drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
@@ -26,13 +27,15 @@ from orograph.verbs.info_text import describe
 
 if TYPE_CHECKING:
     from orograph.dem.area import Area
+    from orograph.geo.grid import Grid
     from orograph.store.terrain import Terrain
 
 
 KEYS = (
-    "kind", "path", "crs", "transform", "shape", "points", "bounds", "spacing_m", "height_range", "height_range_exact",
-    "valid_fraction", "dtype", "nodata", "vertical_datum", "attribution", "version", "versions", "levels", "side",
-    "errors", "colors", "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes", "warnings",
+    "kind", "path", "crs", "transform", "shape", "points", "bounds", "lonlat", "spacing_m", "height_range",
+    "height_range_exact", "valid_fraction", "dtype", "nodata", "vertical_datum", "attribution", "version", "versions",
+    "levels", "side", "errors", "colors", "resampled", "codec", "keeps_source", "layers", "parts", "size_bytes",
+    "warnings",
 )  # fmt: skip
 """The keys, in their order."""
 
@@ -124,6 +127,7 @@ def _dem_facts(
             "shape": list(source.grid.shape),
             "points": None,
             "bounds": None,
+            "lonlat": _lonlat(source.grid),
             "spacing_m": [_finite(v) for v in spacing],
             "height_range": [_finite(found.low), _finite(found.high)],
             "height_range_exact": found.exact,
@@ -197,6 +201,7 @@ def _terrain_facts(terrain: Terrain) -> Facts:
         "shape": list(terrain.grid.shape),
         "points": None,
         "bounds": None,
+        "lonlat": _lonlat(terrain.grid),
         "spacing_m": [_finite(v) for v in spacing_metres(terrain.grid)],
         "height_range": [_finite(low), _finite(high)],
         "height_range_exact": True,
@@ -224,6 +229,13 @@ def _terrain_facts(terrain: Terrain) -> Facts:
         "_nodata": None,
         "_masked": False,
     })  # fmt: skip
+
+
+def _lonlat(grid: Grid) -> list[float] | None:
+    from orograph.dem.area import lonlat_bounds
+
+    found = lonlat_bounds(grid)
+    return None if found is None else [round(v, 9) for v in found]
 
 
 def _finite(value: float | int | None) -> float | int | None:

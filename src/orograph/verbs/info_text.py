@@ -36,6 +36,9 @@ def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: C
     line("spacing", f"{x:.6g} × {y:.6g} m" + _degrees(facts) if x is not None else "unknown")
     line("CRS", _crs_line(facts))
     line("extent", _extent(facts))
+    if facts["lonlat"] is not None and not facts["_crs"].is_geographic:
+        west, south, east, north = facts["lonlat"]
+        line("", f"longitudes {west:.6g} to {east:.6g}, latitudes {south:.6g} to {north:.6g}")
     low, high = facts["height_range"]
     if low is None:
         line("heights", "none")

@@ -14,6 +14,7 @@ from orograph.folders import Amount, bytes_of
 from orograph.lod.method import Resources
 from orograph.lod.needs import kinds_of
 from orograph.lod.registry import Choice
+from orograph.mesh_files import mesh_format
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -118,8 +119,6 @@ def triangulate(
     check_colors(drape, [choice])
     check_exaggeration(exaggeration)
     if output is not None:
-        from orograph.meshing import mesh_format
-
         mesh_format(os.fspath(output))
         check_folder(Path(output))
     if choice.info.name == "soar":
@@ -141,10 +140,8 @@ def triangulate(
     if goal.triangles is not None and len(mesh.triangles) > goal.triangles:
         progress.warn(not_enough(goal.triangles, choice.info.name, len(mesh.triangles)))
     if output is not None:
-        from orograph.meshing import write
-
         with progress.task("Writing"):
-            write(mesh, ground.grid, os.fspath(output))
+            mesh.save(output)
     report = None
     if check:
         from orograph import verify

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.meshing import MODELS, Origin, Print, mesh_format, solid, write, write_solid, write_surface
+from orograph.mesh_files import Origin, check_origin, mesh_format, origin_of
+from orograph.mesh_models import MODELS, Print, solid, write_solid, write_surface
 from orograph.meshing import tin as meshing
-from orograph.meshing.export import check_origin, origin_of
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -100,13 +100,14 @@ def tin(
     if output is not None:
         with heard.task("Writing"):
             if surface:
-                mesh.stats["origin"] = list(write_surface(mesh, ground.grid, Path(output), origin or "auto"))
+                start = write_surface(mesh.positions(), mesh.triangles, Path(output), origin or "auto")
+                mesh.stats["origin"] = list(start)
             elif how is None:
-                write(mesh, ground.grid, output, origin=origin)
+                mesh.save(output, origin=origin)
                 if origin is not None:
-                    mesh.stats["origin"] = list(origin_of(origin, mesh.positions(ground.grid)))
+                    mesh.stats["origin"] = list(origin_of(origin, mesh.positions()))
             else:
-                made = solid(mesh, ground.grid, how)
+                made = solid(mesh.positions(), mesh.triangles, how)
                 write_solid(made, Path(output), ground.name)
                 mesh.stats["model"] = {"size_mm": [round(v, 3) for v in made.size], "scale": made.scale,
                                        "triangles": len(made.triangles), "volume_cm3": made.volume / 1000}  # fmt: skip
@@ -162,4 +163,4 @@ def check_goal(max_error: float | None, triangles: int | None) -> None:
     """Raise UsageError unless exactly one of the two is given."""
     if (max_error is None) == (triangles is None):
         which = "either `max_error` or `triangles`" if max_error is None else "only one of `max_error` and `triangles`"
-        raise UsageError(f"Give {which}: how fine the TIN should be.")
+        raise UsageError(f"Give {which}: how fine the TIN should be.", remedy="`max_error=5`: within 5 m everywhere.")

@@ -1,4 +1,4 @@
-"""Write lines with attributes to files for other tools, batch by batch.
+"""Write lines or polygons with attributes to files for other tools, batch by batch.
 
 GeoPackage, Shapefile and FlatGeobuf by GDAL (pyogrio), GeoParquet 1.1 by pyarrow, GeoJSON (RFC 7946: longitude and
 latitude, to the nanodegree) as text. A file appears when it is complete.
@@ -20,41 +20,47 @@ from pyproj import CRS
 
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import wkt_of
+from orograph.geo.operations import same_body
+from orograph.geo.transform import transformer
 from orograph.output import Beside, remove
 
 Array = NDArray[np.float64]
 
+WGS84 = CRS.from_epsg(4326)
 DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 """GDAL drivers by file ending."""
 ENDINGS = (".gpkg", ".geojson", ".shp", ".parquet", ".fgb")
-"""Endings of files of lines."""
+"""Endings of files of lines or polygons."""
 ONCE = (".fgb",)
 """Formats that cannot be appended to: all lines are written together."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch of lines.
+    """A batch of lines or polygons.
 
     Attributes:
-        points: (n, 2) in the CRS. offsets: (m + 1,): line i is points[offsets[i]:offsets[i + 1]].
-        columns: by name (m,) attributes.
+        points: (n, 2) in the CRS. offsets: (m + 1,): line or ring i is points[offsets[i]:offsets[i + 1]].
+        columns: by name attributes, one value for each line or polygon.
+        rings: of polygons (k + 1,): polygon j has the rings rings[j]:rings[j + 1], closed, the outer one first and
+            counter-clockwise, the others clockwise. None: lines.
     """
 
     points: Array
     offsets: NDArray[np.int64]
     columns: dict[str, NDArray[Any]]
+    rings: NDArray[np.int64] | None = None
 
 
 Writer = Callable[[Batch], None]
 
 
-def check_lines_file(path: Path, crs: CRS | None) -> None:
-    """Raise UsageError unless lines can be written to such a file on this machine."""
+def check_vector_file(path: Path, crs: CRS | None, what: str = "Lines") -> None:
+    """Raise UsageError unless lines (or ``what`` else) can be written to such a file on this machine."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise UsageError(
-            f"Lines cannot be written as {ending or 'a file without ending'}.", path=path,
+            f"{what} cannot be written as {ending or 'a file without ending'}.", path=path,
             remedy=f"Use {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}.",
         )  # fmt: skip
     if ending == ".geojson" and crs is None:
@@ -75,14 +81,12 @@ def check_lines_file(path: Path, crs: CRS | None) -> None:
 
 
 @contextmanager
-def lines_file(
-    path: Path, crs: CRS | None, degrees: Callable[[Array], Array | None], columns: dict[str, Any]
-) -> Iterator[Writer]:
+def vector_file(path: Path, crs: CRS | None, columns: dict[str, Any], kind: str = "LineString") -> Iterator[Writer]:
     """A function that writes lines to a file, batch by batch; the file is complete when the block ends.
 
     Args:
-        degrees: longitudes and latitudes (n, 2) of points.
         columns: by name the dtype of each attribute.
+        kind: "LineString" or "Polygon", which all of them are.
 
     Raises:
         OutputError: the file cannot be written.
@@ -90,32 +94,29 @@ def lines_file(
     ending = path.suffix.lower()
     with Beside(path) as part:
         if ending == ".geojson":
-            with _geojson(part, degrees) as writer:
+            with _geojson(part, crs) as writer:
                 yield writer
         elif ending == ".parquet":
-            with _parquet(part, crs, columns) as writer:
+            with _parquet(part, crs, columns, kind) as writer:
                 yield writer
         else:
-            with _gdal(part, path, crs, columns) as writer:
+            with _gdal(part, path, crs, columns, kind) as writer:
                 yield writer
 
 
 @contextmanager
-def _geojson(part: Path, degrees: Callable[[Array], Array | None]) -> Iterator[Writer]:
+def _geojson(part: Path, crs: CRS | None) -> Iterator[Writer]:
+    assert crs is not None
+    degrees = transformer(crs, WGS84 if same_body(crs, WGS84) else crs.geodetic_crs)
     with part.open("w", encoding="utf-8", newline="\n") as file:
         file.write('{"type": "FeatureCollection", "features": [')
         begun = False
 
         def write(batch: Batch) -> None:
             nonlocal begun
-            places = degrees(batch.points)
-            assert places is not None
-            places = np.round(places, 9)
+            places: Array = np.round(np.stack(degrees(*batch.points.T), -1), 9)
             for i, told in enumerate(_rows(batch.columns)):
-                line = places[batch.offsets[i] : batch.offsets[i + 1]]
-                if (np.abs(np.diff(line[:, 0])) > 180).any():  # across the 180th meridian: go on, not around the globe
-                    line = np.stack([np.unwrap(line[:, 0], period=360), line[:, 1]], -1)
-                shape = {"type": "LineString", "coordinates": line.tolist()}
+                shape = _shape(batch, i, places)
                 feature = {"type": "Feature", "properties": told, "geometry": shape}
                 file.write((",\n" if begun else "\n") + json.dumps(feature, allow_nan=False))
                 begun = True
@@ -124,8 +125,22 @@ def _geojson(part: Path, degrees: Callable[[Array], Array | None]) -> Iterator[W
         file.write("\n]}\n")
 
 
+def _shape(batch: Batch, i: int, places: Array) -> dict[str, Any]:
+    """The i-th line or polygon as GeoJSON; across the 180th meridian it goes on, not around the globe."""
+    if batch.rings is None:
+        line = places[batch.offsets[i] : batch.offsets[i + 1]]
+        if (np.abs(np.diff(line[:, 0])) > 180).any():
+            line = np.stack([np.unwrap(line[:, 0], period=360), line[:, 1]], -1)
+        return {"type": "LineString", "coordinates": line.tolist()}
+    bounds = batch.offsets[batch.rings[i] : batch.rings[i + 1] + 1]
+    corners = places[bounds[0] : bounds[-1]].copy()
+    corners[:, 0] -= 360 * np.round((corners[:, 0] - corners[0, 0]) / 360)
+    rings = np.split(corners, bounds[1:-1] - bounds[0])
+    return {"type": "Polygon", "coordinates": [ring.tolist() for ring in rings]}
+
+
 @contextmanager
-def _gdal(part: Path, path: Path, crs: CRS | None, columns: dict[str, Any]) -> Iterator[Writer]:
+def _gdal(part: Path, path: Path, crs: CRS | None, columns: dict[str, Any], kind: str) -> Iterator[Writer]:
     from pyogrio.errors import DataSourceError
     from pyogrio.raw import write as write_features
 
@@ -135,18 +150,22 @@ def _gdal(part: Path, path: Path, crs: CRS | None, columns: dict[str, Any]) -> I
 
     def flush(batch: Batch) -> None:
         nonlocal begun
-        shapes = np.empty(len(batch.offsets) - 1, object)
-        shapes[:] = _wkb(batch)
+        found = _wkb(batch)
+        shapes = np.empty(len(found), object)
+        shapes[:] = found
         values = [_plain(v) if driver == "ESRI Shapefile" else v for v in batch.columns.values()]
         write_features(
-            str(made), shapes, values, list(batch.columns), geometry_type="LineString", driver=driver, crs=wkt_of(crs),
+            str(made), shapes, values, list(batch.columns), geometry_type=kind, driver=driver, crs=wkt_of(crs),
             append=begun, **({"layer": path.stem} if driver == "GPKG" else {}),
         )  # fmt: skip
         begun = True
 
     try:
         yield held.append if path.suffix.lower() in ONCE else flush
-        empty = Batch(np.empty((0, 2)), np.zeros(1, np.int64), {k: np.empty(0, v) for k, v in columns.items()})
+        none = np.zeros(1, np.int64)
+        empty = Batch(
+            np.empty((0, 2)), none, {k: np.empty(0, v) for k, v in columns.items()}, none if kind == "Polygon" else None
+        )
         if held or not begun:
             flush(_together([empty, *held]))
         made.replace(part)
@@ -160,11 +179,11 @@ def _gdal(part: Path, path: Path, crs: CRS | None, columns: dict[str, Any]) -> I
 
 
 @contextmanager
-def _parquet(part: Path, crs: CRS | None, columns: dict[str, Any]) -> Iterator[Writer]:
+def _parquet(part: Path, crs: CRS | None, columns: dict[str, Any], kind: str) -> Iterator[Writer]:
     import pyarrow
     import pyarrow.parquet
 
-    geometry: dict[str, Any] = {"encoding": "WKB", "geometry_types": ["LineString"],
+    geometry: dict[str, Any] = {"encoding": "WKB", "geometry_types": [kind],
                                 "crs": None if crs is None else crs.to_json_dict()}  # fmt: skip
     geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
     fields = [pyarrow.field(name, pyarrow.from_numpy_dtype(np.dtype(kind))) for name, kind in columns.items()]
@@ -179,17 +198,28 @@ def _parquet(part: Path, crs: CRS | None, columns: dict[str, Any]) -> Iterator[W
 
 
 def _together(batches: list[Batch]) -> Batch:
-    shift = np.cumsum([0, *(len(b.points) for b in batches[:-1])])
-    offsets = [b.offsets[1:] + s for b, s in zip(batches, shift)]
     columns = {name: np.concatenate([b.columns[name] for b in batches]) for name in batches[0].columns}
-    return Batch(np.concatenate([b.points for b in batches]), np.concatenate([[0], *offsets]), columns)
+    offsets = _chained([b.offsets for b in batches])
+    of_polygons = [b.rings for b in batches if b.rings is not None]
+    rings = _chained(of_polygons) if of_polygons else None
+    return Batch(np.concatenate([b.points for b in batches]), offsets, columns, rings)
+
+
+def _chained(offsets: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Offsets of lists, one after the other, as those of one list."""
+    shift = np.cumsum([0, *(one[-1] for one in offsets[:-1])])
+    return np.concatenate([[0], *(one[1:] + s for one, s in zip(offsets, shift))])
 
 
 def _wkb(batch: Batch) -> list[bytes]:
-    """Lines as well-known binary (OGC 06-103r4, 8), little endian."""
+    """Lines or polygons as well-known binary (OGC 06-103r4, 8), little endian."""
     points = np.ascontiguousarray(batch.points, "<f8")
     bounds = zip(batch.offsets[:-1].tolist(), batch.offsets[1:].tolist())
-    return [struct.pack("<BII", 1, 2, b - a) + points[a:b].tobytes() for a, b in bounds]
+    if batch.rings is None:
+        return [struct.pack("<BII", 1, 2, b - a) + points[a:b].tobytes() for a, b in bounds]
+    rings = [struct.pack("<I", b - a) + points[a:b].tobytes() for a, b in bounds]
+    parts = zip(batch.rings[:-1].tolist(), batch.rings[1:].tolist())
+    return [struct.pack("<BII", 1, 3, b - a) + b"".join(rings[a:b]) for a, b in parts]
 
 
 def _rows(columns: dict[str, NDArray[Any]]) -> Iterator[dict[str, Any]]:

@@ -21,13 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
-from orograph.geo.grid import Grid
-from orograph.meshing.export import Origin, origin_of
+from orograph.mesh_files import Array, Origin, Triangles, origin_of
 from orograph.output import Beside
-from orograph.tessellation import Tessellation
-
-Array = NDArray[np.float64]
-Triangles = NDArray[np.int32]
 
 MODELS = (".stl", ".3mf")
 """Endings of models for printing."""
@@ -87,15 +82,15 @@ class Solid:
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
-def solid(mesh: Tessellation, grid: Grid, how: Print) -> Solid:
-    """Turn a mesh into a solid for printing.
+def solid(positions: Array, triangles: Triangles, how: Print) -> Solid:
+    """Turn a mesh, positions (n, 3) in metres and triangles (m, 3), into a solid for printing.
 
     Raises:
         NothingInViewError: the mesh has no triangles.
     """
-    if not len(mesh.triangles):
+    if not len(triangles):
         raise NothingInViewError("The mesh has no triangles, so there is nothing to print.")
-    ground, top = _apart(mesh.positions(grid), mesh.triangles)
+    ground, top = _apart(positions, triangles)
     low, high = ground.min(0), ground.max(0)
     scale = how.scale or 1000.0 * float((high - low)[:2].max()) / (how.size or SIZE)
     ground = (ground - low) * (1000.0 / scale)
@@ -165,17 +160,16 @@ def write_solid(made: Solid, path: Path, name: str) -> Path:
     return path
 
 
-def write_surface(mesh: Tessellation, grid: Grid, path: Path, origin: Origin) -> tuple[float, float, float]:
+def write_surface(positions: Array, triangles: Triangles, path: Path, origin: Origin) -> tuple[float, float, float]:
     """Write a mesh as it is, open, in metres relative to an origin, which is returned: .stl (binary).
 
     Raises:
         UsageError: see ``origin_of``. OutputError: the file cannot be written.
     """
-    positions = mesh.positions(grid)
     start = origin_of(origin, positions)
     with Beside(path) as part:
         words = "Orograph, metres from {:.10g} {:.10g} {:.10g}".format(*start)
-        _stl(positions - start, mesh.triangles, words, part)
+        _stl(positions - start, triangles, words, part)
     return start
 
 

@@ -1,4 +1,4 @@
-"""Write a tessellation to a file: .npz (everything, for NumPy), .ply, .obj, .glb (geometry, for other programs).
+"""Write meshes to files for other programs: .ply, .obj, .glb. (``Tessellation.save`` calls this; .npz is its own.)
 
 All lengths are metres. PLY (binary, float64) and OBJ (text, micrometres) are in the terrain's CRS as it is: easting,
 northing, height, z up; many viewers hold positions in float32, so they may be relative to an ``origin``, which their
@@ -21,13 +21,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
 
 from orograph.errors import NothingInViewError, UsageError
-from orograph.geo.grid import Grid
 from orograph.output import Beside
 from orograph.several import Numbers, numbers
-from orograph.tessellation import Tessellation
 
+Array = NDArray[np.float64]
+Triangles = NDArray[np.int32]
 Colors = NDArray[np.uint8]
 
 Origin = Numbers
@@ -50,7 +51,7 @@ def mesh_format(path: str | os.PathLike[str], more: Sequence[str] = ()) -> str:
     if ending in (".stl", ".3mf"):
         raise UsageError(
             f"A {ending} file is a model for printing, which has walls and a base.", path=path,
-            remedy="Make it from the whole terrain: `orograph.tin(dem, output=path)`.",
+            remedy="Make it from the whole terrain: `orograph.tin(dem, max_error=5, output=path)`.",
         )  # fmt: skip
     if ending not in FORMATS:
         *others, last = [*FORMATS, *more]
@@ -65,58 +66,51 @@ def mesh_format(path: str | os.PathLike[str], more: Sequence[str] = ()) -> str:
 
 
 def write(
-    tessellation: Tessellation, grid: Grid, path: str | os.PathLike[str], *, colors: ArrayLike | None = None,
+    path: Path, positions: Array, triangles: Triangles, crs: CRS | None, *, colors: ArrayLike | None = None,
     origin: Origin | None = None,
-) -> Path:  # fmt: skip
-    """Write a tessellation; the format follows the ending.
+) -> None:  # fmt: skip
+    """Write a mesh; the format follows the ending.
 
     Args:
-        tessellation: the mesh.
-        grid: the full-resolution grid that its columns and rows refer to.
-        path: a file ending in .npz, .ply, .obj or .glb; it appears when it is complete.
-        colors: (n, 3) uint8, sRGB by vertex (not in .npz).
+        path: ends in .ply, .obj or .glb; the file appears when it is complete.
+        positions: (n, 3) easting, northing, height, metres. triangles: (m, 3), counter-clockwise from above.
+        colors: (n, 3) uint8, sRGB by vertex.
         origin: easting, northing and height (0 if omitted) that positions are relative to, which the file says; "auto":
-            whole metres in the middle of the mesh, at height 0 (not in .npz). None: the CRS's own, in .glb "auto" with
-            a height.
+            whole metres in the middle of the mesh, at height 0. None: the CRS's own, in .glb "auto" with a height.
 
     Raises:
-        UsageError: the ending is unknown, the colours have the wrong shape or type or the format has none, or .glb is
-            requested without its extra (``mesh``). NothingInViewError: a .glb without triangles, which is impossible.
+        UsageError: the ending is unknown, the colours have the wrong shape or type, or .glb is requested without its
+            extra (``mesh``). NothingInViewError: a .glb without triangles, which is impossible.
         OutputError: the file cannot be written.
     """
-    out = Path(path)
-    ending = mesh_format(out)
+    ending = mesh_format(path)
     if origin is not None:
-        check_origin(origin, out)
-    tint: Colors | None = None
-    if colors is not None:
-        tint = np.asarray(colors)
-        if tint.dtype != np.uint8 or tint.shape != (len(tessellation.vertices), 3):
-            raise UsageError(
-                f"Colours of vertices must be uint8 ({len(tessellation.vertices)}, 3), not {tint.dtype} {tint.shape}."
-            )
-    if ending == ".npz":
-        if tint is not None:
-            raise UsageError("An .npz cannot hold colours.", path=out, remedy="Use .ply, .obj or .glb.")
-        return tessellation.save(out, grid)
-    positions = tessellation.positions(grid)
+        check_origin(origin, path)
+    tint = None if colors is None else _tint(colors, len(positions))
     start = None if origin is None else origin_of(origin, positions)
-    crs = "" if grid.crs is None else " ".join(grid.crs.to_wkt().split())
+    wkt = "" if crs is None else " ".join(crs.to_wkt().split())
     if ending == ".glb":
-        if len(tessellation.triangles) == 0:
-            raise NothingInViewError("The mesh has no triangles, and a .glb cannot be empty.", path=out)
+        if len(triangles) == 0:
+            raise NothingInViewError("The mesh has no triangles, and a .glb cannot be empty.", path=path)
         middle = np.round((positions.min(0) + positions.max(0)) / 2) if start is None else np.array(start)
-        content = _glb(positions, middle, tessellation.triangles, tint, crs, _trimesh(out))
-        with Beside(out) as part:
+        content = _glb(positions, middle, triangles, tint, wkt, _trimesh(path))
+        with Beside(path) as part:
             part.write_bytes(content)
-        return out
-    notes = ["metres; x east, y north, z up", *([f"crs {crs}"] if crs else [])]
+        return
+    notes = ["metres; x east, y north, z up", *([f"crs {wkt}"] if wkt else [])]
     if start is not None:
         positions = positions - start
         notes.append(f"origin {start[0]:.10g} {start[1]:.10g} {start[2]:.10g} (easting, northing, height: add it)")
-    with Beside(out) as part:
-        (_write_ply if ending == ".ply" else _write_obj)(part, positions, tessellation.triangles, tint, notes)
-    return out
+    with Beside(path) as part:
+        (_write_ply if ending == ".ply" else _write_obj)(part, positions, triangles, tint, notes)
+
+
+def _tint(colors: ArrayLike, vertices: int) -> Colors:
+    """Colours of vertices, checked."""
+    tint = np.asarray(colors)
+    if tint.dtype != np.uint8 or tint.shape != (vertices, 3):
+        raise UsageError(f"Colours of vertices must be uint8 ({vertices}, 3), not {tint.dtype} {tint.shape}.")
+    return tint
 
 
 def check_origin(given: Origin, path: str | os.PathLike[str] | None) -> None:
@@ -143,7 +137,7 @@ def origin_of(given: Origin, positions: NDArray[np.float64]) -> tuple[float, flo
 
 
 def _write_ply(
-    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None,
+    part: Path, positions: Array, triangles: Triangles, colors: Colors | None,
     notes: list[str],
 ) -> None:  # fmt: skip
     """Binary, little endian, float64 positions."""
@@ -167,7 +161,7 @@ def _write_ply(
 
 
 def _write_obj(
-    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None,
+    part: Path, positions: Array, triangles: Triangles, colors: Colors | None,
     notes: list[str],
 ) -> None:  # fmt: skip
     """Text; micrometres, indices from 1, colours from 0 to 1 after the coordinates."""
