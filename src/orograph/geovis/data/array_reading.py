@@ -91,7 +91,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid, source: Any) -> Fiel
     def values_of() -> Values:
         part = decoded(stacked[..., window[0] : window[1], window[2] : window[3]])
         if lead:
-            part = part.stack(_=lead).transpose("_", *plane.dims).isel(_=chosen)
+            part = part.stack(_=lead, create_index=False).transpose("_", *plane.dims).isel(_=chosen)
         if (fill := array.attrs.get("_FillValue")) is not None:
             part = part.where(part != fill)
         part = _coarser(part, plane.dims, step, nearest)
@@ -118,15 +118,14 @@ def _chosen(given: Dataset | Uncertainty) -> tuple[Any, list[str], Any]:
     array, words, told = given.source, [], (str(given.time), str(given.level))
     if given.time is not None:
         times = array_times(array)
-        if not times:
-            calendar = (
-                getattr(array.coords.get("time", np.empty(0)).dt, "calendar", "") if "time" in array.coords else ""
-            )
+        if not times and "time" in array.coords:
+            calendar = getattr(np.atleast_1d(array.coords["time"].values)[0], "calendar", "unknown")
             raise UsageError(
-                f"Its times are in the calendar {calendar}, whose days are not ours."
-                if calendar else "The DataArray has no coordinate time.",
-                remedy="Convert them (convert_calendar), or omit time." if calendar else "Omit time.",
-            )  # fmt: skip
+                f"Its times are in the calendar {calendar}, whose days are not ours.",
+                remedy="Convert them (convert_calendar), or omit time.",
+            )
+        if not times:
+            raise UsageError("The DataArray has no coordinate time.", remedy="Omit time.")
         keep = [i for i, time in enumerate(times) if matches(time, given.time)]
         if not keep:
             raise UsageError(f"It has no time {given.time}; its times go from {times[0]} to {times[-1]}.")

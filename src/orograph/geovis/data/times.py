@@ -81,7 +81,7 @@ def times_of(file: Any) -> list[str]:
         if second:
             moment: Any = np.datetime64(int(second[0]), "s")
         elif scale and "NETCDF_DIM_time" in tags and (unit := scale[1].lower()) in _SECONDS:
-            moment = _counted(scale[2].strip(), float(tags["NETCDF_DIM_time"]) * _SECONDS[unit], calendar)
+            moment = counted(scale[2].strip(), float(tags["NETCDF_DIM_time"]) * _SECONDS[unit], calendar)
             if moment is None:
                 found.append("")
                 continue
@@ -92,7 +92,7 @@ def times_of(file: Any) -> list[str]:
     return found
 
 
-def _counted(start: str, seconds: float, calendar: str) -> np.datetime64 | None:
+def counted(start: str, seconds: float, calendar: str) -> np.datetime64 | None:
     """The moment so many seconds after the start of CF's units; None: they are not understood."""
     told = _START.fullmatch(start)
     if told is None or calendar not in CALENDARS:
@@ -119,8 +119,8 @@ def array_times(array: Any) -> list[str]:
     if "time" not in array.coords:
         return []
     values = np.atleast_1d(array.coords["time"].values)
-    if values.dtype != object:
-        return [str(one) for one in values.astype("datetime64[m]").astype(str)]
+    if values.dtype.kind != "O":  # (numbers are times that nobody has decoded)
+        return [] if values.dtype.kind != "M" else [str(one) for one in values.astype("datetime64[m]").astype(str)]
     if not all(getattr(one, "calendar", "") in CALENDARS for one in values):
         return []
     return [f"{one.year:04d}-{one.month:02d}-{one.day:02d}T{one.hour:02d}:{one.minute:02d}" for one in values]
