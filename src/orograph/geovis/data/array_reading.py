@@ -143,7 +143,7 @@ def _chosen(given: Dataset | Uncertainty) -> tuple[Any, list[str], Any]:
     return array, words, told
 
 
-def _coarser(part: Any, axes: tuple[Any, Any], step: int, nearest: bool) -> Any:
+def _coarser(part: Any, axes: tuple[Any, ...], step: int, nearest: bool) -> Any:
     """A DataArray with one sample for each square of ``step``: their mean, or the middle one."""
     if step == 1:
         return part

@@ -74,12 +74,11 @@ def read_features(given: Dataset, grid: Grid) -> Features:
     """
     source = given.source
     if isinstance(source, str) and Path(source).suffix.lower() not in GEOJSON:
-        what = stamped(locate(source)), given.layer, grid
-        name, found, columns, crs = reading_once("features", what, lambda: _of_vectors(given, grid))
+        near = stamped(locate(source)), given.layer, grid
+        name, found, columns, crs = reading_once("features", near, lambda: _of_vectors(given, grid))
     elif isinstance(source, str):
         location = locate(source)
-        what = stamped(location)
-        name, found, columns, crs = reading_once("features", what, lambda: _of_geojson(location, source))
+        name, found, columns, crs = reading_once("features", stamped(location), lambda: _of_geojson(location, source))
     else:
         name, found, columns, crs = _of_geojson(source, source)
     kinds = {kind: sum(kind == one for parts in found for one, _ in parts) for kind in SIMPLE.values()}
