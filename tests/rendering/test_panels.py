@@ -10,7 +10,7 @@ import orograph
 from orograph.errors import UsageError
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.rendering.furniture.furnish import EDGE
-from orograph.rendering.panels import _boxes, panels_of
+from orograph.rendering.panels import _boxes, _note, panels_of
 from orograph.rendering.standing import extent_of
 from orograph.scene.scene import Scene
 
@@ -94,6 +94,16 @@ def test_times_and_one_scale_of_uncertainties(ground):
     spans = {panel.data[0].range for panel in found}
     assert len(spans) == 1 and spans.pop() == pytest.approx((values[1:].min(), values[1:].max()), abs=0.3)
     assert len({panel.data[0].uncertainty.range for panel in found}) == 1
+
+
+def test_times_of_one_day_are_told_by_their_hour(ground):
+    xarray = pytest.importorskip("xarray")
+    times = np.array(["2019-03-01T00", "2019-03-01T12", "2019-03-02T12"], "M8[ns]")
+    y, x = 5_600_000 - 100 - np.arange(15) * 200.0, 500_100 + np.arange(20) * 200.0
+    array = xarray.DataArray(np.ones((3, 15, 20)), dims=("time", "y", "x"), coords={"time": times, "y": y, "x": x})
+    found = panels_of((orograph.Dataset(array),), "time=2019-03-01", ground)
+    assert [panel.title for panel in found] == ["00:00", "12:00"]
+    assert _note(found, "time=2019-03-01") == "one panel for each time on 2019-03-01 (UTC), one scale"
 
 
 @pytest.mark.parametrize("measure", ["spread", "ci90"])
