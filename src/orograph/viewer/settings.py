@@ -134,11 +134,9 @@ class SunSetting:
         return Sun(self.azimuth, self.altitude)
 
 
-def _carried_out(
-    options: dict[str, Any], terrain: Terrain, size: tuple[int, int], kept: Kept
-) -> tuple[Themed, Made]:  # fmt: skip
-    """A theme applied, and the variants, for a window of ``size`` pixels; what is read for it is ``kept``."""
-    with sharing(kept):
+def _carried_out(options: dict[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[Themed, Made]:
+    """A theme applied, and the variants, for a window of ``size`` pixels."""
+    with sharing():
         return themed(options, terrain, size), Variants.made(options, terrain, size)
 
 
@@ -250,8 +248,8 @@ class Settings:
             coarse = shown.changing or finer is not None
             with sharing(self.kept):
                 now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
-            given = base | now
-            theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED, self.kept)
+                given = base | now
+                theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
         except Exception:
             shown.priority, shown.time = before
             raise
@@ -268,7 +266,12 @@ class Settings:
         self.variants.take(variants)
         self.options = {**base, **changed, "layers": stack}
         if finer is not None and coarse and not shown.changing:
-            self.finer.wish(lambda: _carried_out(given, terrain, PAINTED, self.kept), finer)
+
+            def fine() -> tuple[Themed, Made]:
+                with sharing(self.kept):
+                    return _carried_out(given, terrain, PAINTED)
+
+            self.finer.wish(fine, finer)
         else:
             self.finer.drop()
 
