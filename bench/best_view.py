@@ -32,7 +32,7 @@ def brute(search: Search, heights: np.ndarray, target: Target, eyes: np.ndarray,
     start = np.column_stack([index, target.points[:, 2] + 1e-3])
     out, q = np.empty(len(eyes)), np.empty(len(target.points))
     for m, eye in enumerate(eyes):
-        qualities(*search._cameras, m, *search._pieces[:3], q)
+        qualities(search._cameras, m, search._pieces, q)
         t, _ = caster.cast(start, np.column_stack([eye[:2] - index, eye[2] - start[:, 2]]), 0.0, 1.0)
         out[m] = target.weight @ np.where((q > 0) & np.isnan(t), q, 0.0)
     return out

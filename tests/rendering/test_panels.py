@@ -10,7 +10,9 @@ import orograph
 from orograph.errors import UsageError
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.rendering.furniture.furnish import EDGE
-from orograph.rendering.panels import _boxes, panels_of
+from orograph.rendering.panels import _boxes, _note, panels_of
+from orograph.rendering.standing import extent_of
+from orograph.scene.scene import Scene
 
 PLACE = Affine(50, 0, 500_000, 0, -50, 5_600_000)
 
@@ -94,6 +96,16 @@ def test_times_and_one_scale_of_uncertainties(ground):
     assert len({panel.data[0].uncertainty.range for panel in found}) == 1
 
 
+def test_times_of_one_day_are_told_by_their_hour(ground):
+    xarray = pytest.importorskip("xarray")
+    times = np.array(["2019-03-01T00", "2019-03-01T12", "2019-03-02T12"], "M8[ns]")
+    y, x = 5_600_000 - 100 - np.arange(15) * 200.0, 500_100 + np.arange(20) * 200.0
+    array = xarray.DataArray(np.ones((3, 15, 20)), dims=("time", "y", "x"), coords={"time": times, "y": y, "x": x})
+    found = panels_of((orograph.Dataset(array),), "time=2019-03-01", ground)
+    assert [panel.title for panel in found] == ["00:00", "12:00"]
+    assert _note(found, "time=2019-03-01") == "one panel for each time on 2019-03-01 (UTC), one scale"
+
+
 @pytest.mark.parametrize("measure", ["spread", "ci90"])
 def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
     found = panels_of((data.but(uncertainty=measure),), "member=2-3", ground)
@@ -168,3 +180,25 @@ def test_each_of_several_data_has_a_panel_and_its_own_scale(ground, data):
     assert sheet.facts["panels"] == 2
     with pytest.raises(UsageError, match="there are 1"):
         panels_of((data,), "data", ground)
+
+
+@pytest.mark.parametrize("each", ["member", "data", "view"])
+def test_what_stands_fits_into_each_panel(ground, each):
+    """One camera, so far away that the highest bars of any panel are in the picture."""
+    members = np.ones((3, 12, 16), np.float32)
+    members[1, 0] = members[2, :, 0] = 5
+    bars = orograph.Dataset(members, name="Field", style="bars", size=900.0, range=(0.0, 5.0))
+    data = [bars.but(member="1", size=300.0), bars.but(member="2")] if each == "data" else [bars.but(member="1-3")]
+    options = {"data": data, "each": each, "progress": False, "samples": 1}
+    sheet = orograph.render(ground, size=(600, 240), **options)
+    kept = orograph.camera.whole(ground, (600, 240))
+    above = {sheet.view: [], kept: []}
+    for panel in panels_of(tuple(data), each, ground):
+        for view in above:
+            points = extent_of(Scene.of(ground, view, data=panel.data))
+            assert points is not None
+            pixels = view.project(points)[0]
+            above[view].append(float(pixels[:, 1].min()))
+            assert view == kept or ((pixels >= 0) & (pixels <= (600, 240))).all()
+    assert min(above[kept]) < 0 < min(above[sheet.view]) < 15  # no farther away than needed
+    assert orograph.render(ground, kept, **options).view == kept

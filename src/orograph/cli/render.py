@@ -6,7 +6,7 @@ import json
 import time
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -29,6 +29,9 @@ from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene
 from orograph.cli.sections import Verb
 from orograph.errors import UsageError
 from orograph.scene.sizes import dpi_of
+
+if TYPE_CHECKING:
+    from orograph.viewpoint import View
 
 OWN = {*DRAWING, *CAMERA}
 """The options about the picture; all other options are about reading."""
@@ -160,10 +163,15 @@ def command(
             )  # fmt: skip
         elif each is not None:
             budget = {"max_memory": max_memory, "jobs": jobs}
+
+            def again(size: tuple[int, int], also: Any = None) -> View:
+                return camera_view(terrain, {**options, "size": size, "furniture": False}, also)
+
             picture = draw_panels(
-                terrain, view, each, {**given_of(options), **budget}, backend=options["backend"], progress=progress
-            )
-            facts = picture.facts
+                terrain, view, each, {**given_of(options), **budget}, backend=options["backend"],
+                again=again if is_fitted(options) else None, progress=progress,
+            )  # fmt: skip
+            facts, view = picture.facts, picture.view
         else:
             picture = draw(scene, progress, backend=options["backend"])
             facts = picture.facts

@@ -87,7 +87,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     unit_of_axes = 1.0 if known is not None else _axes_metres(array, called)
     y_dim, x_dim = array.dims
     (x0, dx), (y0, dy) = (np.array(_axis(array, dim, called)) * unit_of_axes for dim in (x_dim, y_dim))
-    heights = _heights(_decoded(array), called, factor)
+    heights = _heights(decoded(array), called, factor)
     if dy > 0:
         heights, y0, dy = heights[::-1], y0 + dy * (heights.shape[0] - 1), -dy
     if dx < 0:
@@ -124,7 +124,7 @@ def _axes_metres(array: xr.DataArray, called: str) -> float:
                         remedy="Give the CRS: crs=…") from None  # fmt: skip
 
 
-def _decoded(array: xr.DataArray) -> xr.DataArray:
+def decoded(array: xr.DataArray) -> xr.DataArray:
     """An array decoded by its attributes (CF) where xarray has not done so: scaled, and NaN where missing or out of its
     valid range."""
     array = _within_range(array)
@@ -198,15 +198,20 @@ def heights_in(dataset: xr.Dataset) -> xr.DataArray:
 def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | None]:
     """The values of an image or a raster, (rows, cols) or (rows, cols, bands), and where they lie by its coordinates;
     None, None where it has none along its rows and columns."""
+    flat, transform, crs = located(array)
+    return flat.to_numpy(), transform, crs
+
+
+def located(array: xr.DataArray) -> tuple[xr.DataArray, Affine | None, CRS | None]:
+    """The same, rows and columns first, without reading the values."""
     axes = [d for d in array.dims if str(d).lower() in ACROSS | DOWN or _says_axis(array, d)]
     if len(axes) != 2:
         axes = list(array.dims[-2:]) if array.sizes[array.dims[-1]] > 4 or array.ndim == 2 else list(array.dims[:2])
     flat = array.transpose(*axes, ...)
     y, x = axes_of(flat.isel({d: 0 for d in flat.dims if d not in axes}))
     flat = array.transpose(y, x, ...)
-    values = flat.to_numpy()
     if x not in array.coords or y not in array.coords:
-        return values, None, None
+        return flat, None, None
     called = str(array.name or "the layer")
     (x0, dx), (y0, dy) = _axis(array, x, called), _axis(array, y, called)
     crs = _crs_of(array, None)
@@ -214,7 +219,7 @@ def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | No
     if crs is None and _in_degrees(plane):
         crs = CRS.from_epsg(4326)
     unit = 1.0 if crs is not None else _axes_metres(plane, called)
-    return values, compose(Affine.scale(unit), Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)), crs
+    return flat, compose(Affine.scale(unit), Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)), crs
 
 
 def _says_axis(array: xr.DataArray, dim: Any) -> bool:

@@ -88,8 +88,11 @@ def minus(number: str) -> str:
     return number.replace("-", "−")
 
 
-UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",
-         "degree_celsius": "°C", "degrees celsius": "°C", "kelvin": "K", "percent": "%", "m s**-1": "m/s",
+UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "deg_c": "°C",
+         "celsius": "°C", "degree_c": "°C", "degrees_c": "°C", "degree_celsius": "°C", "degrees_celsius": "°C",
+         "degrees celsius": "°C", "degf": "°F", "deg_f": "°F", "fahrenheit": "°F", "degree_f": "°F", "degrees_f": "°F",
+         "degree_fahrenheit": "°F", "degrees_fahrenheit": "°F", "degrees fahrenheit": "°F", "kelvin": "K", "degk": "K",
+         "percent": "%", "m s**-1": "m/s",
          "m s-1": "m/s", "1": "", "millibars": "hPa", "millibar": "hPa", "mbar": "hPa", "mb": "hPa"}  # fmt: skip
 
 

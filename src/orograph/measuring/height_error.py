@@ -41,7 +41,7 @@ from orograph.parallel import for_each
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable
 
 if TYPE_CHECKING:
-    from orograph.geovis.data.reading import Field
+    from orograph.geovis.data.field import Field
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]

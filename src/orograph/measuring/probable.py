@@ -105,7 +105,7 @@ class Probable:
             band: from 1. looks: keys of a ``Dataset`` (``style``, ``colormap``…).
         """
         from orograph.geovis.data.dataset import Dataset
-        from orograph.geovis.data.reading import Field
+        from orograph.geovis.data.field import Field
 
         about = self.bands[band - 1]
         return Dataset(Field(self.values(progress)[band - 1][None], self.grid, about.name, about.unit),

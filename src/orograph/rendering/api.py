@@ -113,7 +113,9 @@ def render(
     flat = isinstance(view, str) and view == "plan"
     automatic, view = view is None or flat, view_of(view, terrain, size, exaggeration=stretch, insets=free)
     if each is not None:
-        return draw_panels(terrain, view, each, chosen, backend=backend, progress=heard)
+        camera = partial(plan, terrain) if flat else partial(whole, terrain, exaggeration=stretch)
+        again = camera if automatic else None
+        return draw_panels(terrain, view, each, chosen, backend=backend, again=again, progress=heard)
     scene = Scene.of(terrain, view, **chosen)
     if automatic:
         from orograph.rendering.standing import with_room

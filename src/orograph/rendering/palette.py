@@ -37,6 +37,11 @@ BOUNCE = 0.10
 """The share of all light that ground without a view of the sky gets from lit ground instead."""
 
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+LIFTED = np.float32(0.2)
+"""The least luminance of what is around a contour line, so that lines are as legible in shadow as in light."""
+
+
 def illumination(sun: Sun) -> tuple[Array, Colors, Colors]:
     """The unit vector (3,) towards the sun (east, north, up), the colours (3,) of its light and of the sky's.
 
@@ -56,6 +61,13 @@ def hatching(px: Array, py: Array) -> Colors:
     """Linear colours (n, 3) over missing data at pixel positions: lines at 45°, the cartographer's sign for what is not
     known."""
     return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
+
+
+def lifting(ground: Colors) -> Colors:
+    """How much paper (n,), 0 to 1, the casing of a contour line needs over ground of these colours (n, 3): in shadow as
+    much as gives it ``LIFTED``, in light none."""
+    bright = ground @ LUMINANCE
+    return np.asarray(np.maximum(LIFTED - bright, 0) / np.maximum(PAPER @ LUMINANCE - bright, LIFTED), np.float32)
 
 
 def ink(contours: Contours) -> Colors:

@@ -7,7 +7,7 @@ beside them (Tory et al. 2006, of 2D and 3D views side by side; Tufte's small mu
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from orograph.rendering.furniture.furnish import furnish, insets
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 from orograph.rendering.furniture.lettering import Style, cut, set_type
 from orograph.rendering.picture import Picture
+from orograph.rendering.standing import extent_of
 from orograph.scene import camera
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
@@ -46,16 +47,18 @@ CAPTION = 1.9
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One of several pictures: what stands above it, its data, and whether it is a map."""
+    """One of several pictures: what stands above it, its data, whether it is a map, and whether its data have the
+    styles of the other panels."""
 
     title: str
     data: tuple[Dataset, ...]
     plan: bool = False
+    alike: bool = True
 
 
 def draw_panels(
     terrain: Terrain, view: View, each: str, options: Mapping[str, Any], *, backend: str = "cpu",
-    progress: Progress = SILENT,
+    again: Callable[..., View] | None = None, progress: Progress = SILENT,
 ) -> Picture:  # fmt: skip
     """A picture of panels.
 
@@ -64,6 +67,8 @@ def draw_panels(
         each: "view": a map beside the relief; "data": one panel for each of several data, with scales of their own;
             "member", "band" or "time" of the first data: all of them, or some, "member=1-6", "time=2019-03-01".
         options: of a scene, ``furniture`` and ``title`` being those of the whole.
+        again: makes an automatic camera for panels of a ``size``, as ``camera.whole`` does: ``also`` are further
+            positions (n, 3) to show. None: ``view`` is to be kept.
 
     Raises:
         UsageError: there are no such panels, or too many. Others: as ``backends.draw``.
@@ -78,17 +83,22 @@ def draw_panels(
         free = insets(size, terrain.attribution, (), legend.keys)
     style = Style.of(size, " ".join(panel.title for panel in panels))
     caption = math.ceil(CAPTION * style.unit)
-    boxes = _boxes(len(panels), size, free, caption, style.gap)
+    stretch = float(options.get("exaggeration") or 1.0)
+    also = _standing(terrain, view, panels, common) if again is not None or panels[0].plan else None
+    shape = None if again is None else _proportions(terrain, size, panels, again, also, stretch)
+    boxes = _boxes(len(panels), size, free, caption, style.gap, shape)
     wide, tall = boxes[0][2], boxes[0][3] - caption
     sheet = np.empty((size[1], size[0], 3), np.uint8)
     sheet[:] = PAPER
     cover = np.zeros(sheet.shape[:2], bool)
     draw = session(progress, backend=backend)
+    whole = view if again is None else again(size=size, also=also)
+    seen = view.resized(wide, tall) if again is None else again(size=(wide, tall), also=also)
+    above = camera.plan(terrain, (wide, tall), also=also) if panels[0].plan else seen
     made: list[tuple[Scene, Picture]] = []
     with progress.task("Drawing panels", total=len(panels)) as task:
         for panel, (x, y, _, _) in zip(panels, boxes):
-            seen = camera.plan(terrain, (wide, tall)) if panel.plan else view.resized(wide, tall)
-            scene = Scene.of(terrain, seen, **common, data=panel.data)
+            scene = Scene.of(terrain, above if panel.plan else seen, **common, data=panel.data)
             picture = draw(scene)
             made.append((scene, picture))
             sheet[y + caption : y + caption + tall, x : x + wide] = picture.pixels
@@ -97,7 +107,7 @@ def draw_panels(
     sheet = _captioned(sheet, panels, boxes, style)
     scene, picture = made[-1]
     if options.get("furniture"):
-        shown = legend if each == "data" else scene.but(view=view)
+        shown = legend if each == "data" else scene.but(view=whole)
         sheet = _furnished(sheet, cover, shown, picture, options.get("title"), _note(panels, each))
     names = ", ".join(panel.title for panel in panels)
     words = f"{len(panels)} panels: {names}. {picture.facts['description']}"
@@ -107,9 +117,36 @@ def draw_panels(
         "description": words,
     }
     return Picture(
-        sheet, np.full(sheet.shape[:2], np.nan, np.float32), view, facts, None, None, picture.tint, picture.crs,
-        picture.exaggeration, picture.attribution,
+        sheet, np.full(sheet.shape[:2], np.nan, np.float32), whole, facts, None, None, picture.tint,
+        picture.crs, picture.exaggeration, picture.attribution,
     )  # fmt: skip
+
+
+def _standing(
+    terrain: Terrain, view: View, panels: Sequence[Panel], common: Mapping[str, Any]
+) -> NDArray[np.float64] | None:  # fmt: skip
+    """Positions (n, 3) around what stands in any of the panels; None: nothing stands."""
+    found = []
+    for panel in panels[:1] if panels[0].plan else panels:  # (a map and its relief have the same data)
+        points = extent_of(Scene.of(terrain, view, **common, data=panel.data))
+        if points is not None:
+            found.append(points)
+        elif panel.alike:
+            break
+    return np.concatenate(found) if found else None
+
+
+def _proportions(
+    terrain: Terrain, size: tuple[int, int], panels: Sequence[Panel], again: Callable[..., View], also: Any,
+    stretch: float,
+) -> float:  # fmt: skip
+    """Width over height of what automatic cameras show; of a map and a relief the mean."""
+    views = [again(size=size, also=also)]
+    if panels[0].plan:
+        views.append(camera.plan(terrain, size, also=also))
+    points = camera.joined(camera.outline(terrain), also)
+    found = [np.ptp(view.project(points, stretch)[0], axis=0) for view in views]
+    return float(np.exp(np.mean([np.log(wide / max(tall, 1.0)) for wide, tall in found])))
 
 
 def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Panel]:
@@ -129,7 +166,7 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
         raise UsageError(f"A panel for each {key} is of data, and there are none.")
     first, *rest = data
     if has_features(first.source) or is_table(first.source):
-        raise UsageError(f"A panel for each {key} is of a raster.", path=str(first.source))
+        raise UsageError(f"A panel for each {key} is of a raster.", path=first.called)
     if key != "time" and first.derived:
         raise UsageError(
             f"A panel for each {key} shows one {key}, but value= or exceeds= is taken over several.",
@@ -140,7 +177,9 @@ def panels_of(data: tuple[Dataset, ...], each: str, terrain: Terrain) -> list[Pa
     some = some or ("" if own is None else str(own))
     if key == "time":
         chosen = [time for time in times_in(first) if not some or matches(time, some)]
-        ones = [(time.replace("T", " "), first.but(time=time)) for time in chosen]
+        days = {time.partition("T")[0] for time in chosen}
+        ones = [(time.partition("T")[2] if len(days) == 1 else time.replace("T", " "), first.but(time=time))
+                for time in chosen]  # fmt: skip
     else:
         numbers = members_in(first, terrain.grid, some or "all")
         ones = [(f"{key} {number}", first.but(**{key: str(number)})) for number in numbers]
@@ -168,13 +207,23 @@ def _of_several(data: tuple[Dataset, ...]) -> list[Panel]:
         source = Path(one.source).stem if isinstance(one.source, str) else f"data {number}"
         return (one.name or one.variable or source).replace("_", " ")
 
-    return [Panel(title(k + 1, one), (one,)) for k, one in enumerate(data)]
+    return [Panel(title(k + 1, one), (one,), alike=False) for k, one in enumerate(data)]
 
 
 def _boxes(
-    count: int, size: tuple[int, int], free: tuple[float, float, float, float], caption: int, gap: int
+    count: int,
+    size: tuple[int, int],
+    free: tuple[float, float, float, float],
+    caption: int,
+    gap: int,
+    shape: float | None = None,
 ) -> list[tuple[int, int, int, int]]:
-    """(x, y, width, height with the caption) of panels with the picture's proportions, as large as they can be."""
+    """(x, y, width, height with the caption) of panels, as large as they can be.
+
+    Args:
+        shape: their width over their height; None: the picture's.
+    """
+    shape = size[0] / size[1] if shape is None else shape
     left, right, top, bottom = (
         round(part * side) for part, side in zip(free, (size[0], size[0], size[1], size[1]))
     )  # fmt: skip
@@ -184,9 +233,9 @@ def _boxes(
         down = -(-count // across)
         wide = (room_x - (across - 1) * gap) / across
         tall = (room_y - (down - 1) * gap) / down - caption
-        best = max(best, (min(wide, tall * size[0] / size[1]), across))
+        best = max(best, (min(wide, tall * shape), across))
     wide, across = int(best[0]), best[1]
-    tall = int(wide * size[1] / size[0])
+    tall = int(wide / shape)
     if wide < 48 or tall < 32:
         raise UsageError(f"{count} panels do not fit into {size[0]} × {size[1]} pixels.", remedy="Make it larger.")
     down = -(-count // across)
@@ -229,4 +278,8 @@ def _furnished(
 def _note(panels: list[Panel], each: str) -> str:
     if each == "data":
         return "each panel with a scale of its own"
-    return "map and relief" if panels[0].plan else f"one panel for each {each.partition('=')[0]}, one scale"
+    if panels[0].plan:
+        return "map and relief"
+    day = str(panels[0].data[0].time).partition("T")[0] if len(panels[0].title) == len("00:00") else ""
+    of = f"time on {day} (UTC)" if each.startswith("time") and day else each.partition("=")[0]
+    return f"one panel for each {of}, one scale"

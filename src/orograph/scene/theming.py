@@ -75,7 +75,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     for one in data:
         if one.uncertainty is not None and one.uncertainty.style == "members":
             raise UsageError(
-                "Members in turn are seen in films.", path=str(one.source),
+                "Members in turn are seen in films.", path=one.called,
                 remedy='In a picture they stand side by side (`each="member"`), or choose another style.',
             )  # fmt: skip
     priority = given or Priority(data=True)
@@ -151,13 +151,13 @@ def _read(
     features = read_features(dataset, grid) if has_features(dataset.source) else None
     if dataset.derived and (features is not None or is_table(dataset.source)):
         raise UsageError(
-            "value= and exceeds= need rasters with several members or times.", path=str(dataset.source),
+            "value= and exceeds= need rasters with several members or times.", path=dataset.called,
             remedy="Leave them out.",
         )  # fmt: skip
     pointed = is_table(dataset.source) if features is None else features.kind == "points"
     if not pointed and dataset.leveled is not None:
         raise UsageError(
-            f"{dataset.leveled}= gives the heights of points, and these are not points.", path=str(dataset.source),
+            f"{dataset.leveled}= gives the heights of points, and these are not points.", path=dataset.called,
             remedy="Leave it out; lines float at their own z.",
         )  # fmt: skip
     if features is not None and features.kind != "points" and stands(dataset):
@@ -193,7 +193,7 @@ def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None
     if rows is None and dataset.style == "tubes":
         return None
     if rows is None:
-        raise UsageError("Its lines have no times.", path=str(dataset.source), remedy="Give points with times, or GPX.")
+        raise UsageError("Its lines have no times.", path=dataset.called, remedy="Give points with times, or GPX.")
     moment = None if dataset.time is None else float(seconds_of([dataset.time], "time=", "value")[0])
     found = read_tracks(dataset.but(time=None), rows, terrain.grid)
     if dataset.above is not None or dataset.depth is not None:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from orograph.errors import UsageError
+from orograph.geovis.data.shared import Kept, sharing
 from orograph.lighting.sun import Passage
 from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
@@ -53,7 +54,8 @@ class Film:
         progress: gets the progress of preparations.
 
     Attributes:
-        numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene.
+        numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene. kept: what was read
+            of data, for the frames that follow.
 
     Raises:
         UsageError: the part has no frame. NothingInViewError: the tour never shows the terrain.
@@ -75,7 +77,7 @@ class Film:
                              f"{self.tour.fps:g} frames per second.")  # fmt: skip
         self.numbers = range(begin, end)
         self.course = Course(self.tour, scene.terrain, progress)
-        self.playing = playing
+        self.playing, self.kept = playing, Kept()
         self._lines: dict[Contours, Contours] = {}
         self.base = self._lined(scene)
         self._shown: tuple[Any, Scene] = (None if playing is None else playing.key(0), self.base)
@@ -163,7 +165,8 @@ class Film:
             return self.base
         key = self.playing.key(number)
         if key != self._shown[0]:
-            made = Scene.of(self.base.terrain, self.base.view, **self.playing.at(key, self.base.terrain.grid))
+            with sharing(self.kept):
+                made = Scene.of(self.base.terrain, self.base.view, **self.playing.at(key, self.base.terrain.grid))
             self._shown = key, self._lined(made)
         return self._shown[1]
 

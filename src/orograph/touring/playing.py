@@ -221,7 +221,7 @@ def _turning(made: Played, bare: Dataset, grid: Grid, fps: float) -> Played:
     if one.derived:
         raise UsageError(
             "Members in turn are shown one by one, and value= or exceeds= is taken over several.",
-            path=str(one.source), remedy="Leave it out, or choose another style of uncertainty.",
+            path=one.called, remedy="Leave it out, or choose another style of uncertainty.",
         )  # fmt: skip
     rate = doubt.rate if isinstance(doubt, Uncertainty) and doubt.rate is not None else RATE
     return replace(made, members=members_of(bare, grid), hold=max(1, math.ceil(fps / rate - 1e-9)))
@@ -249,11 +249,11 @@ def _span_told(span: tuple[float, float], times: int, between: str) -> dict[str,
 def _span(one: Dataset) -> tuple[float, float]:
     times = times_in(one)
     if len(times) < 2:
-        raise UsageError("It has no series of times.", path=str(one.source), remedy="Leave out time=.")
+        raise UsageError("It has no series of times.", path=one.called, remedy="Leave out time=.")
     try:
         return span_within(times, str(one.time))
     except ReadError as error:
-        raise UsageError(error.what, path=str(one.source), remedy=error.remedy) from None
+        raise UsageError(error.what, path=one.called, remedy=error.remedy) from None
 
 
 def members_of(one: Dataset, grid: Grid) -> tuple[int, ...]:
@@ -263,10 +263,10 @@ def members_of(one: Dataset, grid: Grid) -> tuple[int, ...]:
         UsageError: there is one.
     """
     count = len(read(one.but(member="all"), grid).values)
-    numbers = picked(range(1, count + 1), str(one.member or "all"), str(one.source))
+    numbers = picked(range(1, count + 1), str(one.member or "all"), one.called)
     if len(numbers) < 2:
         raise UsageError(
-            "Members in turn are of an ensemble, and it has one member.", path=str(one.source),
+            "Members in turn are of an ensemble, and it has one member.", path=one.called,
             remedy="Name data with several (band=all, member=all), or another style of uncertainty.",
         )  # fmt: skip
     return tuple(numbers)

@@ -24,9 +24,9 @@ from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.events import happened
 from orograph.geovis.data.features import has_features, read_features
+from orograph.geovis.data.field import Field, Values
 from orograph.geovis.data.painting import as_shown
 from orograph.geovis.data.points import is_table, read_points
-from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
 from orograph.lighting.raster import Band, rectangles, write
 from orograph.measuring.ground import own_heights

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.shared import sharing
+from orograph.geovis.data.shared import Kept, sharing
 from orograph.geovis.data.standing import Things
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
@@ -163,6 +163,7 @@ class Settings:
         shown: data, their priorities and times; None: there are none.
         variants: focus, flight and ghosted surfaces, drawn over the scene.
         finer: data that a thread paints finely; ``finish`` takes them.
+        kept: what was read of data, for the next time or priority.
         frozen: the view for which the mesh is made while the camera flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
 
@@ -182,6 +183,7 @@ class Settings:
         self.frozen: View | None = None
         self.shown: ShownData | None = None
         self.variants = Variants()
+        self.kept = Kept()
         self._own: tuple[Layer, ...] = ()
         self._replaced: dict[str, tuple[Any, Any]] = {}
         self.finer: Refining[tuple[Themed, Made]] = Refining()
@@ -200,7 +202,8 @@ class Settings:
                 raise UsageError("`flight` and `priority` both set the priority: give one of them.", remedy="Give one.")
             first = Priority.parse(BASE)
         if data or first is not None or (self.aids is not None and self.aids.walls):
-            self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
+            with sharing(self.kept):
+                self.shown = ShownData(data, first or Priority(data=True), terrain.grid)
             self.show(terrain)
         else:
             self.variants.take(Variants.made(self.options, terrain, PAINTED))
@@ -243,9 +246,10 @@ class Settings:
                 if base[name] is new:
                     base[name] = old
             coarse = shown.changing or finer is not None
-            now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
-            given = base | now
-            theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
+            with sharing(self.kept):
+                now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
+                given = base | now
+                theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
         except Exception:
             shown.priority, shown.time = before
             raise
@@ -262,7 +266,12 @@ class Settings:
         self.variants.take(variants)
         self.options = {**base, **changed, "layers": stack}
         if finer is not None and coarse and not shown.changing:
-            self.finer.wish(lambda: _carried_out(given, terrain, PAINTED), finer)
+
+            def fine() -> tuple[Themed, Made]:
+                with sharing(self.kept):
+                    return _carried_out(given, terrain, PAINTED)
+
+            self.finer.wish(fine, finer)
         else:
             self.finer.drop()
 

@@ -16,8 +16,8 @@ from orograph.geo.grid import Grid
 from orograph.geovis.color import srgb_to_linear
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import read_data
+from orograph.geovis.data.field import Field
 from orograph.geovis.data.painting import Shown, as_shown, cropped
-from orograph.geovis.data.reading import Field
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale
 from orograph.geovis.keys import Square
@@ -68,7 +68,7 @@ def pairs(data: tuple[Dataset, ...]) -> list[Dataset | tuple[Dataset, Dataset]]:
             waiting = None
     if waiting is not None:
         raise UsageError(
-            "A bivariate picture needs two variables, but there is one.", path=str(waiting.source),
+            "A bivariate picture needs two variables, but there is one.", path=waiting.called,
             remedy="Give two data with style=bivariate, or two variables of one: variable=t+q, or band=1+2.",
         )  # fmt: skip
     return found
@@ -82,7 +82,7 @@ def shown_pair(first: Dataset, second: Dataset, grid: Grid, texels: int) -> Show
     """
     if first.uncertainty is not None or second.uncertainty is not None:
         raise UsageError(
-            "A bivariate picture cannot also show uncertainty.", path=str(first.source),
+            "A bivariate picture cannot also show uncertainty.", path=first.called,
             remedy="Show the uncertainty as the second variable.",
         )  # fmt: skip
     count = first.classes if first.classes <= MOST else USUAL

@@ -11,7 +11,7 @@ import numpy as np
 
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty
-from orograph.geovis.data.times import is_span, matches, times_of
+from orograph.geovis.data.times import CALENDARS, is_span, matches, times_of
 from orograph.geovis.data.vertical import levels_of
 from orograph.geovis.keys import written_unit
 
@@ -27,7 +27,9 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
     if given.time is not None:
         times = times_of(file)
         if not any(times):
-            raise UsageError("Its bands have no times.", path=str(given.source), remedy="Choose by band=.")
+            calendar = file.tags().get("time#calendar", "standard")
+            what = "no times" if calendar in CALENDARS else f"times in the calendar {calendar}, whose days are not ours"
+            raise UsageError(f"Its bands have {what}.", path=str(given.source), remedy="Choose by band=.")
         bands = [band for band in bands if matches(times[band - 1], given.time)]
         if not bands:
             raise UsageError(

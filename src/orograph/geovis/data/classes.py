@@ -19,7 +19,7 @@ from orograph._named import remedy
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.attribute_table import Named
-from orograph.geovis.data.reading import Field, Values
+from orograph.geovis.data.field import Field, Values
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.tables import DISTINCT
 

@@ -277,6 +277,11 @@ class Dataset:
             raise UsageError("value= and exceeds= exclude each other.", remedy="Give one of the two.")
 
     @property
+    def called(self) -> str:
+        """What messages call its source."""
+        return self.source if isinstance(self.source, str) else "the data"
+
+    @property
     def leveled(self) -> str | None:
         """Which of height=, above= and depth= is given: its name."""
         return next((name for name in LEVELS if getattr(self, name) is not None), None)

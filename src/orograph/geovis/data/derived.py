@@ -12,7 +12,8 @@ import numpy as np
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
-from orograph.geovis.data.reading import Field, Values, read
+from orograph.geovis.data.field import Field, Values
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.statistics import exceedance, words_of
 
@@ -44,7 +45,8 @@ def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values]
     if (found < 0).any():
         raise ReadError(
             f"A standard deviation cannot be negative, but the lowest is {float(np.nanmin(found)):g}.",
-            path=str(doubt.source), remedy="Choose another band, or correct it.",
+            path=doubt.source if isinstance(doubt.source, str) else "the uncertainty",
+            remedy="Choose another band, or correct it.",
         )  # fmt: skip
     return other, found
 

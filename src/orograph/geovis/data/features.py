@@ -14,12 +14,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import locate
+from orograph.dem.handles import locate, stamped
 from orograph.errors import ReadError, UsageError
 from orograph.geo import geojson
 from orograph.geo.grid import Grid
 from orograph.geo.wkb import Part, parse
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.shared import reading_once
 
 Array = NDArray[np.float64]
 Kind = Literal["points", "lines", "polygons"]
@@ -73,9 +74,13 @@ def read_features(given: Dataset, grid: Grid) -> Features:
     """
     source = given.source
     if isinstance(source, str) and Path(source).suffix.lower() not in GEOJSON:
-        name, found, columns, crs = _of_vectors(given, grid)
+        near = stamped(locate(source)), given.layer, grid
+        name, found, columns, crs = reading_once("features", near, lambda: _of_vectors(given, grid))
+    elif isinstance(source, str):
+        location = locate(source)
+        name, found, columns, crs = reading_once("features", stamped(location), lambda: _of_geojson(location, source))
     else:
-        name, found, columns, crs = _of_geojson(source if not isinstance(source, str) else locate(source), source)
+        name, found, columns, crs = _of_geojson(source, source)
     kinds = {kind: sum(kind == one for parts in found for one, _ in parts) for kind in SIMPLE.values()}
     there = [kind for kind, count in kinds.items() if count]
     if not there:

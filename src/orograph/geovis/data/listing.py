@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from orograph.dem.handles import HANDLES, locate
+from orograph.dem.handles import HANDLES, locate, stamped
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty
-from orograph.geovis.data.times import times_of
+from orograph.geovis.data.shared import reading_once
+from orograph.geovis.data.times import array_times, times_of
 from orograph.geovis.data.vertical import Levels, levels_of, vertical_dimension
 
 
@@ -104,10 +105,14 @@ def times_in(given: Dataset | Uncertainty) -> list[str]:
     if xarray is not None and isinstance(source, xarray.Dataset):
         source = source[str(given.variable).split("+")[0]]
     if xarray is not None and isinstance(source, xarray.DataArray):
-        found = np.atleast_1d(source.coords["time"].values) if "time" in source.coords else np.empty(0, "M8[m]")
-        return sorted(set(found.astype("datetime64[m]").astype(str).tolist()))
+        return sorted(set(array_times(source)))
     if not isinstance(source, str) or has_features(source) or is_table(source):
         return []
     variable = given.variable.split("+")[0] if given.variable is not None else None
-    with HANDLES.borrow(subdataset(locate(source), variable, source)) as file:
-        return sorted({time for time in times_of(file) if time})
+    location = locate(source)
+
+    def found_times() -> list[str]:
+        with HANDLES.borrow(subdataset(location, variable, source)) as file:
+            return sorted({time for time in times_of(file) if time})
+
+    return reading_once("times", (stamped(location), variable), found_times)

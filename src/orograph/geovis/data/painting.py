@@ -20,10 +20,10 @@ from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.data.classes import ClassTable, classes_over, numbered, says_classes
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
+from orograph.geovis.data.field import Field, Values
 from orograph.geovis.data.lic import STEP, STEPS, brightness
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import Field, Values
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.shared import once
@@ -176,7 +176,7 @@ def _sampled(
 def _shown_classes(dataset: Dataset, field: Field, grid: Grid, texels: int, priority: Priority) -> Shown:
     """A raster of classes: nothing is interpolated but how uncertain they are."""
     if dataset.derived or len(field.values) > 1:
-        raise UsageError("Classes have no mean, no value= and no exceeds=.", path=str(dataset.source),
+        raise UsageError("Classes have no mean, no value= and no exceeds=.", path=dataset.called,
                          remedy="Choose one band, time or member.")  # fmt: skip
     over = cropped(field, grid, texels)
     table = ClassTable.of_tags(field.tags, field.palette, field.named)
@@ -189,7 +189,7 @@ def _shown_classes(dataset: Dataset, field: Field, grid: Grid, texels: int, prio
     sign = "none" if sigma is None or given is None else given.style or priority.sign("segmented")
     if sign in ("noise", "blur", "palette"):
         raise UsageError(
-            f"The uncertainty of classes cannot be shown by {sign}, which mixes neighbours.", path=str(dataset.source),
+            f"The uncertainty of classes cannot be shown by {sign}, which mixes neighbours.", path=dataset.called,
             remedy="Choose transparency, whiteness, saturation or glyphs.",
         )  # fmt: skip
     doubt = (0.0, 1.0)
@@ -207,7 +207,7 @@ def as_shown(dataset: Dataset) -> Dataset:
     if dataset.uncertainty is not None and dataset.uncertainty.of_members:
         raise UsageError(
             "A probability of exceeding already expresses the members' uncertainty; it has no spread of its own.",
-            path=str(dataset.source), remedy="Leave out the uncertainty.",
+            path=dataset.called, remedy="Leave out the uncertainty.",
         )  # fmt: skip
     even = "equal" if dataset.breaks == "quantiles" else dataset.breaks
     return dataset.but(range=dataset.range or (0.0, 1.0), breaks=even, uncertainty=None)

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.dem.handles import locate, stamped
 from orograph.dem.tables import DEGREES, EAST, NORTH, number, places_in, read_texts
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import Features, classes_in, has_features, read_features
+from orograph.geovis.data.shared import reading_once
 from orograph.geovis.data.times import seconds_of
 
 Array = NDArray[np.float64]
@@ -197,7 +199,7 @@ def attribute_of(asked: Any, numbers: Mapping[str, Array], name: str, option: st
 def columns_of(source: Any) -> tuple[dict[str, Array], dict[str, Texts], Any, str]:
     """Columns of a table by name, as numbers and as texts, their CRS (None: not known), and the source's name."""
     if isinstance(source, str):
-        written: dict[str, Any] = dict(read_texts(source))
+        written: dict[str, Any] = dict(reading_once("table", stamped(locate(source)), lambda: read_texts(source)))
     else:
         keys = list(source) if isinstance(source, Mapping) else list(source.columns)
         written = {str(k): np.atleast_1d(np.asarray(source[k])).tolist() for k in keys}

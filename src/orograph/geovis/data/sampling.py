@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid, apply
-from orograph.geovis.data.reading import Field, Values
-from orograph.geovis.placement import Lattice, Placement, between
+from orograph.geovis.data.field import Field, Values, lattice_of
+from orograph.geovis.placement import Placement, between
 
 STRIP = 128
 """Rows that are interpolated at a time."""
@@ -31,7 +31,7 @@ class Positions:
     def of(cls, over: Grid, field: Field) -> Positions:
         """Of the samples of ``over`` in a field."""
         placement = Placement.of(over, field.grid, field.name, [])
-        lattice = Lattice.over(placement)
+        lattice = lattice_of(placement)
         c, r = np.empty(over.shape), np.empty(over.shape)
         cols = np.arange(over.cols, dtype=np.float64)
         for row in range(0, over.rows, STRIP):

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import MEASURES, Breaks, Dataset, Uncertainty
 from orograph.geovis.data.derived import deviations, read_data
+from orograph.geovis.data.field import Field
 from orograph.geovis.data.listing import levels_in
 from orograph.geovis.data.painting import FLOWS, image_grid
-from orograph.geovis.data.reading import Field, read
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import Shared, class_breaks, doubted
 from orograph.geovis.data.vectors import read_vectors

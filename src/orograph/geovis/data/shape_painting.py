@@ -16,9 +16,9 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import Features
+from orograph.geovis.data.field import Field
 from orograph.geovis.data.painting import Shown, image_grid
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import Field
 from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.shape_kernels import fill, stroke
 from orograph.geovis.data.shapes import Shapes, read_shapes
@@ -85,7 +85,7 @@ def _style(dataset: Dataset, shapes: Shapes, priority: Priority) -> str:
     known = STYLES[shapes.kind]
     if style not in known:
         raise UsageError(
-            f"There is no style {style} of {shapes.kind}.", path=str(dataset.source),
+            f"There is no style {style} of {shapes.kind}.", path=dataset.called,
             remedy=f"There are {', '.join(known)}.",
         )  # fmt: skip
     return style
@@ -100,7 +100,7 @@ def _sign(dataset: Dataset, shapes: Shapes, style: str, priority: Priority) -> s
     if sign not in known:
         whose = f"{shapes.kind} in classes" if shapes.classes else shapes.kind
         raise UsageError(
-            f"The uncertainty of {whose} cannot be shown by {sign}.", path=str(dataset.source),
+            f"The uncertainty of {whose} cannot be shown by {sign}.", path=dataset.called,
             remedy=f"There are {', '.join(known)}.",
         )  # fmt: skip
     return sign

@@ -188,7 +188,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     if style not in KINDS:
         raise UsageError(
             f"There is no style {style} of points.",
-            path=str(dataset.source),
+            path=dataset.called,
             remedy=f"There are {', '.join(KINDS)}, columns and logs.",
         )
     if points.classes is None:
@@ -197,7 +197,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
         scale = ColorScale.of_classes(points.classes, dataset.colormap)
     if points.level is not None and style not in FLOATING:
         raise UsageError(
-            f"{style.capitalize()} stand on the ground and do not float.", path=str(dataset.source),
+            f"{style.capitalize()} stand on the ground and do not float.", path=dataset.called,
             remedy=f"Omit height=, above= and depth=, or choose {' or '.join(FLOATING)}.",
         )  # fmt: skip
     order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
@@ -240,7 +240,7 @@ def _sign(dataset: Dataset, priority: Priority, style: str) -> str:
     if given is not None and given not in known:
         why = ": they grow with the value, but not evenly" if given == "errorbars" else ""
         raise UsageError(
-            f"The uncertainty of {style} cannot be shown by {given}{why}.", path=str(dataset.source),
+            f"The uncertainty of {style} cannot be shown by {given}{why}.", path=dataset.called,
             remedy=f"There are {', '.join(known)}{'' if high else '; error bars are for bars and cones'}.",
         )  # fmt: skip
     return given or ("errorbars" if priority.uncertainty and high else "whiteness")

@@ -65,7 +65,7 @@ def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, 
         why = "they show values by colour, and nothing along which a bar could stand" if sign == "errorbars" else ""
         raise UsageError(
             f"The uncertainty of {dataset.style} cannot be shown by {sign}{': ' * bool(why)}{why}.",
-            path=str(dataset.source), remedy=f"There are {', '.join(known)}.",
+            path=dataset.called, remedy=f"There are {', '.join(known)}.",
         )  # fmt: skip
     doubt = (0.0, 1.0)
     if sigma is not None and dataset.uncertainty is not None:

@@ -57,13 +57,13 @@ def things_of_profiles(dataset: Dataset, points: Points, grid: Grid, ground: Arr
     """
     if dataset.leveled is None or points.level is None:
         raise UsageError(
-            f"Nothing gives the depth or height of the samples of {dataset.style}.", path=str(dataset.source),
+            f"Nothing gives the depth or height of the samples of {dataset.style}.", path=dataset.called,
             remedy="Name the attribute: depth=, above= or height=; of intervals depth=from+to.",
         )  # fmt: skip
     parts = parts_of(points)
     if not len(parts.of):
         raise UsageError(
-            f"None of its {parts.alone} holes has two samples, and one has no length.", path=str(dataset.source),
+            f"None of its {parts.alone} holes has two samples, and one has no length.", path=dataset.called,
             remedy="Group those that belong together (group=NAME), or show them as spheres.",
         )  # fmt: skip
     count = len(np.unique(parts.hole))
@@ -72,7 +72,7 @@ def things_of_profiles(dataset: Dataset, points: Points, grid: Grid, ground: Arr
         notes.append(f"{parts.alone} of one sample left out")
     logs = dataset.style == "logs"
     if logs and dataset.leveled != "depth":
-        raise UsageError("Logs need depths.", path=str(dataset.source), remedy="Give depth=, or choose columns.")
+        raise UsageError("Logs need depths.", path=dataset.called, remedy="Give depth=, or choose columns.")
     if logs:
         deepest = float(max(parts.start[:, 2].max(), parts.end[:, 2].max()))
         notes.append(f"raised onto the ground, the deepest {deepest:.4g} m")

@@ -62,7 +62,7 @@ def things_of_tracks(
     whole = tracks
     if (paths or moment is not None) and not np.isfinite(tracks.seconds).any():
         raise UsageError(
-            "Nothing says when its places were reached.", path=str(dataset.source), remedy="Name it: when=NAME."
+            "Nothing says when its places were reached.", path=dataset.called, remedy="Name it: when=NAME."
         )
     if moment is not None:
         tracks = until(tracks, moment)

@@ -13,8 +13,19 @@ from numpy.typing import NDArray
 
 from orograph.errors import ReadError, UsageError
 
-_SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
+_SECONDS = {"second": 1, "sec": 1, "s": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "h": 3600, "day": 86400,
+            "d": 86400}  # fmt: skip
 """Seconds of CF's units of time."""
+
+CALENDARS = ("standard", "gregorian", "proleptic_gregorian", "noleap", "365_day")
+"""CF's calendars whose days all are days of ours."""
+
+_START = re.compile(
+    r"(?i)(-?\d{1,4})-(\d{1,2})-(\d{1,2})(?:[T ]+(\d{1,2}):(\d{1,2})(?::(\d{1,2}(?:\.\d*)?))?)?"
+    r"\s*(?:Z|UTC|GMT|[+-]0?0(?::?00)?)?"
+)
+_MONTHS = np.cumsum([0, 31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30])
+"""Days before each month of a year that has no 29 February."""
 
 
 def matches(time: str, asked: str) -> bool:
@@ -60,21 +71,59 @@ def _ends(asked: str) -> tuple[str, str]:
 
 def times_of(file: Any) -> list[str]:
     """The times of a dataset's bands, ISO 8601 in UTC, to the minute; "" where one says none."""
-    scale = re.fullmatch(r"(\w+?)s? since (.+)", file.tags().get("time#units", "").strip())
+    tags = file.tags()
+    scale = re.fullmatch(r"(\w+?)s? since (.+)", tags.get("time#units", "").strip())
+    calendar = tags.get("time#calendar", "standard").lower()
     found = []
     for band in range(1, file.count + 1):
         tags = file.tags(band)
         second = tags.get("GRIB_VALID_TIME", "").split()
         if second:
             moment: Any = np.datetime64(int(second[0]), "s")
-        elif scale and "NETCDF_DIM_time" in tags and scale[1] in _SECONDS:
-            start = np.datetime64(scale[2].strip().replace(" ", "T").rstrip("Z"), "s")
-            moment = start + np.timedelta64(round(float(tags["NETCDF_DIM_time"]) * _SECONDS[scale[1]]), "s")
+        elif scale and "NETCDF_DIM_time" in tags and (unit := scale[1].lower()) in _SECONDS:
+            moment = counted(scale[2].strip(), float(tags["NETCDF_DIM_time"]) * _SECONDS[unit], calendar)
+            if moment is None:
+                found.append("")
+                continue
         else:
             found.append("")
             continue
         found.append(str(moment.astype("datetime64[m]")))
     return found
+
+
+def counted(start: str, seconds: float, calendar: str) -> np.datetime64 | None:
+    """The moment so many seconds after the start of CF's units; None: they are not understood."""
+    told = _START.fullmatch(start)
+    if told is None or calendar not in CALENDARS:
+        return None
+    year, month, day = (int(part) for part in told.group(1, 2, 3))
+    seconds += sum(float(part or 0) * unit for part, unit in zip(told.group(4, 5, 6), (3600, 60, 1)))
+    if calendar in ("noleap", "365_day"):
+        days, seconds = divmod(round(seconds), 86400)
+        years, days = divmod(year * 365 + int(_MONTHS[month - 1]) + day - 1 + int(days), 365)
+        month = int(np.searchsorted(_MONTHS, days, "right"))
+        text = f"{years:04d}-{month:02d}-{days - int(_MONTHS[month - 1]) + 1:02d}"
+        return np.datetime64(text, "s") + np.timedelta64(round(seconds), "s")
+    first = np.datetime64(f"{year:04d}-{month:02d}-{day:02d}", "s")
+    if calendar != "proleptic_gregorian" and (year, month, day) < (1582, 10, 15):  # (days of the Julian calendar)
+        y, m = year + 4800 - (month < 3), (month - 3) % 12
+        number = 365 * y + y // 4 + (153 * m + 2) // 5 + day - 32083
+        first = np.datetime64("1970-01-01", "s") + np.timedelta64(number - 2440588, "D")
+    return first + np.timedelta64(round(seconds), "s")
+
+
+def array_times(array: Any) -> list[str]:
+    """The times of a DataArray, one for each along its dimension, ISO 8601 to the minute; none of a calendar whose days
+    are not ours."""
+    if "time" not in array.coords:
+        return []
+    values = np.atleast_1d(array.coords["time"].values)
+    if values.dtype.kind != "O":  # (numbers are times that nobody has decoded)
+        return [] if values.dtype.kind != "M" else [str(one) for one in values.astype("datetime64[m]").astype(str)]
+    if not all(getattr(one, "calendar", "") in CALENDARS for one in values):
+        return []
+    return [f"{one.year:04d}-{one.month:02d}-{one.day:02d}T{one.hour:02d}:{one.minute:02d}" for one in values]
 
 
 def neighbours(times: Sequence[str], asked: str) -> tuple[str, str, float] | None:

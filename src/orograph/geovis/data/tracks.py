@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import locate
+from orograph.dem.handles import locate, stamped
 from orograph.dem.tables import DEGREES, places_in
 from orograph.errors import ReadError, UsageError
 from orograph.geo import geojson
@@ -23,6 +23,7 @@ from orograph.geo.transform import transformer
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import GEOJSON, MOST_CLASSES, classes_in, has_features, read_features
 from orograph.geovis.data.points import attribute_of, columns_of, columns_of_features, is_table, level_of, when_of
+from orograph.geovis.data.shared import reading_once
 from orograph.geovis.data.times import seconds_of
 
 Array = NDArray[np.float64]
@@ -73,11 +74,12 @@ def rows_of(given: Dataset, grid: Grid) -> Rows | None:
     """
     source = given.source
     if isinstance(source, str) and Path(source).suffix.lower() == ".gpx" and given.layer is None:
-        return _of_gpx(source)
+        return reading_once("gpx", stamped(locate(source)), lambda: _of_gpx(source))
     if not has_features(source):
         return Rows(*columns_of(source)) if is_table(source) else None
     if not isinstance(source, str) or Path(source).suffix.lower() in GEOJSON:
-        found = _of_lines(source)
+        what = stamped(locate(source)) if isinstance(source, str) else source
+        found = reading_once("lines", what, lambda: _of_lines(source))
         if found is not None:
             return found
     features = read_features(given, grid)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.field import Field, Values
 from orograph.geovis.data.patterns import covered, lattice
-from orograph.geovis.data.reading import Field, Values, read
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions
 
 Array = NDArray[np.float64]
@@ -36,14 +37,14 @@ def read_vectors(dataset: Dataset, grid: Grid) -> tuple[Field, Values, Values]:
     names = str(getattr(dataset, key) or "").split("+")
     if len(names) != 2:
         raise UsageError(
-            "A flow needs components to the east and to the north.", path=str(dataset.source),
+            "A flow needs components to the east and to the north.", path=dataset.called,
             remedy="Name both: variable=u10+v10, or band=1+2.",
         )  # fmt: skip
     one, other = (read(dataset.but(**{key: name.strip(), "uncertainty": None}), grid) for name in names)
     if one.values.shape != other.values.shape:
         raise UsageError(
             f"The two components have different shapes: {one.values.shape} and {other.values.shape}.",
-            path=str(dataset.source), remedy="Choose as many members or times of both.",
+            path=dataset.called, remedy="Choose as many members or times of both.",
         )  # fmt: skip
     speed = np.hypot(one.values, other.values)
     return replace(one, values=speed, name=f"{one.name}, {other.name}"), one.mean, other.mean

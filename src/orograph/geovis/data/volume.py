@@ -16,8 +16,9 @@ from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.derived import deviations, read_data
+from orograph.geovis.data.field import Field, Values
 from orograph.geovis.data.listing import array_of, levels_in, variables_in
-from orograph.geovis.data.reading import Field, Values, read
+from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import values_at
 from orograph.geovis.data.vertical import GEOPOTENTIALS, GRAVITY, geometric, standard_heights
 

@@ -95,9 +95,18 @@ fn line_rate(depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32
   return max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
 }
 
+// How much paper the casing of a line needs over ground of this color (rendering/palette.py).
+fn lifting(ground: vec3<f32>) -> f32 {
+  let weights = vec3<f32>(0.2126, 0.7152, 0.0722);
+  let bright = dot(ground, weights);
+  return max(0.2 - bright, 0.0) / max(dot(shade.paper.rgb, weights) - bright, 0.2);
+}
+
 // Parts of a pixel that contour lines and their casing cover: the height's derivative along the screen's axes on the tangent plane says how
-// far the next contour is. ``drawn``: the slope of that plane; ``slope``: of heights.
-fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope_here: vec2<f32>) -> vec2<f32> {
+// far the next contour is. ``drawn``: the slope of that plane; ``slope_here``: of heights. ``with_casing``: whether that is seen.
+fn contours(
+  height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope_here: vec2<f32>, with_casing: bool,
+) -> vec2<f32> {
   let rate = line_rate(depth, direction, drawn, slope_here);
   let n = height / shade.contour.x;
   let far = abs(n - round(n)) * shade.contour.x / rate;
@@ -106,7 +115,7 @@ fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<
   // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
   let interval = shade.contour.x * select(1.0, shade.contour.y, index);
   // Ground too level has none: no line can be said to be its contour.
-  let cased = select(0.0, half + shade.casing.z, shade.casing.x > 0.0);
+  let cased = select(0.0, half + shade.casing.z, with_casing);
   var cover = clamp(vec2<f32>(half, cased) - far + 0.5, vec2<f32>(0.0), vec2<f32>(1.0)) * smoothstep(3.0, 7.0, interval / rate);
   cover *= smoothstep(5e-5, 2e-4, length(slope_here));
   var total = 0.0;   // nor is a line left on a ledge among those that have faded (thin_out)

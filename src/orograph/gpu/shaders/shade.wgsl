@@ -259,11 +259,12 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
     if ((FLAGS & 32768u) != 0u) {
       height = smooth_height(hit.place, hit.footprint, ray.direction, height, (FLAGS & 16384u) == 0u);
     }
-    var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own);
-    cover *= (1.0 - seen.wet) * vec2<f32>(shade.contour.w, shade.casing.x);
+    let casing = max(shade.casing.x, lifting(color));
+    var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own, casing > 0.0);
+    cover *= (1.0 - seen.wet) * vec2<f32>(shade.contour.w, casing);
     if ((FLAGS & 4096u) != 0u) {   // labels: rendering/cpu/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
-      color = mix(color, vec3<f32>(1.0), max(0.16, shade.casing.x) * letters.g);
+      color = mix(color, vec3<f32>(1.0), max(0.16, casing) * letters.g);
       cover = cover * (1.0 - letters.g) + vec2<f32>(letters.r * min(1.0, shade.contour.w + 0.3), 0.0);
     }
     color = mix(mix(color, shade.paper.rgb, cover.y), shade.contour_colour.rgb, cover.x);

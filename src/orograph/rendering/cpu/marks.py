@@ -20,7 +20,7 @@ from orograph.rendering.lines.contour_kernels import AROUND, WIDE, Seen, line_co
 from orograph.rendering.lines.label_type import Lettering
 from orograph.rendering.lines.labels import Placer
 from orograph.rendering.lines.smooth import smoothed
-from orograph.rendering.palette import PAPER, ink
+from orograph.rendering.palette import PAPER, ink, lifting
 from orograph.rendering.rays import Hits
 from orograph.scene.contours import CASING
 from orograph.scene.scene import Scene
@@ -89,25 +89,27 @@ class Lines:
         about = px, py, hits.t, seen, self._basis, self._lines
         line_cover(*about, maps.water, maps.place, 0.0, cover)
         light = np.zeros_like(cover)
-        if c.casing:
+        casing = np.maximum(lifting(out), np.float32(c.casing or 0))
+        if (casing > 0).any():
             line_cover(*about, maps.water, maps.place, CASING, light)
-        lines = np.flatnonzero((light if c.casing else cover) > 0)
+            light *= casing
+        lines = np.flatnonzero(np.maximum(light, cover) > 0)
         if len(lines):
             thinned = self._thinned(hits, px, py, heights, own, lines)
             cover[lines] *= thinned
-            light[lines] *= thinned * np.float32(c.casing or 0)
+            light[lines] *= thinned
         cover *= np.float32(c.opacity)
         if self.letters.words:
             top, _, left, _ = self._area
             found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
             letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
             gaps = np.flatnonzero(letters[:, 1] > 0)
-            out[gaps] += (np.float32(max(GLOW, c.casing or 0)) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            glow = np.maximum(casing[gaps], np.float32(GLOW))
+            out[gaps] += (glow * letters[gaps, 1])[:, None] * (1 - out[gaps])
             light *= 1 - letters[:, 1]
             cover *= 1 - letters[:, 1]
             cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
-        if c.casing:
-            out += light[:, None] * (PAPER - out)
+        out += light[:, None] * (PAPER - out)
         some = np.flatnonzero(cover > 0)
         out[some] += cover[some, None] * (self.ink - out[some])
 
