@@ -68,11 +68,29 @@ def write(device: Device, buffer: Any, values: NDArray[Any] | bytes) -> None:
         native.write(device.queue, buffer, values)
 
 
+def copy_to_texture(
+    encoder: Any, buffer: Any, offset: int, row: int, texture: Any, origin: tuple[int, int, int], size: tuple[int, int]
+) -> None:  # fmt: skip
+    """Record a copy of texels (width, height) from a buffer into a layer of a texture.
+
+    Args:
+        offset: bytes where they begin. row: bytes from one row to the next. origin: x, y and layer.
+    """
+    native = _native()
+    if native is not None:
+        native.copy(encoder, buffer, offset, row, texture, origin, size)
+        return
+    encoder.copy_buffer_to_texture(
+        {"buffer": buffer, "offset": offset, "bytes_per_row": row, "rows_per_image": size[1]},
+        {"texture": texture, "origin": origin}, (*size, 1),
+    )  # fmt: skip
+
+
 class _Native:
     """wgpu-native's functions, as ``wgpu.backends.wgpu_native`` loads them.
 
     Attributes:
-        begin: begins a pass of an encoder. write: writes a buffer.
+        begin: begins a pass of an encoder. write: writes a buffer. copy: records a copy into a texture.
     """
 
     def __init__(self) -> None:
@@ -91,6 +109,25 @@ class _Native:
             data = from_buffer(values)
             write_buffer(queue._internal, buffer._internal, 0, data, len(data))
 
+        copied, source, target = (
+            lib.wgpuCommandEncoderCopyBufferToTexture, ffi.new("WGPUTexelCopyBufferInfo *"),
+            ffi.new("WGPUTexelCopyTextureInfo *"),
+        )  # fmt: skip
+        extent = ffi.new("WGPUExtent3D *")
+        target.aspect, extent.depthOrArrayLayers = lib.WGPUTextureAspect_All, 1
+
+        def copy(
+            encoder: Any, buffer: Any, offset: int, row: int, texture: Any, origin: tuple[int, int, int],
+            size: tuple[int, int],
+        ) -> None:  # fmt: skip
+            source.buffer, source.layout.offset = buffer._internal, offset
+            source.layout.bytesPerRow, source.layout.rowsPerImage = row, size[1]
+            target.texture = texture._internal
+            target.origin.x, target.origin.y, target.origin.z = origin
+            extent.width, extent.height = size
+            copied(encoder._internal, source, target, extent)
+
+        self.copy: Callable[..., None] = copy
         self.begin: Callable[[Any, Any], Any] = begin
         self.write: Callable[[Any, Any, Any], None] = write
 

@@ -23,9 +23,10 @@ from orograph.lod.field import Vertices
 from orograph.lod.triangle_patches import Patches
 from orograph.parallel import map_ordered
 from orograph.raycast.select import tile_boxes
+from orograph.rendering.gpu.stream.landing import Landing, Tile
 from orograph.rendering.gpu.stream.residency import ASK, READERS, REMOTE_READERS, UPLOAD, UPLOADING
 from orograph.rendering.gpu.stream.streamer import Streamer
-from orograph.rendering.gpu.stream.tiles import Atlas, Key, Tables
+from orograph.rendering.gpu.stream.tiles import SIDES, Atlas, Key, Tables
 from orograph.rendering.gpu.stream.wanted import Tree
 from orograph.store.terrain import TILE
 from orograph.viewpoint import View
@@ -58,14 +59,15 @@ class DiamondPages:
         shapes = [(max(1, -(-(r - 1) // TILE)), max(1, -(-(c - 1) // TILE))) for r, c in vertices.shapes]
         offsets = np.concatenate([[0], np.cumsum([rows * cols for rows, cols in shapes])])
         self.tables = Tables(offsets[:-1].tolist(), shapes, int(offsets[-1]))
-        self.atlas = Atlas(device, terrain, "diamonds", budget, self.tables)
+        landing = Landing(device, SIDES["diamonds"], 8)
+        self.atlas = Atlas(device, terrain, "diamonds", budget, self.tables, landing)
         self.levels = np.zeros((32, 4), np.uint32)
         for k, (rows, cols) in enumerate(shapes):
             self.levels[k, :3] = offsets[k], rows, cols
         self._offsets, self._across = offsets[:-1].astype(np.int64), np.array([cols for _, cols in shapes], np.int64)
         self._edges = _edges(vertices, self.tables)
-        self._streamer: Streamer[Literal["diamonds"], Key] = Streamer(
-            lambda kind, key: self._page(key), jobs or (REMOTE_READERS if terrain.remote else READERS)
+        self._streamer: Streamer[Literal["diamonds"], Key, Tile] = Streamer(
+            lambda kind, key: landing.land(self._page(key)), jobs or (REMOTE_READERS if terrain.remote else READERS)
         )
         self._frame = 0
         self._lacking: list[Key] = []
