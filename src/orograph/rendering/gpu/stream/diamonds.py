@@ -71,6 +71,7 @@ class DiamondPages:
         )
         self._frame = 0
         self._lacking: list[Key] = []
+        self._asked: tuple[Patches, Any] | None = None
         self.bound, self.moved = 0.0, 0
         top = vertices.top
         rows, cols = shapes[top]
@@ -82,7 +83,6 @@ class DiamondPages:
         Args:
             patches: of the view, as fine as the tree is to be. beyond: pixels of error that a tree surely keeps whole.
         """
-        self._frame += 1
         count, end = 0, time.perf_counter() + UPLOADING
         while count < UPLOAD and (not count or time.perf_counter() < end):
             taken = self._streamer.take(1)
@@ -93,6 +93,11 @@ class DiamondPages:
             self.atlas.insert(key, data, self._frame - 1)
             count += 1
         self.atlas.flush()
+        asked = view, tolerance, exaggeration, beyond, self.atlas.changes
+        if self._asked is not None and self._asked[0] is patches and self._asked[1] == asked and not self._lacking:
+            return count > 0
+        self._asked = patches, asked
+        self._frame += 1
         keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration, beyond)
         self._lacking = keys[:ASK]
         self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
@@ -108,7 +113,7 @@ class DiamondPages:
         keys, _ = self._lacking_of(view, patches, tolerance, exaggeration)
         self._load(keys[: self.atlas.room])
         self._lacking_of(view, patches, tolerance, exaggeration)
-        self._lacking = []
+        self._lacking, self._asked = [], None
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
         """Upload the pages that a tree looked for in vain; return how many fitted.
