@@ -31,11 +31,11 @@ def scene() -> Scene:
     return Scene.of(terrain, view, sky=True, tolerance=1.0)
 
 
-def drawn(device: Device) -> list[NDArray[np.uint8]]:
+def drawn(device: Device, method: str) -> list[NDArray[np.uint8]]:
     """Two frames in motion, and a picture of four samples."""
     from dataclasses import replace
 
-    one = scene()
+    one = scene().but(method=method)
     renderer = Renderer(device, one.terrain, gpu_memory=1 << 26)
     texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     other = one.but(view=replace(one.view, eye=(one.view.eye[0] + 5, *one.view.eye[1:])))
@@ -47,11 +47,12 @@ def drawn(device: Device) -> list[NDArray[np.uint8]]:
     return pictures
 
 
-def test_pictures_are_those_of_plain_passes(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    quick = drawn(device)
+@pytest.mark.parametrize("method", ["auto", "raycast"])  # (rays begin with a compute pass)
+def test_pictures_are_those_of_plain_passes(device: Device, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    quick = drawn(device, method)
     assert recording._FOUND[0] is not None  # it was recorded directly
     monkeypatch.setattr(recording, "_FOUND", [None])
-    plain = drawn(device)
+    plain = drawn(device, method)
     assert max(int(p.std()) for p in plain) > 10
     for a, b in zip(quick, plain, strict=True):
         np.testing.assert_array_equal(a, b)

@@ -272,7 +272,7 @@ class Device:
         with self._spared(label, size, remedy):
             if isinstance(data, int):
                 return self.handle.create_buffer(label=label, size=-(-data // 4) * 4, usage=flags)
-            if size < WRITTEN:
+            if size < WRITTEN or size % 4:
                 return self.handle.create_buffer_with_data(label=label, data=np.ascontiguousarray(data), usage=flags)
             made = self.handle.create_buffer(label=label, size=-(-size // 4) * 4, usage=flags)
             self.queue.write_buffer(made, 0, np.ascontiguousarray(data))

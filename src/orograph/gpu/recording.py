@@ -59,6 +59,12 @@ class Attachments:
         return encoder.begin_render_pass(color_attachments=colors, depth_stencil_attachment=depth or None)
 
 
+def begin_compute(encoder: Any) -> Any:
+    """Begin a compute pass of a command encoder of wgpu-py: a ``GPUComputePassEncoder``, or what does as it does."""
+    native = _native()
+    return encoder.begin_compute_pass() if native is None else native.begin_compute(encoder)
+
+
 def write(device: Device, buffer: Any, values: NDArray[Any] | bytes) -> None:
     """Write the beginning of a buffer: a contiguous array, or bytes; a multiple of 4."""
     native = _native()
@@ -68,11 +74,29 @@ def write(device: Device, buffer: Any, values: NDArray[Any] | bytes) -> None:
         native.write(device.queue, buffer, values)
 
 
+def copy_to_texture(
+    encoder: Any, buffer: Any, offset: int, row: int, texture: Any, origin: tuple[int, int, int], size: tuple[int, int]
+) -> None:  # fmt: skip
+    """Record a copy of texels (width, height) from a buffer into a layer of a texture.
+
+    Args:
+        offset: bytes where they begin. row: bytes from one row to the next. origin: x, y and layer.
+    """
+    native = _native()
+    if native is not None:
+        native.copy(encoder, buffer, offset, row, texture, origin, size)
+        return
+    encoder.copy_buffer_to_texture(
+        {"buffer": buffer, "offset": offset, "bytes_per_row": row, "rows_per_image": size[1]},
+        {"texture": texture, "origin": origin}, (*size, 1),
+    )  # fmt: skip
+
+
 class _Native:
     """wgpu-native's functions, as ``wgpu.backends.wgpu_native`` loads them.
 
     Attributes:
-        begin: begins a pass of an encoder. write: writes a buffer.
+        begin, begin_compute: begin a pass of an encoder. write: writes a buffer. copy: records a copy into a texture.
     """
 
     def __init__(self) -> None:
@@ -91,6 +115,31 @@ class _Native:
             data = from_buffer(values)
             write_buffer(queue._internal, buffer._internal, 0, data, len(data))
 
+        copied, source, target = (
+            lib.wgpuCommandEncoderCopyBufferToTexture, ffi.new("WGPUTexelCopyBufferInfo *"),
+            ffi.new("WGPUTexelCopyTextureInfo *"),
+        )  # fmt: skip
+        extent = ffi.new("WGPUExtent3D *")
+        target.aspect, extent.depthOrArrayLayers = lib.WGPUTextureAspect_All, 1
+
+        def copy(
+            encoder: Any, buffer: Any, offset: int, row: int, texture: Any, origin: tuple[int, int, int],
+            size: tuple[int, int],
+        ) -> None:  # fmt: skip
+            source.buffer, source.layout.offset = buffer._internal, offset
+            source.layout.bytesPerRow, source.layout.rowsPerImage = row, size[1]
+            target.texture = texture._internal
+            target.origin.x, target.origin.y, target.origin.z = origin
+            extent.width, extent.height = size
+            copied(encoder._internal, source, target, extent)
+
+        compute_, begin_compute_ = _compute_class(lib, checked, ffi), lib.wgpuCommandEncoderBeginComputePass
+
+        def begin_compute(encoder: Any) -> Any:
+            return compute_(begin_compute_(encoder._internal, ffi.NULL))
+
+        self.begin_compute: Callable[[Any], Any] = begin_compute
+        self.copy: Callable[..., None] = copy
         self.begin: Callable[[Any, Any], Any] = begin
         self.write: Callable[[Any, Any, Any], None] = write
 
@@ -185,6 +234,49 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
                 let_go(self._internal)
 
     return Pass
+
+
+def _compute_class(lib: Any, checked: Any, ffi: Any) -> type:
+    """As ``_pass_class``, of compute passes."""
+    pipeline, group, dispatch, dispatch_indirect, let_go = (
+        lib.wgpuComputePassEncoderSetPipeline, lib.wgpuComputePassEncoderSetBindGroup,
+        lib.wgpuComputePassEncoderDispatchWorkgroups, lib.wgpuComputePassEncoderDispatchWorkgroupsIndirect,
+        lib.wgpuComputePassEncoderRelease,
+    )  # fmt: skip
+    end, null = checked.wgpuComputePassEncoderEnd, ffi.NULL
+
+    class Compute:
+        """A pass being recorded; the methods are ``GPUComputePassEncoder``'s."""
+
+        __slots__ = ("_internal",)
+
+        def __init__(self, internal: Any) -> None:
+            self._internal = internal
+
+        def set_pipeline(self, which: Any) -> None:
+            pipeline(self._internal, which._internal)
+
+        def set_bind_group(self, index: int, which: Any) -> None:
+            group(self._internal, index, which._internal, 0, null)
+
+        def dispatch_workgroups(self, x: int, y: int = 1, z: int = 1) -> None:
+            dispatch(self._internal, x, y, z)
+
+        def dispatch_workgroups_indirect(self, buffer: Any, offset: int) -> None:
+            dispatch_indirect(self._internal, buffer._internal, offset)
+
+        def end(self) -> None:
+            internal, self._internal = self._internal, None
+            try:
+                end(internal)
+            finally:
+                let_go(internal)
+
+        def __del__(self) -> None:
+            if self._internal is not None:  # an error came before its end
+                let_go(self._internal)
+
+    return Compute
 
 
 _FOUND: list[_Native | None] = []

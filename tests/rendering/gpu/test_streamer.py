@@ -35,7 +35,7 @@ def store() -> Store:
     return Store()
 
 
-def run(streamer: Streamer[str, int], keys: list[int], seconds: float) -> set[int]:
+def run(streamer: Streamer[str, int, np.ndarray], keys: list[int], seconds: float) -> set[int]:
     """Frames that want tiles, the first most; those that came."""
     came: set[int] = set()
     end = time.monotonic() + seconds
@@ -52,7 +52,7 @@ def test_a_store_that_is_out_of_order_is_asked_for_a_few_tiles_and_comes_back(
     monkeypatch.setattr(Streamer, "RETRY", 0.4)
     keys = list(range(300))
     store.bad = set(keys)
-    streamer: Streamer[str, int] = Streamer(store.make, 2)
+    streamer: Streamer[str, int, np.ndarray] = Streamer(store.make, 2)
     try:
         assert run(streamer, keys, 0.3) == set()
         assert len(store.tried) < 3 * module.GIVEN_UP
@@ -68,7 +68,7 @@ def test_many_damaged_tiles_do_not_keep_others_from_being_read(store: Store, mon
     monkeypatch.setattr(Streamer, "RETRY", 0.2)
     keys = list(range(120))
     store.bad = set(range(60))  # those that are wanted most
-    streamer: Streamer[str, int] = Streamer(store.make, 2)
+    streamer: Streamer[str, int, np.ndarray] = Streamer(store.make, 2)
     try:
         assert run(streamer, keys, 15) >= set(range(60, 120))
     finally:

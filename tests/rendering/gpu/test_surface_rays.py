@@ -461,3 +461,38 @@ def test_frames_do_not_wait_for_windows(device: Device) -> None:
         assert patches.windows == 0 and patches.patches > 0
     finally:
         renderer.close()
+
+
+def test_tiles_of_heights_are_read_only_where_something_is_drawn_out_of_them(device: Device) -> None:
+    """Rays meet windows; lines are looked up in tiles. A view that stays has the same patches, until a tile comes."""
+    terrain = GROUNDS["nested windows"]()
+    renderer = Renderer(device, terrain)
+    target = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC").create_view()
+    eye = (*(float(v) for v in terrain.grid.xy(1200.0, 900.0)), 700.0)
+
+    def settled(scene: Scene) -> tuple[int, int]:
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            renderer.draw(target, "rgba8unorm", scene)
+            if not renderer.busy:
+                return renderer.heights.count, renderer.slopes.count
+            time.sleep(0.005)
+        raise AssertionError("it did not come to rest")
+
+    scene = Scene.of(terrain, look(eye, 20.0, -15.0, 2000.0), method="raycast", tolerance=1.0)
+    try:
+        heights, slopes = settled(scene)
+        turned = scene.but(view=look(eye, 200.0, -15.0, 2000.0))
+        there, more = settled(turned)
+        assert there == heights and more > slopes
+        assert settled(turned.but(contours=Contours(100.0)))[0] > there
+        plain = scene.but(method="auto")
+        settled(plain)
+        choose = lambda: renderer.tiles.choose(plain.view, 1.0, 1.0, wait=False).patches  # noqa: E731
+        same = choose()
+        assert choose() is same
+        renderer.heights.changes += 1
+        other = choose()
+        assert other is not same and np.array_equal(other.instances, same.instances)
+    finally:
+        renderer.close()

@@ -14,7 +14,7 @@ import numpy as np
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import KEEP, Attachments, write
+from orograph.gpu.recording import KEEP, Attachments, begin_compute, write
 from orograph.rendering.gpu.shade.ray_field import RayBindings
 from orograph.rendering.gpu.shade.ssao import Ssao
 from orograph.rendering.gpu.shade.tracing import TRACED
@@ -170,7 +170,7 @@ class ShadePass:
         """As ``draw``: a first frame's light goes to the target, that of others aside and is then blended."""
         view = targets.newest_view(self.device) if frame else targets.light_view
         write(self.device, self._part, np.array(part, np.uint32))
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         pass_.set_pipeline(self.pipeline(flags, *COMPUTED))
         self.set_groups(pass_, view, group, flags)
         pass_.dispatch_workgroups(-(-part[2] // 8), -(-part[3] // 8))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.rendering.gpu.stream.landing import Landed, Landing, Tile
 from orograph.slots import HELD, Slots
 
 PER_SIDE = 4
@@ -26,13 +27,17 @@ class TileAtlas:
     Args:
         side: of a tile, texels. format, size: of a texel, and its bytes.
         budget: bytes of the texture. most: how many tiles there are in all; no more places are made.
+        landing: where tiles land, if any do.
 
     Attributes:
         texture: layers of 4 × 4 tiles. capacity: how many tiles fit. bytes: of the texture.
     """
 
-    def __init__(self, device: Device, side: int, format: str, size: int, budget: int, most: int, label: str) -> None:
-        self.device, self.side = device, side
+    def __init__(
+        self, device: Device, side: int, format: str, size: int, budget: int, most: int, label: str,
+        landing: Landing | None = None,
+    ) -> None:  # fmt: skip
+        self.device, self.side, self.landing = device, side, landing
         self._row = side * size
         layer = (PER_SIDE * side) ** 2 * size
         layers = int(max(1, min(budget // layer, 256, -(-most // PER_SIDE**2))))
@@ -82,8 +87,9 @@ class TileAtlas:
         """The number of slots for tiles that are not pinned."""
         return self._slots.room(HELD)
 
-    def put(self, key: Any, data: NDArray[Any], frame: int, *, pin: bool = False) -> tuple[int, Any]:
-        """Upload an absent tile; return its slot and the key of the tile that it replaced, or None.
+    def put(self, key: Any, data: Tile, frame: int, *, pin: bool = False) -> tuple[int, Any]:
+        """Upload an absent tile (one that landed is there after ``Landing.settle``); return its slot and the key of the
+        tile that it replaced, or None.
 
         The slot is −1 if all slots hold tiles that this frame wants.
         """
@@ -93,16 +99,21 @@ class TileAtlas:
             self._slots.last[slot] = HELD if pin else frame
         return slot, before
 
-    def replace(self, key: Any, data: NDArray[Any]) -> None:
+    def replace(self, key: Any, data: Tile) -> None:
         """Upload a tile again under the same key."""
         self._write(self._slots.find(key), data)
 
-    def _write(self, slot: int, data: NDArray[Any]) -> None:
+    def _write(self, slot: int, data: Tile) -> None:
         layer, place = divmod(slot, PER_SIDE**2)
         y, x = divmod(place, PER_SIDE)
+        origin = x * self.side, y * self.side, layer
+        if isinstance(data, Landed):
+            assert self.landing is not None
+            self.landing.copy(data, self.texture, origin, self.side, self._clearing)
+            return
         with self._clearing:
             self.device.queue.write_texture(
-                {"texture": self.texture, "origin": (x * self.side, y * self.side, layer)},
+                {"texture": self.texture, "origin": origin},
                 np.ascontiguousarray(data),
                 {"bytes_per_row": self._row, "rows_per_image": self.side},
                 (self.side, self.side, 1),

@@ -2,11 +2,11 @@
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
 height, an error, the radius of its sphere, and whether its sample is missing, in 8 bytes (``packed``). Wanted are the
-pages of the tiles out of which patches take away an error larger than the tolerance, for a tree splits nothing that
-patches do not (and patches, which grow, begin at smaller errors), and those of coarser levels there; and where ground
-and missing ground share a tile, whose edge a tree follows to the sample, those whose samples are larger than the
-tolerance. A picture that waits asks the tree itself, too (``take_asked``): then
-it follows such edges to the end. The coarsest pages never leave. Pixels.
+pages of all tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do
+not, and those of coarser levels there; in motion only of tiles that take away more than the tolerance, for patches,
+which grow, begin at smaller errors. Where ground and missing ground share a tile, whose edge a tree follows to the
+sample, wanted are those whose samples are larger than the tolerance. A picture that waits asks the tree itself, too
+(``take_asked``): then it follows such edges to the end. The coarsest pages never leave. Pixels.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
 from orograph.gpu.device import Device
 from orograph.lod.field import Vertices
 from orograph.lod.triangle_patches import Patches
 from orograph.parallel import map_ordered
 from orograph.raycast.select import tile_boxes
+from orograph.rendering.gpu.stream.landing import Landing, Tile
 from orograph.rendering.gpu.stream.residency import ASK, READERS, REMOTE_READERS, UPLOAD, UPLOADING
 from orograph.rendering.gpu.stream.streamer import Streamer
-from orograph.rendering.gpu.stream.tiles import Atlas, Key, Tables
+from orograph.rendering.gpu.stream.tiles import SIDES, Atlas, Key, Tables
 from orograph.rendering.gpu.stream.wanted import Tree
 from orograph.store.terrain import TILE
 from orograph.viewpoint import View
@@ -59,29 +59,30 @@ class DiamondPages:
         shapes = [(max(1, -(-(r - 1) // TILE)), max(1, -(-(c - 1) // TILE))) for r, c in vertices.shapes]
         offsets = np.concatenate([[0], np.cumsum([rows * cols for rows, cols in shapes])])
         self.tables = Tables(offsets[:-1].tolist(), shapes, int(offsets[-1]))
-        self.atlas = Atlas(device, terrain, "diamonds", budget, self.tables)
+        landing = Landing(device, SIDES["diamonds"], 8)
+        self.atlas = Atlas(device, terrain, "diamonds", budget, self.tables, landing)
         self.levels = np.zeros((32, 4), np.uint32)
         for k, (rows, cols) in enumerate(shapes):
             self.levels[k, :3] = offsets[k], rows, cols
         self._offsets, self._across = offsets[:-1].astype(np.int64), np.array([cols for _, cols in shapes], np.int64)
         self._edges = _edges(vertices, self.tables)
-        self._streamer: Streamer[Literal["diamonds"], Key] = Streamer(
-            lambda kind, key: self._page(key), jobs or (REMOTE_READERS if terrain.remote else READERS)
+        self._streamer: Streamer[Literal["diamonds"], Key, Tile] = Streamer(
+            lambda kind, key: landing.land(self._page(key)), jobs or (REMOTE_READERS if terrain.remote else READERS)
         )
         self._frame = 0
         self._lacking: list[Key] = []
+        self._asked: tuple[Patches, Any] | None = None
         self.bound, self.moved = 0.0, 0
         top = vertices.top
         rows, cols = shapes[top]
         self._load([(top, i, j) for i in range(rows) for j in range(cols)], pin=True)
 
-    def choose(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> bool:
+    def choose(self, view: View, patches: Patches, tolerance: float, exaggeration: float, beyond: float = 0.0) -> bool:
         """Request the pages of a view, and upload those already read; return whether there were any.
 
         Args:
-            patches: of the view, as fine as the tree is to be.
+            patches: of the view, as fine as the tree is to be. beyond: pixels of error that a tree surely keeps whole.
         """
-        self._frame += 1
         count, end = 0, time.perf_counter() + UPLOADING
         while count < UPLOAD and (not count or time.perf_counter() < end):
             taken = self._streamer.take(1)
@@ -92,7 +93,12 @@ class DiamondPages:
             self.atlas.insert(key, data, self._frame - 1)
             count += 1
         self.atlas.flush()
-        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration, beyond=tolerance)
+        asked = view, tolerance, exaggeration, beyond, self.atlas.changes
+        if self._asked is not None and self._asked[0] is patches and self._asked[1] == asked and not self._lacking:
+            return count > 0
+        self._asked = patches, asked
+        self._frame += 1
+        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration, beyond)
         self._lacking = keys[:ASK]
         self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
         return count > 0
@@ -107,7 +113,7 @@ class DiamondPages:
         keys, _ = self._lacking_of(view, patches, tolerance, exaggeration)
         self._load(keys[: self.atlas.room])
         self._lacking_of(view, patches, tolerance, exaggeration)
-        self._lacking = []
+        self._lacking, self._asked = [], None
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
         """Upload the pages that a tree looked for in vain; return how many fitted.
@@ -199,27 +205,16 @@ def packed(page: NDArray[np.float32]) -> NDArray[np.uint32]:
     The first number is the height's float32. The second has the error in its lower 15 bits and the radius in the next
     15, both rounded up by less than a part in 1024; then ``EMPTY`` and ``MISSING``.
     """
+    bits = page.view(np.int32)
     out = np.empty((*page.shape[:-1], 2), np.uint32)
-    _pack(page.reshape(-1, 4), page.view(np.int32).reshape(-1, 4), out.reshape(-1, 2))
+    out[..., 0], code = page[..., 0].view(np.uint32), np.zeros(page.shape[:-1], np.int32)
+    for k, least in enumerate(LEAST):
+        part = np.clip((bits[..., 1 + k] - least + (1 << BITS) - 1) >> BITS, 1, INFINITE)
+        code |= np.where(page[..., 1 + k] > 0, part, 0) << 15 * k  # (0 is for none)
+    out[..., 1] = code.view(np.uint32)
+    out[..., 1] |= np.where(page[..., 2] < 0, EMPTY, 0).astype(np.uint32)
+    out[..., 1] |= np.where(page[..., 3] < 0, MISSING, 0).astype(np.uint32)
     return out
-
-
-@kernel
-def _pack(page, bits, out):
-    for i in range(len(page)):
-        out[i, 0] = np.uint32(bits[i, 0])
-        code = np.int64(0)
-        for k in range(1, 3):
-            part = np.int64(0)
-            if page[i, k] > 0.0:  # (0 is for none)
-                part = (np.int64(bits[i, k]) - LEAST[k - 1] + (1 << BITS) - 1) >> BITS
-                part = min(max(part, 1), INFINITE)
-            code |= part << (15 * (k - 1))
-        if page[i, 2] < 0.0:
-            code |= EMPTY
-        if page[i, 3] < 0.0:
-            code |= MISSING
-        out[i, 1] = np.uint32(code)
 
 
 def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:

@@ -113,7 +113,7 @@ class Imagery:
         self.progress = SILENT
         self._held: dict[Layer, Held] = {}
         self._atlas: TileAtlas | None = None
-        self._streamer: Streamer[Layer, int] | None = None
+        self._streamer: Streamer[Layer, int, NDArray[Any]] | None = None
         self._sheets: dict[Layer, ImageTiles] = {}
         self._buffer: Any = None
         self._frame = 0

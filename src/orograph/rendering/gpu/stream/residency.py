@@ -21,16 +21,17 @@ from orograph.errors import StoreError
 from orograph.gpu.device import Device
 from orograph.lod.method import Ready, Resources
 from orograph.lod.triangle_patches import Patches, TrianglePatches
+from orograph.rendering.gpu.stream.landing import Landing, Tile
 from orograph.rendering.gpu.stream.prediction import Prediction
 from orograph.rendering.gpu.stream.streamer import Streamer
-from orograph.rendering.gpu.stream.tiles import Atlas, Key, Kind, height_tile, make_tile, slope_tile
+from orograph.rendering.gpu.stream.tiles import SIDES, Atlas, Key, Kind, height_tile, make_tile, slope_tile
 from orograph.rendering.gpu.stream.wanted import SlopeTiles
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
 
-UPLOAD = 16
+UPLOAD = 32
 """The most tiles uploaded to the GPU in a frame, …"""
 
 UPLOADING = 0.002
@@ -83,12 +84,14 @@ class Residency:
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
         self.terrain = terrain
         self.method = TrianglePatches(terrain, resources=Resources(memory, jobs))
-        self.heights = Atlas(device, terrain, "heights", gpu_memory // 2)
-        self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
+        landing = Landing(device, SIDES["slopes"], 4)
+        self.heights = Atlas(device, terrain, "heights", gpu_memory // 2, landing=landing)
+        self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2, landing=landing)
         self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
         self._slope_tiles = SlopeTiles(terrain)
-        self.streamer: Streamer[Kind, Key] = Streamer(
-            lambda kind, key: make_tile(terrain, kind, key), jobs or (REMOTE_READERS if terrain.remote else READERS)
+        self.streamer: Streamer[Kind, Key, Tile] = Streamer(
+            lambda kind, key: landing.land(make_tile(terrain, kind, key)),
+            jobs or (REMOTE_READERS if terrain.remote else READERS),
         )
         self.look_ahead = True
         self._prediction = Prediction()

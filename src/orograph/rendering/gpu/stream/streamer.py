@@ -10,9 +10,7 @@ import heapq
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, TypeVar
-
-from numpy.typing import NDArray
+from typing import Generic, TypeVar
 
 from orograph.errors import OrographError
 
@@ -20,6 +18,8 @@ K = TypeVar("K")
 """Kinds of tiles."""
 T = TypeVar("T")
 """Keys of tiles."""
+D = TypeVar("D")
+"""Tiles as they are made."""
 
 AHEAD = 64
 """The most tiles that are read but not yet taken; then threads wait."""
@@ -32,7 +32,7 @@ FIRST = 0.1
 """Of the time until failed tiles are asked for again, the part by which those come sooner that were not tried."""
 
 
-class Streamer(Generic[K, T]):
+class Streamer(Generic[K, T, D]):
     """Threads that read tiles in the order of their priority.
 
     Args:
@@ -45,12 +45,12 @@ class Streamer(Generic[K, T]):
 
     RETRY = 5.0
 
-    def __init__(self, make: Callable[[K, T], NDArray[Any]], jobs: int = 2) -> None:
+    def __init__(self, make: Callable[[K, T], D], jobs: int = 2) -> None:
         self.make = make
         self.failed: dict[tuple[K, T], tuple[float, str]] = {}
         self._heap: list[tuple[float, int, K, T]] = []
         self._busy: set[tuple[K, T]] = set()
-        self._ready: list[tuple[K, T, NDArray[Any]]] = []
+        self._ready: list[tuple[K, T, D]] = []
         self._condition = threading.Condition()
         self._closed = False
         self._failures = 0
@@ -77,7 +77,7 @@ class Streamer(Generic[K, T]):
             if self._heap:
                 self._condition.notify_all()
 
-    def take(self, most: int) -> list[tuple[K, T, NDArray[Any]]]:
+    def take(self, most: int) -> list[tuple[K, T, D]]:
         """Up to ``most`` tiles that have been read."""
         if not self._ready:
             return []
@@ -119,7 +119,7 @@ class Streamer(Generic[K, T]):
                     return
                 _, _, kind, key = heapq.heappop(self._heap)
                 self._busy.add((kind, key))
-            data: NDArray[Any] | None = None
+            data: D | None = None
             error = ""
             try:
                 data = self.make(kind, key)

@@ -28,6 +28,7 @@ from orograph._numba import kernel
 from orograph.gpu.device import Device
 from orograph.lighting.normal import central
 from orograph.rendering.gpu.stream.atlas import TileAtlas
+from orograph.rendering.gpu.stream.landing import Landing, Tile
 from orograph.store.terrain import TILE, Terrain, tile_shape
 
 Kind = Literal["heights", "slopes", "diamonds"]
@@ -210,11 +211,12 @@ class Atlas(TileAtlas):
     """
 
     def __init__(
-        self, device: Device, terrain: Terrain, kind: Kind, budget: int, tables: Tables | None = None
+        self, device: Device, terrain: Terrain, kind: Kind, budget: int, tables: Tables | None = None,
+        landing: Landing | None = None,
     ) -> None:  # fmt: skip
         self.kind = kind
         self.tables = tables or Tables.of(terrain)
-        super().__init__(device, SIDES[kind], *_FORMATS[kind], budget, self.tables.total, kind)
+        super().__init__(device, SIDES[kind], *_FORMATS[kind], budget, self.tables.total, kind, landing)
         self.pages: NDArray[np.uint32] = np.zeros(self.tables.total, np.uint32)
         self.page_buffer = device.buffer(self.pages, "STORAGE", f"{kind} pages")
         self.resident: NDArray[np.uint8] = np.zeros(self.tables.total, np.uint8)
@@ -228,20 +230,23 @@ class Atlas(TileAtlas):
         self.touch(pages.view(np.int32) - np.int32(1), frame)
         return lack
 
-    def insert(self, key: Key, data: NDArray[Any], frame: int, *, pin: bool = False) -> bool:
+    def insert(self, key: Key, data: Tile, frame: int, *, pin: bool = False) -> bool:
         """Upload a tile; False if all slots hold tiles that this frame wants."""
-        if self.slot(key) >= 0:
-            return True
-        slot, before = self.put(key, data, frame, pin=pin)
+        there = self.slot(key) >= 0
+        slot, before = (-1, None) if there else self.put(key, data, frame, pin=pin)
         if slot < 0:
-            return False
+            if self.landing is not None:
+                self.landing.give_back(data)
+            return there
         if before is not None:
             self._mark(before, 0)
         self._mark(key, slot + 1)
         return True
 
     def flush(self) -> None:
-        """Bring the page table to the GPU if it changed."""
+        """Have tiles copied that landed, and bring the page table to the GPU if it changed."""
+        if self.landing is not None:
+            self.landing.settle()
         if self._flushed != self.changes:
             self.device.queue.write_buffer(self.page_buffer, 0, self.pages)
             self._flushed = self.changes

@@ -8,6 +8,8 @@ coarsest level first; a view is one pass over them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -81,14 +83,17 @@ class Tree:
         across, down = terrain.chart.least_steps
         self._steps = float(across), float(down)
         n = len(sizes)
+        self._found: tuple[Any, tuple[NDArray[np.int64], Array]] | None = None
         self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
 
     def of(self, view: View, exaggeration: float, *, pixels: float = 1.0) -> tuple[NDArray[np.int64], Array]:
-        """The tiles wanted: which, and how many pixels their parents' samples are large.
+        """The tiles wanted: which, and how many pixels their parents' samples are large; not to be written to.
 
         Args:
             pixels: how large samples may be.
         """
+        if self._found is not None and self._found[0] == (view, exaggeration, pixels):
+            return self._found[1]
         planes = np.array(self.terrain.chart.planes(view.frustum(exaggeration).tolist(), exaggeration))
         col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
         plan = view.projection == "plan"
@@ -98,7 +103,8 @@ class Tree:
             self._grow, self._priority, self._out,
         )  # fmt: skip
         found = self._out[:count].copy()
-        return found, self._priority[found]
+        self._found = (view, exaggeration, pixels), (found, self._priority[found])
+        return self._found[1]
 
 
 class SlopeTiles(Tree):

@@ -173,6 +173,7 @@ class Ground:
         self._selected = Selected(terrain, own, self._have)
         self._growing = Growing(device, terrain, 2 * most, jobs)
         self._drawn: Drawn | None = None
+        self._known: tuple[Any, tuple[bool, Choice | None]] | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
         """What a frame of a scene draws.
@@ -185,16 +186,16 @@ class Ground:
             OrographError: with ``wait``, a tile cannot be read or the method cannot do it.
         """
         view, surface = scene.view, scene.surface
+        own, alive = self._kind(scene)
+        camera = freeze or surface.mesh_view or view
         chosen = self.tiles.choose(
-            freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True,
-            drawn=wait or streamed(scene) or self._of_tiles(scene),
+            camera, tolerance, surface.exaggeration, wait=wait, later=True, drawn=wait or own or self._of_tiles(scene)
         )  # fmt: skip
-        alive, camera = None if streamed(scene) else _living(scene), freeze or surface.mesh_view or view
         if alive is None:
             self._growing.none()
         else:
             (self._growing.at_once if wait else self._growing.aside)(scene, camera, alive, chosen.patches)
-        if alive is not None or streamed(scene):
+        if alive is not None or own:
             self._selected.none()
         elif wait or not self._mixes or self._mixer.look():
             have = self._selected.at_once if wait else self._selected.aside
@@ -270,7 +271,17 @@ class Ground:
 
     def current(self, scene: Scene) -> bool:
         """Whether what is drawn is what the scene asked for; patches always are."""
-        return streamed(scene) or (self._growing if _living(scene) else self._selected).current
+        own, alive = self._kind(scene)
+        return own or (self._selected if alive is None else self._growing).current
+
+    def _kind(self, scene: Scene) -> tuple[bool, Choice | None]:
+        """Whether the terrain's own patches are drawn, and the method of a scene if it lives on the GPU; told anew when
+        another method is asked for."""
+        key = scene.surface.method, scene.surface.triangles
+        if self._known is None or self._known[0] != key:
+            own = streamed(scene)
+            self._known = key, (own, None if own else _living(scene))
+        return self._known[1]
 
     def close(self) -> None:
         """Stop reading and selecting."""

@@ -156,7 +156,8 @@ class Growing:
         there, asked = self._planted, (view, *_goal(scene))
         _, tolerance, exaggeration = asked
         moved = there.pages.moved
-        if there.pages.choose(view, patches, tolerance, exaggeration) or asked != self._asked:
+        beyond = 0.0 if there.tree.isotropic else tolerance  # (patches' metric is the anisotropic one)
+        if there.pages.choose(view, patches, tolerance, exaggeration, beyond) or asked != self._asked:
             self._asked, self._left = asked, self.settling
         self.came = there.pages.moved - moved
         if self._left > 0:

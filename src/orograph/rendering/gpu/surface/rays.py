@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
 from orograph.gpu.read_aside import read_aside
-from orograph.gpu.recording import write
+from orograph.gpu.recording import begin_compute, write
 from orograph.lod.selection import RaySurface
 from orograph.rendering.gpu.camera import CAMERA
 from orograph.rendering.gpu.surface.left import Left
@@ -69,7 +69,7 @@ class Beams:
             self._held = pool, starts, (
                 seen, self._program.bind({"stack": stack, "pool": pool, "starts": starts}, 1)
             )  # fmt: skip
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         pass_.set_pipeline(self._pipeline)
         for k, group in enumerate(self._held[2]):
             pass_.set_bind_group(k, group)
@@ -98,7 +98,7 @@ class Breaks:
             "depths": targets.depth_view, "marks": targets.marks_view, "light": targets.light_view,
             "breaks": self.found,
         }  # fmt: skip
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         pass_.set_pipeline(self._pipelines[plan])
         pass_.set_bind_group(0, program.bind(bound))
         pass_.dispatch_workgroups(*(-(-n // 8) for n in size))
@@ -181,7 +181,7 @@ class RayPass:
             self._compute(encoder, slopes, "blocks", side, (count, side // 8, side // 8))
 
     def _compute(self, encoder: Any, slopes: bool, what: str, side: int, groups: tuple[int, ...]) -> None:
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         self._record(pass_, slopes, what, side)
         pass_.dispatch_workgroups(*groups)
         pass_.end()
@@ -246,7 +246,7 @@ class RaySteps:
         self._beams.encode(encoder, self._camera, self._stack, windows.pool, (width, height))
         starts = self._beams.starts((width, height))
         bound = {"stack": self._stack, "pool": windows.pool, "starts": starts, "found": found}
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         pass_.set_pipeline(self._pipeline)
         pass_.set_bind_group(0, self._program.bind({"camera": self._camera}))
         pass_.set_bind_group(1, self._program.bind(bound, 1))

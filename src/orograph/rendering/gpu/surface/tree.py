@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from orograph.error.screen import camera_parameters
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import write
+from orograph.gpu.recording import begin_compute, write
 from orograph.hierarchy import triangles
 from orograph.lod.cbt.pool import Pool
 from orograph.lod.selection import Selection
@@ -133,6 +133,7 @@ class Tree:
         self._camera = made(CAMERA.itemsize, "UNIFORM", "camera of a tree")
         self._tuning = made(TUNING.itemsize, "UNIFORM", "tuning of a tree")
         self._turn = self._due = 0
+        self._aimed: tuple[View, float, float] | None = None
         program, sums = Program(device, "cbt"), Program(device, "cbt_sums", WORDS=words)
         self._groups = [program.bind(self._bound(k)) for k in range(2)]
         self._adding = sums.bind({"bits": self.bits, "sums": self.sums, "arguments": self.arguments})
@@ -140,7 +141,7 @@ class Tree:
         self._add = [sums.compute(name) for name in ("blocks", "top")]
         self._blocks = words // 512
         encoder = device.handle.create_command_encoder()
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         self._sum(pass_)
         pass_.end()
         device.queue.submit([encoder.finish()])
@@ -166,8 +167,10 @@ class Tree:
         Args:
             tolerance: pixels.
         """
-        write(self.device, self._camera, camera_of(view, self.terrain, exaggeration))
-        write(self.device, self._tuning, self._tuned(view, tolerance, exaggeration))
+        if self._aimed != (view, tolerance, exaggeration):
+            write(self.device, self._camera, camera_of(view, self.terrain, exaggeration))
+            write(self.device, self._tuning, self._tuned(view, tolerance, exaggeration))
+            self._aimed = view, tolerance, exaggeration
         self._due = count
 
     def encode(self, encoder: Any) -> None:
@@ -175,7 +178,7 @@ class Tree:
         count, self._due = self._due, 0
         if not count:
             return
-        pass_ = encoder.begin_compute_pass()
+        pass_ = begin_compute(encoder)
         self._step(pass_, "judge")
         for _ in range(count):
             for name in ("mark", "plan", "apply"):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.gpu.recording import Attachments, write
+from orograph.gpu.recording import Attachments, begin_compute, write
 from orograph.rendering.gpu.camera import axes_of
 from orograph.rendering.gpu.targets import EMPTY, LIGHT, Targets
 from orograph.scene.scene import Scene
@@ -120,7 +120,7 @@ class TemporalAntialiasing:
         self._turn = 1 - self._turn
         self._tick += 1
         computes = self.device.computes
-        pass_ = encoder.begin_compute_pass() if computes else self._onto[self._turn].begin(encoder)
+        pass_ = begin_compute(encoder) if computes else self._onto[self._turn].begin(encoder)
         pass_.set_pipeline(self._pipeline)
         pass_.set_bind_group(0, self._camera)
         pass_.set_bind_group(1, self._groups[self._turn])
