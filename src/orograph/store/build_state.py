@@ -32,12 +32,12 @@ class BuildRecipe(NamedTuple):
     """Everything that workers get once.
 
     Attributes:
-        url: where the store is made. storage_options: for the bucket (obstore's), in addition to the environment.
-        plan: of the build. coding: how heights are encoded. begun: the plan, as stored at the key ``at``.
-        keyed: as of ``Digests``: of updates in buckets.
-        files, options: of the source (``inputs.opened``).
-        levels: of the groups of heights and errors; 0: none.
-        memory: bytes that a task may take, in addition to ``base`` of the process.
+        url: where the store is built. storage_options: for the bucket (obstore's), in addition to the environment.
+        plan: the plan of the build. coding: how heights are encoded. begun: the plan, as stored at the key ``at``.
+        keyed: see ``Digests``; set for updates in buckets.
+        files, options: the source (``inputs.opened``).
+        levels: levels of the groups of heights and errors; 0: none.
+        memory: bytes that a task may take, in addition to ``base`` for the process.
     """
 
     url: str
@@ -61,7 +61,7 @@ def recipe_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at: str, memory: int, base: int,
 ) -> BuildRecipe:  # fmt: skip
-    """The recipe of a build without groups, whose plan lies in the storage at the key ``at``.
+    """Return the recipe of a build without groups, whose plan is stored at the key ``at``.
 
     Raises:
         UsageError: the heights are not in files, or the store would be in this process's memory.
@@ -87,7 +87,7 @@ class BuildState:
     """What one process of a cluster needs for a build.
 
     Attributes:
-        making: the QuadTIN that is made (``quadtin_grow.Making``), if one is.
+        making: the QuadTIN being built (``quadtin_grow.Making``), if any.
     """
 
     def __init__(self, recipe: BuildRecipe) -> None:
@@ -102,7 +102,7 @@ class BuildState:
         self._stages: dict[tuple[str, int], Stage[Any]] = {}
 
     def stage(self, name: str, number: int) -> Stage[Any]:
-        """A stage."""
+        """Return a stage."""
         if (name, number) not in self._stages:
             writer, keyed = ShardWriter(self.storage), self.recipe.keyed
             writer.digests = Digests.from_json(json.loads(self.storage.get(KNOWN) or b"{}"), keyed)
@@ -118,7 +118,7 @@ class BuildState:
         """The source, opened here.
 
         Raises:
-            StoreError: its files are not those that the build was begun with.
+            StoreError: its files are not those with which the build began.
         """
         if self._raster is None:
             from orograph.store.inputs import opened

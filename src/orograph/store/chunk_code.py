@@ -1,4 +1,4 @@
-"""Chunks' meshes in few bytes that a GPU can decode: bits of splits level by level, quantised heights.
+"""Meshes of chunks in a compressed form that a GPU can decode: split bits level by level, quantised heights.
 
 After Dick, Schneider & Westermann, *Efficient Geometry Compression for GPU-based Decoding in Realtime Terrain
 Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, whose positions follow from how
@@ -8,16 +8,16 @@ are halved at once, and prefix sums tell each where its bit, its vertex and its 
 chunk, and no chain of look-ups is longer than the tree is deep. The next coarser mesh, to which vertices move, is
 encoded too.
 
-*Words* (uint32) of a chunk: 15 of ``HEADER``, then, each filled up to whole words: a bit for each owner of a
-hypotenuse (``chunk_code_kernels``) in each level but the finest, whether it is split; a bit for each vertex but the
-corners, whether the coarser mesh has it; with ``VOIDS`` a bit for each vertex, whether it is missing; a byte for each
-``BLOCK`` vertices but the corners, the bits of their steps; how low the skirt hangs below the vertices on the chunk's
-sides, in ``drop`` bits each: 0, none does, or 1 + steps; the vertices' steps (zigzag); with ``VOIDS`` a bit for each
-node, whether it has no ground. Vertices are in the order in which levels make them. All arithmetic is of int32.
+*Words* (uint32) of a chunk: 15 of ``HEADER``, then the following, each padded to whole words. A bit for each owner of a
+hypotenuse (``chunk_code_kernels``) in each level but the finest: whether it is split. A bit for each vertex but the
+corners: whether the coarser mesh has it. With ``VOIDS``, a bit for each vertex: whether it is missing. A byte for each
+``BLOCK`` vertices but the corners: the bit length of their steps. How far the skirt hangs below the vertices on the
+chunk's sides, in ``drop`` bits each: 0 for no skirt, or 1 + steps. The vertices' steps (zigzag). With ``VOIDS``, a bit
+for each node: whether it has no ground. Vertices are in the order in which the levels create them. All is int32.
 
-A *step* is a power of two, in metres: the largest of which all heights of the chunk are multiples, up to 1 km, or the
-terrain's own (``step_of``). Then heights are off by half of it at most. It is one lattice for all chunks, so those of
-one level still fit.
+A *step* is a power of two in metres: the largest of which all heights of the chunk are multiples, up to 1 km; or the
+terrain's own (``step_of``), with which heights are off by half a step at most. All chunks share one lattice, so those
+of one level still fit together.
 """
 
 from __future__ import annotations
@@ -45,30 +45,30 @@ HEADER = (
     "vertices", "triangles", "hung", "widest", "bits", "sides", "flags", "height0", "height1", "height2", "height3",
     "coarse0", "coarse1", "coarse2", "coarse3",
 )  # fmt: skip
-"""Of a chunk: vertices, triangles, edges that a skirt hangs from, the nodes of the largest level, bits of splits,
+"""Of a chunk: the numbers of vertices, triangles, edges with a skirt, nodes of the largest level, bits of splits, and
 vertices on its sides; ``flags``: 64 + log2 of the step (8 bits), ``drop`` (8 bits), ``VOIDS``, ``EXACT``; the corners'
-heights in steps, and in the coarser mesh in ``PARTS`` of a step."""
+heights in steps, and those in the coarser mesh in ``PARTS`` of a step."""
 
 VOIDS, EXACT = 1 << 16, 1 << 17
 """Flags: heights may be missing; heights are exact."""
 
 BLOCK = 16
-"""Vertices whose steps have the same number of bits."""
+"""Number of vertices whose steps have the same bit length."""
 
 FINER = 4
 """The error of the finest chunks is at least this many steps."""
 
 MOST = 1 << 18
-"""Heights are fewer steps than this, so that their parts are also whole numbers in float32."""
+"""Heights are below this many steps, so that ``PARTS`` of them are also whole numbers in float32."""
 
 
 class Decoded(NamedTuple):
     """A chunk's mesh in integers.
 
     Attributes:
-        places: (v, 2) int64, rows and columns, not squeezed. heights, targets, low: (v,) int32: steps; in the coarser
-            mesh, ``PARTS`` of a step; where the skirt ends, steps; ``MISSING`` where there is none.
-        triangles: (t, 3) int32. step: metres. exact: whether no height is off.
+        places: (v, 2) int64, rows and columns, not squeezed. heights, targets, low: (v,) int32: heights in steps; in
+            the coarser mesh, in ``PARTS`` of a step; the skirt's lower end in steps; ``MISSING`` where there is none.
+        triangles: (t, 3) int32. step: metres. exact: whether all heights are exact.
     """
 
     places: Corners
@@ -81,20 +81,20 @@ class Decoded(NamedTuple):
 
 
 def step_of(error: float, highest: float) -> float:
-    """The step of a terrain, metres.
+    """Return the step of a terrain, metres.
 
     Args:
-        error: of its finest chunks, metres. highest: no height is farther from 0, metres.
+        error: the error of its finest chunks, metres. highest: the largest distance of a height from 0, metres.
     """
     fine = math.floor(math.log2(error / FINER)) if error > 0 else -20
     return 2.0 ** max(fine, math.ceil(math.log2(max(highest, 1e-6) / (MOST - 1))), -20)
 
 
 def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: float) -> Words:
-    """The words of a chunk, from those of ``chunked``.
+    """Return the words of a chunk, encoded from those of ``chunked``.
 
     Args:
-        step: of the terrain, metres (``step_of``).
+        step: the terrain's step, metres (``step_of``).
     """
     from orograph.store.chunk_code_kernels import replay, walk_levels
 
@@ -147,7 +147,7 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
 
 
 def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded:
-    """A chunk's mesh from its words, skirts left out.
+    """Return a chunk's mesh from its words, without skirts.
 
     Raises:
         ValueError: they are not those of a chunk.
@@ -189,7 +189,7 @@ def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded
 
 
 def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
-    """A chunk's mesh in metres, with its skirt."""
+    """Return a chunk's mesh in metres, with its skirt."""
     mesh = decoded(words, layout, level, i, j)
     last = np.array(layout.shape)[::-1] - 1
     heights, targets, low = (
@@ -201,23 +201,23 @@ def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
 
 
 def mesh_of(words: Words, layout: Layout, compressed: bool, level: int, i: int, j: int) -> Chunk:
-    """The mesh of chunk (i, j) of a level from its words, compressed or not."""
+    """Return the mesh of chunk (i, j) of a level from its words, compressed or not."""
     return (chunk_of if compressed else unpacked)(words, layout, level, i, j)
 
 
 def off_by(words: Words) -> float:
-    """The largest error of a chunk's heights, metres."""
+    """Return the largest error of a chunk's heights, metres."""
     flags = int(words[HEADER.index("flags")])
     return 0.0 if flags & EXACT else float(2.0 ** ((flags & 255) - 65))
 
 
 def hung_edges(mesh: Decoded, layout: Layout, level: int, i: int, j: int) -> NDArray[np.int32]:
-    """(e, 2) the edges of a chunk that a skirt hangs from."""
+    """Return the edges of a chunk that have a skirt, (e, 2)."""
     return _hung(mesh.triangles, on_sides(mesh.places, layout.side(level), i, j), mesh.low)
 
 
 def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
-    """The step of a chunk, and whether its heights are multiples of it."""
+    """Return the step of a chunk, and whether its heights are multiples of it."""
     there = heights[~np.isnan(heights)].astype(np.float64)
     exact = bool((there / least == np.rint(there / least)).all())
     if not exact:
@@ -228,7 +228,7 @@ def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
 
 def _alive(leaves: NDArray[np.int32], places: Corners, heights: NDArray[np.int64] | NDArray[np.int32],
            layout: Layout) -> NDArray[np.int32]:  # fmt: skip
-    """The triangles that have three heights and, if vertices beyond the raster lie on its border, an area."""
+    """Return the triangles with three heights and, after squeezing onto the raster's border, an area."""
     at = np.minimum(places, np.array(layout.shape) - 1)[leaves]
     u, v = at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]
     found: NDArray[np.int32] = leaves[(heights[leaves] != MISSING).all(1) & (u[:, 0] * v[:, 1] != u[:, 1] * v[:, 0])]
@@ -236,7 +236,7 @@ def _alive(leaves: NDArray[np.int32], places: Corners, heights: NDArray[np.int64
 
 
 def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(e, 2) the edges on a side from which a skirt hangs."""
+    """Return the edges on a side that have a skirt, (e, 2)."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     found: NDArray[np.int32] = edges[(low[edges] != MISSING).all(1) & np.any([one[edges].all(1) for one in on], axis=0)]
     return found
@@ -246,7 +246,7 @@ def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.i
 
 
 def _lengths(numbers: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """The bit lengths of numbers."""
+    """Return the bit lengths of numbers."""
     return np.ceil(np.log2(np.asarray(numbers, np.float64) + 1)).astype(np.int64)
 
 
@@ -259,14 +259,14 @@ def _bits(bits: NDArray[np.generic]) -> Words:
 
 
 def _spread(numbers: NDArray[np.uint32], widths: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """The bits of numbers, the lowest first, one number after the other."""
+    """Concatenate the bits of numbers, lowest first."""
     places = np.arange(int(widths.max(initial=0)))
     of: NDArray[np.uint8] = (numbers[:, None] >> places.astype(np.uint32) & 1).astype(np.uint8)
     return of[places < widths[:, None]]
 
 
 class _Reader:
-    """Reads parts of words one after the other."""
+    """Reads consecutive parts of the words."""
 
     def __init__(self, words: Words, at: int) -> None:
         self.data, self.at = words, at

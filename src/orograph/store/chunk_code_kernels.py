@@ -1,9 +1,9 @@
-"""The triangles of a chunk level by level, as ``chunk_code`` writes them: found in a walk, or read again.
+"""The triangles of a chunk level by level, in the order of ``chunk_code``: from a walk, or from the stored bits.
 
-A *node* is a right triangle of the hierarchy: its apex and the two ends of its hypotenuse, as numbers of vertices, and
-the nodes of its level across its first leg, its second leg and its hypotenuse, −1 where there is none. Nodes of a level
-are halved all at once: the k-th one that is split has the children 2k and 2k + 1 of the next level. The *owner* of a
-hypotenuse is the first of the two nodes at it: it alone has a bit, and its split makes the vertex.
+A *node* is a right triangle of the hierarchy: its apex and the two ends of its hypotenuse, as vertex numbers, and
+its neighbours in the level across its first leg, its second leg and its hypotenuse, −1 where there is none. All nodes
+of a level are halved at once: the k-th one that is split has the children 2k and 2k + 1 in the next level. The *owner*
+of a hypotenuse is the first of its two nodes: only the owner has a bit, and its split creates the vertex.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def replay(codes, corners, places, kept, slots):
     Args:
         codes, corners: as written. places: (v, 2) int64, written: rows and columns, the corners' first. kept: (v,)
             uint8, written: whether the next coarser level has it. slots: (s, 2) int64, all −1; written: by place, the
-            number of the vertex there, or −2 for a triangle without ground whose hypotenuse has its middle there.
+            number of the vertex there, or −2 if it is the middle of the hypotenuse of a triangle without ground.
     """
     stack = np.empty((128, 6), np.int64)
     for k in range(2):
@@ -55,7 +55,7 @@ def replay(codes, corners, places, kept, slots):
 
 @inlined
 def child(nodes, of, which):
-    """The half of a neighbour, or −1; ``nodes[:, 6]`` is 1 + how many before it are split, 0 of those that are not."""
+    """The child of a neighbour, or −1; ``nodes[:, 6]`` is 1 + the number of split nodes before it, 0 if not split."""
     return np.int64(-1) if of < 0 or nodes[of, 6] == 0 else 2 * (nodes[of, 6] - 1) + which
 
 
@@ -64,16 +64,16 @@ def walk_levels(bits, dropped, slots, corners, levels, places, ends, order, leav
     """Halve the two triangles of a chunk level by level.
 
     Args:
-        bits: (b,) uint8, whether the owners are split: read, unless there are ``slots``. dropped: (m,) uint8, of every
-            node whether it has no ground; empty: all have; as ``bits``. slots: (s, 2) int64 of ``replay``; empty:
-            bits are read.
+        bits: (b,) uint8, whether the owners are split: input, unless there are ``slots``. dropped: (m,) uint8, whether
+            each node has no ground; empty: all have; input or output as ``bits``. slots: (s, 2) int64 from ``replay``;
+            empty: the bits are the input.
         corners: (4, 2) rows and columns. levels: how many times triangles may be halved.
-        places: (v, 2) int64. ends: (v, 2) int64, between which two vertices each lies. order: (v,) int64, its number in
-            ``slots``. leaves: (t, 3) int32, triangles that are not split and not dropped. nodes, beyond: (w, 8) int64,
+        places: (v, 2) int64. ends: (v, 2) int64, the two vertices each lies between. order: (v,) int64, its number in
+            ``slots``. leaves: (t, 3) int32, triangles that are neither split nor dropped. nodes, beyond: (w, 8) int64,
             room for two levels. All are written to.
 
-    Returns: how many vertices, leaves, bits and nodes there are, and how many nodes the largest level has; the first is
-        −1 if there is no room.
+    Returns: the numbers of vertices, leaves, bits and nodes, and the nodes of the largest level; the first is −1 if
+        there is no room.
     """
     for k in range(4):
         places[k, 0], places[k, 1], order[k] = corners[k, 0], corners[k, 1], k
@@ -147,13 +147,13 @@ def walk_levels(bits, dropped, slots, corners, levels, places, ends, order, leav
 
 @kernel
 def raise_vertices(rests, missing, kept, places, ends, last_row, last_col, heights, targets):
-    """The heights of vertices from what they differ by from the middle of their ends.
+    """Compute the heights of vertices from their differences from the middle of their ends.
 
     Args:
-        rests: (v,) int32, steps; of the corners not used. missing, kept: (v,) uint8. places, ends: as written.
+        rests: (v,) int32, steps; not used for the corners. missing, kept: (v,) uint8. places, ends: as written.
             last_row, last_col: of the raster.
-        heights: (v,) int32, steps, of the corners as they are; ``MISSING`` where there is none. targets: (v,) int32,
-            ``PARTS`` of a step, in the next coarser mesh, of the corners as they are. Both are written to.
+        heights: (v,) int32, steps; the corners' are input; ``MISSING`` where there is none. targets: (v,) int32, in
+            the next coarser mesh, ``PARTS`` of a step; the corners' are input. Both are written to.
     """
     for v in range(4, len(rests)):
         e, f = ends[v]
@@ -168,7 +168,7 @@ def raise_vertices(rests, missing, kept, places, ends, last_row, last_col, heigh
 
 @inlined
 def guess(a, b):
-    """The height of a vertex that is expected between two others, steps."""
+    """The predicted height of a vertex between two others, steps."""
     if a == MISSING and b == MISSING:
         return 0
     if a == MISSING:
@@ -178,7 +178,7 @@ def guess(a, b):
 
 @inlined
 def halfway(lr, lc, rr, rc, left, right, own, last_row, last_col):
-    """``chunked_kernels.middle`` in whole numbers."""
+    """``chunked_kernels.middle`` in integers."""
     if left == MISSING or right == MISSING:
         return own
     if max(lr, rr) <= last_row and max(lc, rc) <= last_col:
@@ -192,8 +192,8 @@ def halfway(lr, lc, rr, rc, left, right, own, last_row, last_col):
 
 @inlined
 def part(a, b, left, right, own, last):
-    """How high the line between two ends is above what lies between them on the raster; of an end beyond it, on its
-    last sample. Numbers stay within 32 bits."""
+    """The height of the line between two ends above the point between them on the raster; an end beyond the raster
+    lies on its last sample. Numbers fit 32 bits."""
     low, high = min(a, b), max(a, b)
     under, over = (left, right) if a < b else (right, left)
     whole, done = min(high, last) - min(low, last), min((a + b) >> 1, last) - min(low, last)

@@ -1,8 +1,8 @@
 """The kernels that encode chunks as the codec *compact* (``compact``; docs/codec.md has the format).
 
-What a decoder need not know is decided here: the weights (least squares over some of the chunk's rows), what missing
-samples count as, and (``compact_contexts``) how activities are divided among tables. Nothing depends on a library's
-arithmetic or on the order of threads, so that the same samples are the same bytes everywhere.
+The encoder decides what a decoder need not know: the weights (least squares over some of the chunk's rows), the values
+of missing samples, and (``compact_contexts``) how activities are divided among tables. Nothing depends on a library's
+arithmetic or on the order of threads, so the same samples give the same bytes everywhere.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from orograph.store.compact_decode import (
 )
 
 SAMPLED = 32  # rows that weights are fitted to
-RARE = 8  # values that one in 2^8 exceeds are ranges
+RARE = 8  # values that only one in 2^8 exceeds are coded as ranges
 OFFSETS = np.array(
     [(0, -1), (0, -2), (-1, -2), (-1, -1), (-1, 1), (-1, 2), (-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2)], np.int64
 )
-"""Rows and columns from a sample to those its weights belong to."""
+"""Rows and columns from a sample to the neighbours of its weights."""
 
 
 @kernel
 def _sums(numbers, matrix, right):
-    """The normal equations of the prediction, of some rows; how many samples they are of.
+    """Sum up the normal equations of the prediction over some rows; return the number of samples.
 
-    A sample weighs less the rougher it is around: a cliff must not outvote the plain.
+    Samples in rough surroundings weigh less: a cliff must not outweigh the plain.
     """
     rows, cols = numbers.shape
     d, used = np.empty(NEIGHBOURS), 0
@@ -77,7 +77,7 @@ def _sums(numbers, matrix, right):
 
 @kernel
 def fitted(numbers, weights):
-    """The weights (11,) int64, in 1/4096; those of a plane where there is too little to go by."""
+    """Fit the weights (11,) int64, in 1/4096; those of a plane where there are too few samples."""
     matrix, right = np.zeros((NEIGHBOURS, NEIGHBOURS)), np.zeros(NEIGHBOURS)
     used = _sums(numbers, matrix, right)
     trace = 0.0
@@ -103,8 +103,8 @@ def fitted(numbers, weights):
 
 @kernel
 def _values(numbers, weights, first, lowest, highest, values):
-    """What each sample differs from its prediction by, zigzag, in rows of whole lanes. Missing samples are what is
-    predicted, within the range of the others."""
+    """Compute each sample's difference from its prediction, zigzag-coded, in rows of whole lanes. A missing sample
+    takes its prediction, clamped to the range of the others."""
     rows, cols = numbers.shape
     lines, base = np.empty((3, cols + 4), np.int32), np.empty(cols, np.int32)
     w0, w1 = weights[0], weights[1]
@@ -133,14 +133,15 @@ def _values(numbers, weights, first, lowest, highest, values):
 
 @shared
 def symbol_of(value, direct):
-    """The symbol of a value without the bits below it."""
+    """The symbol of a value, without the bits below it."""
     return value if value < direct else direct - 1 + length(value - direct + 1)
 
 
 @kernel
 def decided_tables(values, contexts, number, rare, depths, direct, found, codes):
-    """Decide the tables: ``depths`` by context, how many symbols are values (``direct``: those that one in 2^``rare``
-    exceeds are ranges), the ``codes`` of the ``found`` frequencies; symbols of each."""
+    """Choose the tables; return the number of symbols of each. ``depths`` are by context; ``direct`` is how many
+    symbols are values (only one value in 2^``rare`` exceeds them; those are ranges); ``codes`` are of the ``found``
+    frequencies."""
     sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64)
     size, sizes = values.size, np.zeros(number, np.int64)
     flat, of = values.reshape(size), contexts.reshape(size)
