@@ -1,7 +1,7 @@
 """The kernels that encode chunks as the codec *smallest* (``smallest``; docs/codec.md has the format).
 
-A coder knows all samples, so nothing waits for anything: what decoders find out sample by sample is found out row by
-row here (``smallest_look``).
+An encoder knows all samples, so nothing depends on the sample before: what decoders compute sample by sample is
+computed here row by row (``smallest_look``).
 """
 
 from __future__ import annotations
@@ -45,15 +45,16 @@ from orograph.store.smallest_rows import (
 )
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
-RARE = 6  # values that one in 2^6 exceeds are ranges: shorter tables are worth more than what is lost
+RARE = 6  # values that only one in 2^6 exceeds are coded as ranges: shorter tables outweigh the loss
 
 
 @kernel
 def _merged(counts, left, final):
-    """Merge any two tables while that makes the chunk smaller; how many are left.
+    """Merge any two tables while that makes the chunk smaller; return how many are left.
 
     Args:
-        counts: (tables, TOKENS). left: tables. final: (tables,), becomes what each is merged into, without gaps.
+        counts: (tables, TOKENS). left: the number of tables. final: (tables,), becomes the table that each is merged
+            into, numbered without gaps.
     """
     costs, joint, into = np.zeros(left), np.zeros((left, left)), np.arange(left)
     for k in range(left):
@@ -87,11 +88,11 @@ def _merged(counts, left, final):
 
 @kernel
 def _divided(values, groups, kinds, most, places):
-    """Decide the tables of all cells; how many.
+    """Choose the tables of all cells; return their number.
 
     Args:
         values, groups, kinds: of the samples that are coded, from ``look``; ``kinds`` become tables.
-        most: groups that are told apart, at most.
+        most: the largest number of groups to distinguish.
         places: (CLASSES, GROUPS, BINS) int64, become tables, -1 where there are no samples.
     """
     sizes, merged = np.zeros(GROUPS, np.int64), np.empty(GROUPS, np.int64)
@@ -106,7 +107,7 @@ def _divided(values, groups, kinds, most, places):
         counts[cell, token(np.int64(values[k]))] += 1
         seen[cell] = True
     filled, table = 0, np.full(cells, -1, np.int64)
-    for cell in range(cells):  # (counts move up: those that hold anything come first)
+    for cell in range(cells):  # (move non-empty cells to the front)
         if seen[cell]:
             counts[filled] = counts[cell]
             table[cell] = filled
@@ -133,7 +134,7 @@ def _divided(values, groups, kinds, most, places):
 
 @kernel
 def _write_map(out, at, places):
-    """Write which table each class, group and bin has; where that ends."""
+    """Write the table of each class, group and bin; return where that ends."""
     bit = at * 8
     for k in range(places.shape[0]):
         for g in range(GROUPS):
@@ -154,7 +155,7 @@ def _write_map(out, at, places):
 
 @kernel
 def _in_steps(values, tables, skips):
-    """Values and tables in the order of steps, flat, sixteen in each; -1 where a lane has nothing."""
+    """Arrange values and tables by steps, flat, sixteen in each; -1 where a lane has nothing."""
     rows, cols = skips.shape
     size, n = steps_of(rows, cols) * LANES32, 0
     ordered, kinds = np.zeros(size, np.uint32), np.full(size, -1, np.int32)
@@ -169,10 +170,10 @@ def _in_steps(values, tables, skips):
 
 @kernel
 def _stream(ordered, kinds, depths, direct, found, words, states):
-    """Write the words from the end, in the opposite order of reading; where they begin.
+    """Write the words from the end, in the reverse order of reading; return where they begin.
 
     Args:
-        ordered, kinds: from ``_in_steps``. states: (LANES32,) int64, become those to begin with.
+        ordered, kinds: from ``_in_steps``. states: (LANES32,) int64, become the initial states.
     """
     p, deep = np.int64(words.size), depths.any()
     both, inverse = ready_to_push(found)
@@ -191,7 +192,7 @@ def _stream(ordered, kinds, depths, direct, found, words, states):
                 if depth:
                     low = np.int64(ordered[step + i]) & ((1 << depth) - 1)
                     states[i], p = push_plain(states[i], p, words, depth, low)
-        for high in range(ranges, -ranges, -1):  # (1 and 0: what is above sixteen bits is written before the rest)
+        for high in range(ranges, -ranges, -1):  # (1 and 0: bits above the sixteenth are written before the rest)
             for i in range(LANES32 - 1, -1, -1):
                 c = lanes[i]
                 if c >= 0 and symbols[i] >= direct[c]:
@@ -210,14 +211,14 @@ def _stream(ordered, kinds, depths, direct, found, words, states):
 
 @kernel
 def _write_u32(out, at, value):
-    """Write the lowest 32 bits of a number, the lowest byte first."""
+    """Write the lowest 32 bits of a number, lowest byte first."""
     for k in range(4):
         out[at + k] = np.uint8(value >> (8 * k) & 255)
 
 
 @kernel
 def _first_of(numbers):
-    """The first sample that is there, or 0."""
+    """The first sample that is not missing, or 0."""
     flat = numbers.reshape(numbers.size)
     for k in range(flat.size):
         if flat[k] != MISSING:
@@ -227,7 +228,7 @@ def _first_of(numbers):
 
 @kernel
 def _fitted(whole, skips, classes, weights, shares, given, held):
-    """Fit the weights and shares of all classes; (CLASSES, …), as they are used and as they are written."""
+    """Fit the weights and shares of all classes; (CLASSES, …), as used and as written."""
     rows, cols = skips.shape
     for k in range(classes == CLASSES, classes):
         row0, col0, spread = (k >> 1, k & 1, 2) if classes == CLASSES else (0, 0, 1)
@@ -245,7 +246,7 @@ def _fitted(whole, skips, classes, weights, shares, given, held):
 
 @kernel
 def encode(numbers, classes):
-    """The bytes of a chunk, (n,) uint8.
+    """Return the bytes of a chunk, (n,) uint8.
 
     Args:
         numbers: (rows, cols) int32, C order, at least one sample.

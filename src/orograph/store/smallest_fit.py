@@ -1,6 +1,6 @@
-"""What the encoder of *smallest* fits to a chunk: the weights of predictions, and of what tells how good they are.
+"""What the encoder of *smallest* fits to a chunk: the weights of predictions, and the shares of signs in activities.
 
-Both are least squares over some of the chunk's rows, in plain arithmetic, so that the same samples are the same bytes
+Both are least squares over some of the chunk's rows, in plain arithmetic, so that the same samples give the same bytes
 everywhere.
 """
 
@@ -16,16 +16,16 @@ from orograph.store.codec_head import (
 from orograph.store.compact_encode import OFFSETS
 from orograph.store.smallest_rows import SIGNS
 
-SAMPLED = 4096  # samples of a class that are looked at, about
+SAMPLED = 4096  # samples of a class that are used, approximately
 SWEEPS = 40
 
 
 @kernel
 def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
-    """The normal equations of the prediction; how many samples they are of.
+    """Sum up the normal equations of the prediction; return the number of samples.
 
     Args:
-        whole: (rows + 2, cols + 4) int32, the samples with those around them. skips: (rows, cols) uint8.
+        whole: (rows + 2, cols + 4) int32, the samples with their surroundings. skips: (rows, cols) uint8.
         row0, col0, step, stride: which rows and columns. before: weights of a first round, or zeros.
     """
     rows, cols = skips.shape
@@ -41,7 +41,7 @@ def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
             for k in range(NEIGHBOURS):
                 d[k] = float(whole[row + 2 + OFFSETS[k, 0], col + 2 + OFFSETS[k, 1]]) - north
                 said += before[k] * d[k]
-            # A cliff must not outvote the plain, nor what is predicted badly what is predicted well.
+            # A cliff must not outweigh the plain, nor badly predicted samples well predicted ones.
             share = 1.0 / (2.0 + abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8]))
             if before[NEIGHBOURS]:
                 off = 0.5 + abs(sought - said)
@@ -75,7 +75,7 @@ def solved(matrix, right):
 
 @kernel
 def fitted_weights(whole, skips, row0, col0, spread, weights):
-    """The weights (NEIGHBOURS,) int64, in 1/4096, of samples whose rows and columns are ``spread`` apart."""
+    """Fit the weights (NEIGHBOURS,) int64, in 1/4096, for samples whose rows and columns are ``spread`` apart."""
     rows, cols = skips.shape
     step = spread * max(rows * cols // (spread * spread * SAMPLED), 1)
     before = np.zeros(NEIGHBOURS + 1)
@@ -98,10 +98,10 @@ def fitted_weights(whole, skips, row0, col0, spread, weights):
 
 @kernel
 def fitted_shares(signs, sizes, used, shares):
-    """By how much each sign tells the size of what is left: least squares without negative shares.
+    """Fit each sign's share in the size of residuals: least squares without negative shares.
 
     Args:
-        signs: (n, SIGNS) int32. sizes: (n,) int32. used: how many there are. shares: become (SIGNS,) int64, in 1/256.
+        signs: (n, SIGNS) int32. sizes: (n,) int32. used: how many to use. shares: become (SIGNS,) int64, in 1/256.
     """
     n = SIGNS + 1
     matrix, right, d, found = np.zeros((n, n)), np.zeros(n), np.ones(n), np.zeros(n)
