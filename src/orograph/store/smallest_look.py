@@ -52,7 +52,7 @@ class Found(NamedTuple):
 
 @shared
 def size_of(difference):
-    """The absolute value of a difference of two samples, which wraps, clamped to ``CAP``."""
+    """The absolute value of a difference of two samples, which wraps, clamped to 0 … ``CAP``."""
     wrapped = np.int32(difference)
     return np.int32(min(np.uint32(wrapped if wrapped >= 0 else -wrapped), np.uint32(CAP)))
 

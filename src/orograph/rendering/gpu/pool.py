@@ -1,6 +1,6 @@
 """Nested windows of heights with their pyramids in one array, as shaders look them up.
 
-Of each window the pool holds its heights, row by row, its maxima from level 1 up, and, if they are wanted, its minima
+For each window the pool holds its heights, row by row, its maxima from level 1 up, and, if requested, its minima
 from level 2 up (``raycast.mips``). Heights are metres, float32; a missing one lies far below any other (``MISSING``),
 as does the maximum of a node without any, whose minimum lies far above. Places are samples of the raster.
 """
@@ -32,7 +32,7 @@ class Placed:
         level: its samples lie 2^level samples of the raster apart.
         first, last: column and row of its first sample, and where it ends: not beyond the raster.
         cells: across and down. offset, stride: of its heights in the pool, and samples per row.
-        node, top: the row of ``Pool.nodes`` that its pyramid's level 0 has, and its coarsest level.
+        node, top: the row of ``Pool.nodes`` for level 0 of its pyramid, and its coarsest level.
     """
 
     level: int
@@ -50,10 +50,10 @@ class Pool:
     """Windows, outermost first.
 
     Attributes:
-        values: (n,) float32, the heights and the pyramids. windows: where they are.
+        values: (n,) float32, the heights and the pyramids. windows: their places.
         nodes: (levels of all windows, 4) int32: offset of the maxima, nodes per row, offset of the minima (−1: none),
             0.
-        low, high: metres between which all heights lie; 0 where there are none.
+        low, high: metres between which all heights lie; 0 if there are none.
     """
 
     values: Values
@@ -66,10 +66,10 @@ class Pool:
     def of(
         cls, windows: Sequence[HeightWindow], pyramids: Sequence[Mips], shape: tuple[int, int], *, minima: bool = False
     ) -> Pool:
-        """Of windows with their pyramids.
+        """Create the pool of windows with their pyramids.
 
         Args:
-            shape: (rows, cols) of the raster. minima: hold them, too.
+            shape: (rows, cols) of the raster. minima: whether to hold them, too.
 
         Raises:
             ValueError: a window begins at an odd row or column.
@@ -105,5 +105,5 @@ class Pool:
 
 
 def samples_in(most: int) -> int:
-    """How many samples fit into a number of bytes: heights, and a third of that for maxima, 4 bytes each."""
+    """The number of samples that fit into ``most`` bytes: heights, and a third of that for maxima, 4 bytes each."""
     return most // 16 * 3

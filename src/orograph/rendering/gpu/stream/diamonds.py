@@ -1,11 +1,11 @@
-"""Pages of diamonds on the GPU: what a tree that lives there asks of a vertex, in an atlas filled by threads.
+"""Pages of diamonds on the GPU: what a tree that lives there needs of a vertex, in an atlas filled by threads.
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
-height, an error, the radius of its sphere, and whether its sample is missing (float32). Wanted are the pages of all
-tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do not, and those
-of coarser levels there; and where ground and missing ground share a tile, whose edge a tree follows to the sample,
-those whose samples are larger than the tolerance. A picture that waits asks the tree itself, too (``take_asked``): then
-it follows such edges to the end. The coarsest pages never leave. Pixels.
+height, an error, the radius of its sphere, and whether its sample is missing (float32). A frame wants the pages of all
+tiles that the terrain's patches want for the same tolerance, because a tree splits nothing that patches do not, and
+those of coarser levels there. Where ground and missing ground share a tile, whose edge a tree follows to the sample,
+it also wants pages whose samples are larger than the tolerance. For a picture that waits, the tree itself reports
+missing pages, too (``take_asked``), and so follows such edges to the end. The coarsest pages never leave. Pixels.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class DiamondPages:
         vertices: the terrain's. budget: bytes of the atlas. jobs: threads that read.
 
     Attributes:
-        atlas: the pages. levels: uint32 (32, 4), where each level's pages begin, and how many rows and columns.
-        bound: pixels of the largest error that a page of the last view takes away and that is not there yet, or 0.
-        moved: bytes brought to the GPU so far.
+        atlas: the pages. levels: uint32 (32, 4), the offset of each level's pages, and their rows and columns.
+        bound: the largest error, in pixels, that a missing page of the last view would remove, or 0.
+        moved: bytes uploaded to the GPU so far.
     """
 
     def __init__(self, device: Device, vertices: Vertices, budget: int, jobs: int | None = None) -> None:
@@ -73,7 +73,7 @@ class DiamondPages:
         """Request the pages of a view, and upload those already read; return whether there were any.
 
         Args:
-            patches: of the view, as fine as the tree is to be.
+            patches: the view's, as fine as the tree is to be.
         """
         self._frame += 1
         count, end = 0, time.perf_counter() + UPLOADING
@@ -97,14 +97,14 @@ class DiamondPages:
         Raises:
             StoreError, DamagedChunkError: a page cannot be read.
         """
-        self._frame += 2  # (a picture may take the place of the one before)
+        self._frame += 2  # (a picture may evict the pages of the one before)
         keys, _ = self._lacking_of(view, patches, tolerance, exaggeration)
         self._load(keys[: self.atlas.room])
         self._lacking_of(view, patches, tolerance, exaggeration)
         self._lacking = []
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
-        """Upload the pages that a tree looked for in vain; return how many fitted.
+        """Upload the pages that a tree reported missing; return how many fitted.
 
         Args:
             bits: one for each place in the page table.
@@ -114,7 +114,7 @@ class DiamondPages:
 
     @property
     def waiting(self) -> int:
-        """The number of pages on their way."""
+        """The number of pages being loaded."""
         return self._streamer.waiting
 
     @property
@@ -189,8 +189,8 @@ class DiamondPages:
 
 
 def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:
-    """The pages of all levels, coarsest first, too coarse where ground and missing ground share one and its samples are
-    too far apart; their places in the table. None where nothing is missing."""
+    """The pages of all levels, coarsest first, that are too coarse where ground and missing ground share one, because
+    their samples are too far apart; and their places in the table. None where nothing is missing."""
     terrain, parts = vertices.terrain, list[tuple[Any, ...]]()
     if not any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
         return None

@@ -1,9 +1,9 @@
-"""Which patches a frame draws, and the tiles they are drawn from: the method, the atlases and the streamer together.
+"""Choosing the patches of a frame, and the tiles they are drawn from: combines method, atlases and streamer.
 
 A frame selects the patches of its view among those whose tiles are resident; missing tiles are requested, largest error
-in pixels first, and arrive asynchronously. While the camera moves, so is what it will lack in a moment
-(``prediction``): a tile's error then counts ``AHEAD`` times, added to what it is now. The coarsest tiles are loaded at
-the beginning and stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
+in pixels first, and arrive asynchronously. While the camera moves, tiles that it will need shortly are requested, too
+(``prediction``): the predicted error of a tile counts ``AHEAD`` times, added to its present one. The coarsest tiles are
+loaded at the beginning and stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ AHEAD = 0.5
 """The weight of a pixel of error that will be missing shortly; one that is missing now counts 1."""
 
 RIM, WAITED_RIM = 0.5, 4.0
-"""Of a triangle's longest edge, what counts as the error where ground ends: corners whose surroundings are half there
-are filled (``surface.void_fill``). In a picture that is waited for triangles there are no larger than a quarter of a
-pixel, so that voids end where those of the raster do."""
+"""The error that counts where ground ends, as a fraction of a triangle's longest edge: corners with half of their
+surroundings present are filled (``surface.void_fill``). In a picture that is waited for, triangles there are at most a
+quarter of a pixel large, so that voids end where those of the raster do."""
 
 ASK = 64
 """The most tiles of a kind that a frame requests: later frames request the rest."""
@@ -55,8 +55,8 @@ class Chosen:
     """The patches of a frame.
 
     Attributes:
-        patches: with the slots of their tiles. seconds: that it took to select them.
-        missing: tiles and pages of errors that would improve it. loaded: tiles that came for it, and their ``bytes``.
+        patches: with the slots of their tiles. seconds: the time it took to select them.
+        missing: tiles and pages of errors that would improve it. loaded: new tiles, and their ``bytes``.
     """
 
     patches: Patches
@@ -75,7 +75,7 @@ class Residency:
     Attributes:
         heights, slopes: the atlases. method: selects patches.
         look_ahead: whether tiles are prefetched for the predicted camera.
-        came: levels, rows and columns of the tiles that came for the last frame.
+        came: levels, rows and columns of the tiles that arrived for the last frame.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
@@ -115,7 +115,7 @@ class Residency:
         Raises:
             StoreError: with ``wait``, a tile cannot be read.
         """
-        # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
+        # (A picture that is waited for may evict the tiles of the one before; consecutive frames share the atlas.)
         self._frame += 2 if wait else 1
         self._full = False
         self.came.clear()
@@ -139,7 +139,7 @@ class Residency:
 
     @property
     def areas(self) -> Array:
-        """West, north, east, south (n, 4) of what is drawn from the tiles that came, sample coordinates."""
+        """West, north, east, south (n, 4) of the ground that is drawn from the new tiles, sample coordinates."""
         keys = np.array(sorted(set(self.came)), np.int64).reshape(-1, 3)
         scale = 2.0 ** keys[:, :1]
         corner = keys[:, [2, 1]] * TILE
@@ -147,7 +147,7 @@ class Residency:
 
     @property
     def waiting(self) -> int:
-        """The number of tiles on their way, or due for another attempt."""
+        """The number of tiles being loaded, or due for another attempt."""
         again = time.monotonic() - self.streamer.RETRY
         failed = [self.streamer.failed[key][0] for key in self._asked.keys() & self.streamer.failed.keys()]
         return self.streamer.waiting + sum(when < again for when in failed)
@@ -192,12 +192,12 @@ class Residency:
         every = self._asked.copy()
         for some in self._ahead.values():
             for p, kind, key in some:
-                if self._atlases[kind].slot(key) < 0:  # it may have come since
+                if self._atlases[kind].slot(key) < 0:  # it may have arrived since
                     every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
         self.streamer.want([(p, kind, key) for (kind, key), p in every.items()])
 
     def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
-        """Request what is missing, once a frame is handed over: its Python code no longer needs the interpreter then.
+        """Request missing tiles after a frame is submitted: then its own Python code no longer needs the interpreter.
 
         Args:
             ahead: also predict what will be missing shortly.
@@ -218,7 +218,7 @@ class Residency:
             return
         judged, frustum = _judged(ahead, exaggeration)
         patches = self._patches(judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, wait=False))
-        # What is there already stays, if this frame and the last leave it room.
+        # Tiles already present stay, if this frame and the last leave room for them.
         self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
 
     def _lacking(
@@ -234,7 +234,7 @@ class Residency:
         tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
         lack = self.heights.lacking(tiles, frame)
         wanted: list[tuple[float, Kind, Key]] = []
-        missing, most = int(lack.sum()), ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
+        missing, most = int(lack.sum()), ASK + len(self.streamer.failed)  # (unreadable tiles do not count)
         if missing:
             tiles, pixels = _largest(tiles[lack], pixels[lack], most)
             level, row, col = (a.tolist() for a in patches.tiling.where(tiles))
@@ -258,7 +258,7 @@ class Residency:
             if not taken:
                 break
             kind, key, data = taken[0]
-            # What this frame or the last one wants is not to make room.
+            # Tiles that this frame or the last one wants must not be evicted.
             self._full |= not self._atlases[kind].insert(key, data, self._frame - 1)
             self.came.append(key)
             count, size = count + 1, size + data.nbytes
@@ -278,8 +278,8 @@ def _largest(which: NDArray[Any], errors: NDArray[Any], most: int) -> tuple[NDAr
 def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:
     """The camera that errors are judged by, and the planes to cull with if they are not its own.
 
-    From straight above no error of a height moves anything on the screen, but it has a colour: a plan is held to its
-    tolerance as if it was seen at 45°, from afar.
+    From straight above, an error in height moves nothing on the screen, but it affects colours: so the tolerance of a
+    plan applies as if it was seen at 45°, from afar.
     """
     if view.projection != "plan":
         return view, None

@@ -1,6 +1,6 @@
-"""Chunks of ``chunked-lod`` that the GPU decodes itself: their words go up, a compute pass makes meshes of them.
+"""Chunks of ``chunked-lod`` that the GPU decodes itself: their words are uploaded, a compute pass makes meshes of them.
 
-They stay there (``surface.resident``). All that a frame brings is 20 bytes for every ``RUN`` triangles: a run of one
+The meshes stay there (``surface.resident``). A frame uploads only 20 bytes for every ``RUN`` triangles: a run of one
 chunk's triangles, and how far its vertices have moved.
 
 A vertex takes 20 bytes (row, column, height, height in the coarser mesh, the skirt's lower end), a triangle 12.
@@ -43,25 +43,25 @@ RUNS = {
 }
 
 LARGE = 1 << 18, 1 << 22
-"""Triangles of a chunk, on software and on hardware, that are left to the CPU: a workgroup would take long. (And Mesa's
-software Vulkan ends a thread's loops without a word when they have gone round 65,535 times, all together: here 10 for
+"""Triangles above which a chunk is left to the CPU, on software and on hardware, because a workgroup would take long.
+(And Mesa's software Vulkan silently ends a thread's loops after 65,535 iterations in total: here 10 for
 every 64 triangles.)"""
 
 SOFTWARE, HARDWARE = (64, 0), (256, 1)
-"""Threads that decode a chunk, and how many triangles in a row each takes at a time (0: its share of a level)."""
+"""Threads that decode a chunk, and how many consecutive triangles each takes at a time (0: its share of a level)."""
 
 VERTEX, TRIANGLE, NODE = 20, 12, 32
 """Bytes."""
 
 HUNG = np.uint32(1 << 31)
-"""Of a corner: the lower end of the skirt."""
+"""Marks a corner as the lower end of the skirt."""
 
 SCRATCH = 32 << 20, 512 << 20
-"""Bytes of scratch that one dispatch takes, on software and on hardware, where dispatches wait for one another; the
-last of its chunks may need more."""
+"""Bytes of scratch per dispatch, on software and on hardware, where dispatches wait for one another; the
+last of its chunks may exceed it."""
 
 COARSER = 1.25
-"""By how much a tolerance grows until its chunks fit."""
+"""Factor by which a tolerance grows until its chunks fit."""
 
 VERTICES, TRIANGLES, EDGES, WIDEST = (HEADER.index(name) for name in ("vertices", "triangles", "hung", "widest"))
 FLAGS = HEADER.index("flags")
@@ -72,8 +72,8 @@ class Meshes:
     """Meshes in the GPU's memory.
 
     Attributes:
-        source: whose chunks. vertices, triangles: the buffers. room: how many of each they hold.
-        used: how many are there. places: by a chunk's name the numbers of its first vertex and triangle.
+        source: the source of the chunks. vertices, triangles: the buffers. room: their capacities.
+        used: the used part. places: by a chunk's name, the numbers of its first vertex and triangle.
     """
 
     source: Any
@@ -89,7 +89,7 @@ class DecodedChunks(ResidentMeshes):
     """Chunks whose meshes are on the GPU.
 
     Attributes:
-        meshes: where.
+        meshes: the pool that holds them.
     """
 
     meshes: Meshes
@@ -114,7 +114,7 @@ class Decoder:
         """Have chunks decoded into two buffers.
 
         Args:
-            names, coded: of the chunks, and their words. places: the numbers of their first vertices and triangles.
+            names, coded: the chunks and their words. places: the numbers of their first vertices and triangles.
         """
         if self._pipeline is None:
             self._pipeline = self._program.compute()
@@ -136,7 +136,7 @@ class Decoder:
         self, jobs: list[tuple[int, int]], size: int, layout: Layout, names: Sequence[tuple[int, int, int]],
         coded: Sequence[Words], places: Sequence[tuple[int, int]], vertices: Any, triangles: Any,
     ) -> None:  # fmt: skip
-        """Decode some chunks. ``jobs``: their numbers, and where their scratch begins; ``size``: words of it."""
+        """Decode some chunks. ``jobs``: their numbers and the offsets of their scratch; ``size``: its words."""
         which, scratch = np.array(jobs).T
         some = [coded[k] for k, _ in jobs]
         table = np.zeros(1 + len(jobs), JOB)
@@ -168,7 +168,7 @@ class Decoder:
         self, mesh: Decoded, place: tuple[int, int], layout: Layout, name: tuple[int, int, int], vertices: Any,
         triangles: Any,
     ) -> None:  # fmt: skip
-        """Bring a chunk that the CPU decoded."""
+        """Upload a chunk that the CPU decoded."""
         rows = np.column_stack([mesh.places, mesh.heights, mesh.targets, mesh.low]).astype(np.int32)
         p, q = hung_edges(mesh, layout, *name).astype(np.uint32).T
         skirt = np.stack([q, p, p | HUNG, q, p | HUNG, q | HUNG], 1).reshape(-1, 3)
@@ -178,18 +178,18 @@ class Decoder:
 
 
 def _ends(layout: Layout, i: int, j: int) -> int:
-    """Of a chunk whose row and column are even or odd as these: two bits for each corner, whether it lies at the end of
-    the side, row and column."""
+    """For a chunk of this row and column (only their parity counts), two bits for each corner: whether it lies at the
+    end of the side, along rows and along columns."""
     side = layout.side(0)
     at_end = (layout.corners(0, i, j) - (i * side, j * side)) // side
     return int((at_end.reshape(-1) << np.arange(8)).sum())
 
 
 class Chunks:
-    """Brings coded chunks to the GPU and has them decoded there.
+    """Uploads coded chunks to the GPU and has them decoded there.
 
     Args:
-        most: bytes that there are for meshes; while frames still draw the last ones, twice as many.
+        most: bytes available for meshes; up to twice as many while frames still draw the last ones.
     """
 
     def __init__(self, device: Device, most: int) -> None:
@@ -200,7 +200,7 @@ class Chunks:
         self._meshes: Meshes | None = None
 
     def ready(self, selection: CodedChunks, again: Callable[[float], CodedChunks]) -> DecodedChunks:
-        """A selection on the GPU; coarser where memory holds no more.
+        """Return a selection on the GPU; coarser if memory does not hold it.
 
         Args:
             again: selects with another tolerance, pixels.
@@ -229,7 +229,7 @@ class Chunks:
         return found.reshape(-1, len(HEADER))
 
     def _made(self, selection: CodedChunks, heads: NDArray[np.int64]) -> Meshes:
-        """Where the meshes are, those that lacked decoded."""
+        """Return the pool with these meshes; missing ones are decoded."""
         meshes = self._meshes
         lacking = [k for k, name in enumerate(selection.names) if meshes is None or name not in meshes.places]
         needed = _needed(heads[lacking])
@@ -262,7 +262,7 @@ def _over(used: tuple[int, int], more: tuple[int, int], room: tuple[int, int]) -
 
 
 class ChunkPass(RunPass):
-    """Draws decoded chunks into depth and marks. Args: as of ``FacePass``."""
+    """Draws decoded chunks into depth and marks. Args: as for ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         super().__init__(device, "chunk_draw", camera, field, missing, RUNS, PARTS=PARTS)

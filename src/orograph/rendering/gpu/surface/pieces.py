@@ -1,8 +1,8 @@
-"""Pieces of square patches, such as ``seamless-patches`` selects: shapes are brought once, and drawn as instances.
+"""Pieces of square patches, such as ``seamless-patches`` selects: shapes are uploaded once, and drawn as instances.
 
-All pieces of a shape share its triangles. A piece is known by its shape and its place; its heights are read once and
-stay on the GPU (4 bytes a vertex) while there is room. All that a frame brings besides new pieces' heights is 24 bytes
-for every ``RUN`` triangles: of which shape they are, where they lie, and where their heights are.
+All pieces of a shape share its triangles. A piece is identified by its shape and its place; its heights are read once
+and stay on the GPU (4 bytes a vertex) while there is room. Besides new pieces' heights, a frame uploads 24 bytes
+for every ``RUN`` triangles: their shape, their place, and the offset of their heights.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ RUNS = {
 }
 
 COARSER = 1.25
-"""By how much a tolerance grows until its pieces fit."""
+"""Factor by which a tolerance grows until its pieces fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,8 +46,8 @@ class Shapes:
     """Topologies in the GPU's memory.
 
     Attributes:
-        of: which, and whether their triangles were turned over. corners: the buffer, 3 words a triangle.
-        firsts, counts: of their triangles. points: how many each has.
+        of: the topologies, and whether their triangles were turned over. corners: the buffer, 3 words a triangle.
+        firsts, counts: of their triangles. points: the number of points of each.
     """
 
     of: tuple[Sequence[Topology], bool]
@@ -62,7 +62,7 @@ class Pool:
     """Heights in the GPU's memory.
 
     Attributes:
-        heights: the buffer. room, used: how many it holds, and how many are there.
+        heights: the buffer. room, used: its capacity in heights, and the used part.
         places: by a piece's shape and instance, as bytes, the number of its first height.
     """
 
@@ -83,14 +83,14 @@ def packed(topologies: Sequence[Topology], turned_over: bool) -> NDArray[np.uint
 
 
 class Pieces:
-    """Brings pieces to the GPU.
+    """Uploads pieces to the GPU.
 
     Args:
-        missing: the height of what has none (``tiles.missing``), metres.
-        most: bytes that there are for heights; while frames still draw the last ones, twice as many.
+        missing: the height that stands for a missing one (``tiles.missing``), metres.
+        most: bytes available for heights; up to twice as many while frames still draw the last ones.
 
     Attributes:
-        sent: bytes that the last selection brought, besides its runs.
+        sent: bytes that the last selection uploaded, besides its runs.
     """
 
     def __init__(self, device: Device, missing: int, most: int) -> None:
@@ -101,7 +101,7 @@ class Pieces:
         self._pool: Pool | None = None
 
     def ready(self, selection: PieceSet, again: Callable[[float], PieceSet]) -> DrawnPieces:
-        """A selection on the GPU; coarser where memory holds no more.
+        """Return a selection on the GPU; coarser if memory does not hold it.
 
         Args:
             again: selects with another tolerance, pixels.
@@ -115,7 +115,7 @@ class Pieces:
             tolerance *= COARSER
             selection = again(tolerance)
         pool, vertices = self._held(selection, shapes)
-        order = np.argsort(selection.shapes, kind="stable")  # as ``PieceSet.tessellation`` has them
+        order = np.argsort(selection.shapes, kind="stable")  # the order of ``PieceSet.tessellation``
         which = selection.shapes[order]
         counts = shapes.counts[which]
         runs, of = runs_of(INSTANCE, shapes.firsts[which], counts, vertices[order])
@@ -128,7 +128,7 @@ class Pieces:
         )  # fmt: skip
 
     def _made(self, selection: PieceSet) -> Shapes:
-        """The shapes of a selection, brought there; the heights of other shapes are forgotten."""
+        """Upload the shapes of a selection; the heights of other shapes are forgotten."""
         of, shapes = (selection.topologies, selection.clockwise), self._shapes
         self.sent = 0
         if shapes is None or shapes.of[0] is not of[0] or shapes.of[1] != of[1]:
@@ -141,7 +141,7 @@ class Pieces:
         return shapes
 
     def _held(self, selection: PieceSet, shapes: Shapes) -> tuple[Pool, NDArray[np.int64]]:
-        """Where the heights of pieces are, those that lacked brought there; the number of each one's first."""
+        """Return the pool with these pieces' heights (missing ones are uploaded), and the index of each one's first."""
         names = [bytes((shape,)) + one.tobytes() for shape, one in zip(selection.shapes, selection.instances)]
         pool = self._pool
         lacking = np.array([pool is None or name not in pool.places for name in names], bool)
@@ -167,7 +167,7 @@ class Pieces:
 
 
 class PiecePass(RunPass):
-    """Draws pieces into depth and marks. Args: as of ``FacePass``."""
+    """Draws pieces into depth and marks. Args: as for ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         super().__init__(device, "piece_draw", camera, field, missing, RUNS, HOLES=1)
