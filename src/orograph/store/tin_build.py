@@ -86,8 +86,8 @@ class Band(NamedTuple):
 class Building:
     """TINs under construction, octave by octave.
 
+    Args:
         terrain: the ground. legs: segments along a leg of the finest patches.
-        terrain: the ground. legs: of the finest patches.
 
     Attributes:
         marks: by octave. errors, radii: by octave, float64, at (row >> octave, col >> octave): inf where there is no

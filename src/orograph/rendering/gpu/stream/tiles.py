@@ -193,6 +193,7 @@ class Tables:
 class Atlas(TileAtlas):
     """One kind of tile of a terrain, and the page table that shaders find them by.
 
+    Args:
         tables: the places of tiles in the page table; None: one for each of the terrain's.
 
     Attributes:
