@@ -1,21 +1,21 @@
-// Meshes of chunks from their words (store/chunk_code.py): a workgroup a chunk, a level of its triangles after the other.
-// What a thread needs of those before its own comes from prefix sums. All arithmetic is of 32-bit integers.
+// Meshes of chunks from their words (store/chunk_code.py): a workgroup per chunk, one level of its triangles after another.
+// Prefix sums tell a thread what it needs to know of those before it. All arithmetic is of 32-bit integers.
 //
 // A thread takes a run of RUN triangles at a time. On hardware that is one, so that neighbouring threads read neighbouring
-// memory; on software, where barriers cost more than memory, it is a share of the whole level (0).
+// memory; on software, where barriers cost more than memory, it is an equal share of the level (0).
 
 struct Job {
-  words: u32,      // where they begin
-  scratch: u32,    // words of it: an offset for each block, then two levels of nodes
+  words: u32,      // their offset
+  scratch: u32,    // offset in the scratch: an offset for each block, then two levels of nodes
   vertex: u32,     // numbers of the chunk's first vertex and triangle
   triangle: u32,
   row: i32,        // of its first sample
   col: i32,
-  kind: u32,       // bits 0–7: log2 of its side; from bit 8 on two for each corner: whether at the end of the side, row and column
+  kind: u32,       // bits 0–7: log2 of its side; from bit 8 on, two for each corner: whether at the end of the side, row and column
   spare: u32,
 };
 
-@group(0) @binding(0) var<storage, read> jobs: array<Job>;              // of the first, row and col are the raster's last
+@group(0) @binding(0) var<storage, read> jobs: array<Job>;              // in the first, row and col are the raster's last
 @group(0) @binding(1) var<storage, read> coded: array<u32>;
 @group(0) @binding(2) var<storage, read_write> scratch: array<i32>;
 @group(0) @binding(3) var<storage, read_write> vertices: array<i32>;    // 5 each: row, column, height, target, low
@@ -28,13 +28,13 @@ const BLOCK: u32 = {{BLOCK}}u;
 const VOIDS: u32 = 0x10000u;
 const MISSING: i32 = -2147483647 - 1;
 const PARTS: i32 = {{PARTS}};
-const HUNG: u32 = 0x80000000u;     // of a corner: the skirt's lower end
+const HUNG: u32 = 0x80000000u;     // marks a corner as the skirt's lower end
 
 var<workgroup> sums: array<vec4<u32>, {{THREADS}}>;
 var<workgroup> more: array<u32, {{THREADS}}>;
 var<workgroup> total: array<u32, 5>;
 
-struct Before { counts: vec4<u32>, more: u32 };   // sums over the threads before
+struct Before { counts: vec4<u32>, more: u32 };   // sums over earlier threads
 
 fn before(k: u32, counts: vec4<u32>, others: u32) -> Before {
   sums[k] = counts;
@@ -58,7 +58,7 @@ fn before(k: u32, counts: vec4<u32>, others: u32) -> Before {
   return Before(sums[k] - counts, more[k] - others);
 }
 
-// Some bits, at most 32, of the words from a place on.
+// Up to 32 bits of the words, from a position on.
 fn number(at: u32, bit: u32, width: u32) -> u32 {
   if (width == 0u) {
     return 0u;
@@ -83,12 +83,12 @@ struct Chunk {
   first: vec2<i32>,
   last: vec2<i32>,
   drop: u32,
-  kept: u32,       // where parts of the words begin
-  missing: u32,    // 0: none is
+  kept: u32,       // offsets of the parts of the words
+  missing: u32,    // 0: no vertex is
   widths: u32,
   drops: u32,
   rests: u32,
-  dropped: u32,    // 0: none is
+  dropped: u32,    // 0: no node is
   offsets: u32,    // in the scratch
 };
 
@@ -101,7 +101,7 @@ fn height(c: Chunk, v: i32) -> i32 {
   return vertices[5u * (c.vertex + u32(v)) + 2u];
 }
 
-// On which of the chunk's sides a vertex lies: a bit each.
+// The sides of the chunk that a vertex lies on: a bit each.
 fn sides(c: Chunk, at: vec2<i32>) -> u32 {
   return select(0u, 1u, at.x == c.first.x) | select(0u, 2u, at.y == c.first.y)
     | select(0u, 4u, at.x == c.last.x) | select(0u, 8u, at.y == c.last.y);
@@ -126,7 +126,7 @@ fn put(c: Chunk, v: u32, at: vec2<i32>, height: i32, target_: i32, rank: u32) {
   vertices[to + 4u] = low;
 }
 
-// The vertex v that splits the hypotenuse between e and f, the rank-th on a side.
+// Make vertex v, which splits the hypotenuse between e and f, the rank-th on a side.
 fn make(c: Chunk, v: u32, e: i32, f: i32, rank: u32) {
   let a = place(c, e);
   let b = place(c, f);
@@ -145,7 +145,7 @@ fn make(c: Chunk, v: u32, e: i32, f: i32, rank: u32) {
   put(c, v, (a + b) >> vec2<u32>(1u), own, to, rank);
 }
 
-// Whether a triangle is drawn: it has three heights, and an area where vertices beyond the raster lie on its border.
+// Whether a triangle is drawn: it has three heights, and an area after squeezing onto the raster's border.
 fn drawn(c: Chunk, a: i32, e: i32, f: i32) -> bool {
   if (c.missing != 0u && (height(c, a) == MISSING || height(c, e) == MISSING || height(c, f) == MISSING)) {
     return false;
@@ -167,7 +167,7 @@ fn emit(at: u32, a: u32, b: u32, c: u32) {
   triangles[3u * at + 2u] = c;
 }
 
-// The skirt below an edge, if there is one; where the next goes.
+// Make the skirt below an edge, if there is one; return where the next one goes.
 fn hang(first: u32, at: u32, there: bool, p: u32, q: u32) -> u32 {
   if (!there) {
     return at;
@@ -177,7 +177,7 @@ fn hang(first: u32, at: u32, there: bool, p: u32, q: u32) -> u32 {
   return at + 2u;
 }
 
-// Of a neighbour, one half.
+// The child of a neighbour.
 fn half_of(nodes: u32, n: i32, which: i32) -> i32 {
   if (n < 0) {
     return -1;
@@ -196,7 +196,7 @@ fn split(nodes: u32, i: u32) -> bool {
   return scratch[nodes + 8u * select(u32(scratch[nodes + 8u * i + 5u]), i, own) + 6u] != 0;
 }
 
-// Where the steps of each block begin, and what of the words comes after them.
+// Find where the steps of each block begin, and the end of the steps in the words.
 fn offsets_of(k: u32, c: Chunk, count: u32) -> u32 {
   let blocks = (count - 4u + BLOCK - 1u) / BLOCK;
   let share = (blocks + THREADS - 1u) / THREADS;
@@ -211,7 +211,7 @@ fn offsets_of(k: u32, c: Chunk, count: u32) -> u32 {
     at += BLOCK * ((coded[c.widths + (b >> 2u)] >> (8u * (b & 3u))) & 255u);
   }
   let all_ = workgroupUniformLoad(&total)[0];
-  let lacking = blocks * BLOCK - (count - 4u);   // of the last block
+  let lacking = blocks * BLOCK - (count - 4u);   // in the last block
   let last = blocks - select(1u, 0u, blocks == 0u);
   return all_ - lacking * ((coded[c.widths + (last >> 2u)] >> (8u * (last & 3u))) & 255u);
 }
@@ -259,7 +259,7 @@ fn main(@builtin(local_invocation_index) k: u32, @builtin(workgroup_id) group: v
   }
   storageBarrier();
   var width = 2u;         // nodes of the level
-  var told = 0u;          // what was met in the levels before: bits, vertices, those on sides, triangles, hung edges, nodes
+  var told = 0u;          // totals of the levels before: bits, vertices, those on sides, triangles, edges with a skirt, nodes
   var made = 4u;
   var beside = 4u;
   var out = 0u;
@@ -338,7 +338,7 @@ fn main(@builtin(local_invocation_index) k: u32, @builtin(workgroup_id) group: v
           if (!owner(nodes, i)) {
             scratch[at + 6u] = 0;
           }
-          let there = u32(scratch[at + 7u]);   // of a leaf: 8, and its edges that hang
+          let there = u32(scratch[at + 7u]);   // of a leaf: 8, and its edges with a skirt
           if (there != 0u) {
             emit(job.triangle + out + now.w, u32(a), u32(e), u32(f));
             now.w += 1u;

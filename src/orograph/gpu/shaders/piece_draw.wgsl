@@ -11,9 +11,9 @@
 // include: faces.wgsl
 
 struct Run {
-  @location(0) span: vec3<u32>,    // its first triangle, how many there are, the piece's first height
+  @location(0) span: vec3<u32>,    // its first triangle, their number, the piece's first height
   @location(1) place: vec3<i32>,   // the patch's upper left sample (row, column); exponents of its side in samples and in
-};                                 // points of the lattice, and quarters turned clockwise, a byte each
+};                                 // points of the lattice, and quarter turns clockwise, a byte each
 
 fn point(corner: u32, run: Run) -> Point {
   let how = vec3<u32>(u32(run.place.z)) >> vec3<u32>(0u, 8u, 16u) & vec3<u32>(255u);
