@@ -63,7 +63,7 @@ class QuadTinKind(Derived[dict[str, Any]]):
 
     def arrays(self, what: dict[str, Any], at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
         across = layout_of(at.grid.shape, what["side"]).across
-        yield summary_spec(across, at.shard, at.chunk), {"long_name": "summary of blocks"}
+        yield summary_spec(across, at.shard, at.chunk), {"long_name": "what there is to know of blocks"}
         for part in range(len(DEPTHS)):
             about = f"words of each block's triangles to depth {DEPTHS[part]}"
             yield lengths_spec(across, part, at.shard, at.chunk), {"long_name": about}
