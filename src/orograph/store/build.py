@@ -206,7 +206,7 @@ def build(
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
-            f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
+            f"{max_memory >> 20} MiB is less than a build needs; it runs one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
     plan = plan_for(raster, shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)

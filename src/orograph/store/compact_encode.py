@@ -151,7 +151,7 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
     for c in range(number):
         depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
         direct[c] = DIRECT
-    large, many = np.empty(size, np.int64), 0  # where values are that are ranges in any case
+    large, many = np.empty(size, np.int64), 0  # positions of values that are ranges in any case
     for k in range(size):
         c = of[k]
         value = np.int64(flat[k]) >> depths[c]
@@ -161,7 +161,7 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
             large[many] = k
             many += 1
     for c in range(number):
-        beyond, s = counts[c] - found[c, :DIRECT].sum(), DIRECT  # from here on ranges are as good
+        beyond, s = counts[c] - found[c, :DIRECT].sum(), DIRECT  # from here on, ranges cost hardly more
         while s > 0 and beyond + found[c, s - 1] <= counts[c] >> rare:
             s -= 1
             beyond += found[c, s]
@@ -188,7 +188,7 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
 
 @shared
 def _code(frequency):
-    """The code that is nearest to a frequency of at least 1."""
+    """The code nearest to a frequency ≥ 1."""
     step, bits = frequency, 0
     while step >= 8.0:
         step *= 0.5
@@ -199,7 +199,7 @@ def _code(frequency):
 
 @kernel
 def write_tables(out, at, number, depths, direct, sizes, codes):
-    """Write the tables at ``at`` of the chunk's bytes, zeros so far; where they end."""
+    """Write the tables at ``at`` in the chunk's zeroed bytes; return where they end."""
     for c in range(number):
         out[at], out[at + 1], out[at + 2] = depths[c], direct[c], sizes[c] - direct[c]
         bit, last = (at + 3) * 8, np.int64(START)
@@ -219,7 +219,7 @@ def write_tables(out, at, number, depths, direct, sizes, codes):
 
 @kernel
 def write_mask(numbers, mode, out, at):
-    """Write the runs of samples that are there and that are missing at ``at``; where they end."""
+    """Write the runs of valid and missing samples at ``at``; return where they end."""
     rows, cols = numbers.shape
     state, run = False, np.int64(0)
     for row in range(rows):
@@ -246,15 +246,15 @@ def _write_run(out, at, run):
 
 @inlined
 def push(x, p, words, both, inverse, at):
-    """(The state before a symbol is read, the word before.) One word before the first is written, but does not count.
+    """Encode a symbol: (the state before it, the word before). A word before the first is written, but does not count.
 
-    A product with the inverse is a division: the half keeps it off whole numbers by more than its rounding error.
+    Multiplying by the inverse divides: the added half keeps the product off integers by more than its rounding error.
 
     Args:
         both, inverse: from ``ready_to_push``. at: which symbol of which table.
     """
     frequency, below = both[np.uint64(at)] & 0xFFFF, both[np.uint64(at)] >> 16
-    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)  # (no branch: whether a word is due cannot be foreseen)
+    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)  # (no branch: whether a word is due is unpredictable)
     full = x >= frequency << (32 - BITS)
     x, p = x >> 16 if full else x, p - full
     return np.int64((x + 0.5) * inverse[np.uint64(at)]) * (TOTAL - frequency) + below + x, p
@@ -262,7 +262,7 @@ def push(x, p, words, both, inverse, at):
 
 @inlined
 def push_plain(x, p, words, bits, value):
-    """(The state before so many plain bits are read, the word before.)"""
+    """Encode plain bits: (the state before them, the word before)."""
     words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)
     full = x >= np.int64(1) << (32 - bits)
     x, p = x >> 16 if full else x, p - full
@@ -271,7 +271,7 @@ def push_plain(x, p, words, bits, value):
 
 @kernel
 def ready_to_push(found):
-    """Of each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
+    """For each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
     both, inverse = np.zeros(found.size, np.int64), np.ones(found.size)
     for c in range(found.shape[0]):
         below = np.int64(0)
@@ -285,7 +285,7 @@ def ready_to_push(found):
 
 @kernel
 def _stream(values, contexts, depths, direct, found, words, states):
-    """Write the words from the end, in the opposite order of reading; where they begin."""
+    """Write the words from the end, in the reverse order of reading; return where they begin."""
     rows, size = values.shape
     width, p = size // LANES, np.int64(words.size)
     both, inverse = ready_to_push(found)
@@ -318,7 +318,7 @@ def _stream(values, contexts, depths, direct, found, words, states):
 
 @kernel
 def encode(numbers):
-    """The bytes of a chunk, (n,) uint8.
+    """Return the bytes of a chunk, (n,) uint8.
 
     Args:
         numbers: (rows, cols) int32, C order, at least one sample.

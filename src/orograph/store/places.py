@@ -137,7 +137,7 @@ def interrupted(storage: Storage) -> StoreError:
     """The error about an unfinished update in a bucket."""
     return StoreError(
         "An update of this store was interrupted.", path=storage.url,
-        remedy="Finish it with `update=True`, or start anew with `overwrite=True`.",
+        remedy="Finish it with `update=True`, or start over with `overwrite=True`.",
     )  # fmt: skip
 
 

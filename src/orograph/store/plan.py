@@ -109,7 +109,7 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
             raise StoreError(
                 f"The interrupted build cannot be resumed: its {unlike} differ.",
                 path=storage.url,
-                remedy="Run it with the same files and options, or start anew with `overwrite=True`.",
+                remedy="Run it with the same files and options, or start over with `overwrite=True`.",
             )
         return plan, False
     if is_store(final):
@@ -153,5 +153,5 @@ def _interrupted(final: Storage) -> StoreError:
     return StoreError(
         "An interrupted build of this store is there.",
         path=final.url,
-        remedy="Finish it with `resume=True`, or start anew with `overwrite=True`.",
+        remedy="Finish it with `resume=True`, or start over with `overwrite=True`.",
     )

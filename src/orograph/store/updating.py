@@ -148,7 +148,7 @@ def seeded(
     """
     if later := ", ".join([*LAYERS.of(record), *(["color errors"] if COLORS.of(record) else [])]):
         progress.warn(
-            f"{url}: what was added to the store later is not kept, for it is of the terrain as it was: {later}."
+            f"{url}: data added to the store later belong to the terrain as it was and are not kept: {later}."
         )
     before = {**plan_of(record), "source": None, "name": None}
     going_on = sized(plan, before)
@@ -161,7 +161,7 @@ def seeded(
         found = changed_windows(record.inputs or {}, inputs_of(raster) or {})
         why, changed = ("", found) if isinstance(found, list) else (found, [])
     if why:
-        progress.note(f"{url}: everything is made again: {why}")
+        progress.note(f"{url}: everything is rebuilt: {why}")
         return None
     shape = record.grid.shape
     every, sides = tasks(shape, record.shard), tasks(shape, area_of(record.shard))
@@ -174,7 +174,7 @@ def seeded(
     left = len(every) - len(heights)
     progress.note(
         f"{url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
-        f"{len(sides):,} of errors are made again"
+        f"{len(sides):,} of errors are rebuilt"
     )
     return going_on
 
@@ -185,10 +185,10 @@ def _unlike(record: Record, parts: bool, raster: HeightSource, coding: Coding | 
         return "it was built without `update`, and keeps no parts"
     before = record.coding
     if (None if before is None else before.step) != (None if coding is None else coding.step):
-        return "the data have other steps now"
+        return "the steps of the data have changed"
     lattices = [LatticeRecord.of(lattice) for lattice in getattr(raster, "resampled_from", ())]
     if [each.to_json() for each in lattices] != [each.to_json() for each in record.lattices]:
-        return "its sources lie on other lattices, have numbers of another kind, or their samples are not kept"
+        return "its sources lie on other lattices, have another data type, or their samples are not kept"
     return ""
 
 
@@ -208,7 +208,7 @@ def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window]
     if [path for path in old if path in new] != [path for path in new if path in old]:
         return "its files have another order"
     if any(state[0]["size"] is None for state in (*old.values(), *new.values())):
-        return "of files at URLs it is not known whether they changed (orograph manifest finds out)"
+        return "it is unknown whether files at URLs have changed (orograph manifest finds out)"
     same = {path for path in old.keys() & new.keys() if old[path] == new[path]}
     return [state[2] for states in (old, new) for path, state in states.items() if path not in same]
 
