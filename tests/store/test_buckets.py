@@ -149,7 +149,7 @@ def test_one_of_two_builds_at_once_is_refused_and_told_which_is_at_work(s3, loca
     url = "s3://terrain/two.oro"
     with alone(storage_at(url), "building this store"):
         with pytest.raises(
-            StoreError, match=rf"building this store \(process {os.getpid()} on .*last sign of life is \d+ s"
+            StoreError, match=rf"building this store \(process {os.getpid()} on .*last heartbeat was \d+ s"
         ):
             store.build(source(HEIGHTS), url, **SIZES)
         with pytest.raises(StoreError, match="Another process is building"), alone(storage_at(url), "x", shared="a"):

@@ -1,4 +1,4 @@
-"""Which storage a path or URL means: a folder, a bucket or web server, or what else fsspec reaches."""
+"""The storage that a path or URL means: a folder, a bucket or web server, or anything else that fsspec reaches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from orograph.store.versions import folder_of, version_of
 
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
-    """The storage of a path, a ``file://`` URL, a bucket's or a web server's, or any other that fsspec knows.
+    """Return the storage of a path, a ``file://`` URL, a bucket or web server, or any other address that fsspec knows.
 
     ``STORE@2`` is a version of a store (``versions``).
     """

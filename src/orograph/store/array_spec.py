@@ -1,11 +1,11 @@
-"""What a two-dimensional Zarr v3 array in shards is, and how its shards are encoded: what ``arrays`` reads.
+"""Two-dimensional Zarr v3 arrays in shards: what they are, and how shards are encoded. ``arrays`` reads them.
 
-Zarr's ``sharding_indexed`` layout is simple enough to keep in two files, and doing so buys what a general library does
-not give: bytes that depend on nothing but the samples, a reader that starts in milliseconds, and a checksum failure
-that knows the name of its chunk. A shard is the chunks that hold anything, one
+Zarr's ``sharding_indexed`` layout is simple enough to implement in two files. This gives what a general library does
+not: bytes that depend on nothing but the samples, a reader that starts in milliseconds, and checksum errors that name
+the chunk. A shard consists of its non-empty chunks, one
 after the other in C order, each ``bytes`` (little endian) → ``blosc``, or one of ``OWN``, → ``crc32c``; then its label
-(``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill
-value, and the index's own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an
+(``digests``); then the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk of fill values only,
+and the index's own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an
 empty one, so that a lost file is noticed.
 """
 
@@ -26,27 +26,27 @@ from orograph.store.progressive import Scheme, known, rebuilt, residuals
 Array = NDArray[Any]
 
 OWN = {"compact": compact, "smallest": smallest, "progressive": smallest}
-"""The project's own codecs, of chunks of int32 (docs/codec.md), by profile."""
+"""The project's own codecs for chunks of int32 (docs/codec.md), by profile."""
 
 CODEC = {"cname": "zstd", "clevel": 1, "blocksize": 1 << 18}
-"""One blosc block per 256² chunk of float32. Warped SRTM packs 1.8:1 so (integers 5:1) and decodes at 2 GB/s a core.
-lz4 decodes at 4 GB/s but packs 1.6:1 (3:1); smaller blosc blocks lose both ways (docs/store.md has the table)."""
+"""One blosc block per 256² chunk of float32. Warped SRTM compresses 1.8:1 (integers 5:1) and decodes at 2 GB/s a core.
+lz4 decodes at 4 GB/s but compresses 1.6:1 (3:1); smaller blosc blocks do worse in both (table in docs/store.md)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArraySpec:
-    """What an array is, and its Zarr metadata.
+    """The shape, encoding and Zarr metadata of an array.
 
     Attributes:
         path: within the store.
-        shape: samples.
+        shape: in samples.
         shard: samples along a shard's side, a multiple of ``chunk``.
         chunk: samples along a chunk's side.
         dtype: NumPy's name.
         fill: the value of chunks that are not written.
         dimensions: their names.
-        packing: how the samples lie in it as int32; None: as they are.
-        scheme, coarser: how, and from which array, they follow (``progressive``); None: they stand for themselves.
+        packing: how samples are encoded as int32; None: they are stored unchanged.
+        scheme, coarser: how samples are predicted, and from which array (``progressive``); None: no prediction.
     """
 
     path: str
@@ -62,19 +62,19 @@ class ArraySpec:
 
     @property
     def shards(self) -> Spot:
-        """How many shards there are each way."""
+        """The number of shards along each axis."""
         return -(-self.shape[0] // self.shard), -(-self.shape[1] // self.shard)
 
     def key(self, shard: Spot) -> str:
-        """The name of a shard, which its label has, too."""
+        """Return the name of a shard, which its label contains too."""
         return f"{self.path}/c/{shard[0]}/{shard[1]}"
 
     def place(self, shard: Spot, digests: Digests) -> str:
-        """The key under which a shard lies."""
+        """Return the key under which a shard is stored."""
         return digests.place(self.key(shard), digests.get(self.path, self.shards, shard))
 
     def window(self, shard: Spot) -> tuple[int, int, int, int]:
-        """The samples of a shard: row0, row1, col0, col1."""
+        """Return the bounds of a shard in samples: row0, row1, col0, col1."""
         row, col = shard[0] * self.shard, shard[1] * self.shard
         return row, min(row + self.shard, self.shape[0]), col, min(col + self.shard, self.shape[1])
 
@@ -120,11 +120,11 @@ class ArraySpec:
 
     @property
     def chunks(self) -> int:
-        """Chunks of a shard."""
+        """The number of chunks in a shard."""
         return (self.shard // self.chunk) ** 2
 
     def encode(self, spot: Spot, block: Array) -> tuple[list[bytes], bytes]:
-        """The bytes of a shard, and its digest.
+        """Return the bytes of a shard, and its digest.
 
         Args:
             spot: which shard.
@@ -157,12 +157,12 @@ class ArraySpec:
         return [*parts, end], digest
 
     def _stored(self, view: Array, last: Spot, scheme: Scheme) -> Array:
-        """The differences that are stored of a chunk."""
+        """Return the differences that are stored for a chunk."""
         assert self.packing is not None
         return residuals(self.packing.numbers(view), last, scheme)
 
     def _size(self, spot: Spot, chunk: Spot) -> tuple[Spot, Spot]:
-        """(The first sample of a chunk of a shard, how many it has each way)."""
+        """Return the first sample of a chunk of a shard, and its size along each axis."""
         row, col = (a * self.shard + b * self.chunk for a, b in zip(spot, chunk, strict=True))
         return (row, col), (min(self.chunk, self.shape[0] - row), min(self.chunk, self.shape[1] - col))
 
@@ -170,13 +170,13 @@ class ArraySpec:
         return known(self.shape, *self._size(spot, chunk))
 
     def heights_of(self, data: bytes, i: int, j: int, coarse: Array) -> Array:
-        """The samples of a chunk (i, j) of the array, of those of the array above it.
+        """Return the samples of chunk (i, j) of the array, from the coarser array's samples.
 
         Args:
-            coarse: from every second of its rows and columns on.
+            coarse: the coarser samples, from half the chunk's first row and column on.
 
         Raises:
-            ValueError: it is damaged.
+            ValueError: the chunk is damaged.
         """
         assert self.packing is not None and self.scheme is not None
         _, size = self._size((0, 0), (i, j))
@@ -206,10 +206,10 @@ class ArraySpec:
         return data
 
     def decompressed(self, data: bytes) -> Array:
-        """The samples of a chunk.
+        """Return the samples of a chunk.
 
         Raises:
-            RuntimeError, ValueError: it is damaged.
+            RuntimeError, ValueError: the chunk is damaged.
         """
         if self.packing is not None and self._own is not None:
             return self.packing.heights(self._own.decompressed(data, (self.chunk, self.chunk)))
@@ -222,6 +222,6 @@ class ArraySpec:
 
     def _is_fill(self, view: Array) -> bool:
         if np.isnan(self.fill):
-            # Nearly every chunk of real terrain is told by its first sample; only the others are looked through.
+            # The first sample decides for nearly every chunk of real terrain; only the others are scanned.
             return bool(np.isnan(view[0, 0])) and bool(np.isnan(view).all())
         return bool((view == self.fill).all())

@@ -1,4 +1,4 @@
-"""A two-dimensional Zarr v3 array in shards (``array_spec``), read by windows: one chunk with one ``pread``.
+"""A two-dimensional Zarr v3 array in shards (``array_spec``), read by windows: one ``pread`` per chunk.
 
 Chunks are named by their key: ``heights/0/height/c/3/4[1,7]`` is the inner chunk (1, 7) of that shard.
 """
@@ -26,39 +26,39 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 Place = tuple[int, int, int]
-"""Of a chunk in its shard: offset, length and crc32c."""
+"""A chunk in its shard: offset, length and crc32c."""
 
-BULK = 16  # windows of more chunks than this are decoded by all processors, and do not push others out of the cache
+BULK = 16  # windows of more chunks than this are decoded by all processors, and do not evict others from the cache
 BATCH = 64  # chunks fetched together from remote storage
 INDICES = 4096  # shard indices kept
 
 
 class Window:
-    """A part of an array that is in memory.
+    """A part of an array in memory.
 
     Args:
-        first: its first sample. samples: it.
+        first: its first sample (row, column). samples: its samples.
     """
 
     def __init__(self, first: Spot, samples: Array) -> None:
         self.first, self.samples = first, samples
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Samples ``[row0, row1) × [col0, col1)``."""
+        """Return samples ``[row0, row1) × [col0, col1)``."""
         row, col = self.first
         return self.samples[row0 - row : row1 - row, col0 - col : col1 - col]
 
 
 class ShardedArray:
-    """An array of a store, opened for reading. Safe from any number of threads.
+    """An array of a store, open for reading. Thread-safe.
 
     Args:
-        spec: what it is.
-        storage: where it lies.
-        digests: what its shards must be.
+        spec: the array's description.
+        storage: where it is stored.
+        digests: the expected digests of its shards.
         cache: for decoded chunks, shared with the store's other arrays.
         jobs: threads for large windows.
-        watch: whether the store is still the same; None: nobody replaces it.
+        watch: notices when the store is replaced; None: it never is.
     """
 
     def __init__(
@@ -81,11 +81,11 @@ class ShardedArray:
         self._lock = threading.Lock()
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """Samples ``[row0, row1) × [col0, col1)``, which must lie inside the array. A new array.
+        """Return samples ``[row0, row1) × [col0, col1)``, which must lie inside the array, as a new array.
 
         Raises:
-            DamagedChunkError: a chunk, or its shard's index, fails its checksum, is cut off, gone or from elsewhere.
-            StoreReplacedError: the store is another by now.
+            DamagedChunkError: a chunk or its shard's index fails its checksum, is truncated, missing or from elsewhere.
+            StoreReplacedError: the store has been replaced.
         """
         if self.watch is None:
             return self.window(row0, row1, col0, col1)
@@ -96,10 +96,10 @@ class ShardedArray:
             self.watch.explain(self.spec.path)
             if not self.watch.replaced:
                 raise
-        return self.window(row0, row1, col0, col1)  # where the version that was opened is kept now
+        return self.window(row0, row1, col0, col1)  # from where the opened version is kept now
 
     def prove(self, shard: Spot, whole: bool) -> None:
-        """Read a shard, whole or its end alone, which says what all of it must be.
+        """Read a shard: all of it, or only its end, which lists what the rest must be.
 
         Raises:
             DamagedChunkError: as ``read``.
@@ -107,7 +107,7 @@ class ShardedArray:
         self._index(shard)
         if whole and self.coarser is None:
             self.read(*self.spec.window(shard))
-        elif whole:  # what lies above may not be there yet
+        elif whole:  # the coarser array may not be written yet
             row0, row1, col0, col1 = self.spec.window(shard)
             rows, cols = (
                 range(a // self.spec.chunk, -(-b // self.spec.chunk)) for a, b in ((row0, row1), (col0, col1))
@@ -117,7 +117,7 @@ class ShardedArray:
                 self._decode(i, j, data, check, None)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
-        """As ``read``, without asking whether the store is the same."""
+        """Like ``read``, but without checking whether the store has been replaced."""
         out = np.empty((row1 - row0, col1 - col0), self.spec.dtype)
         if out.size == 0:
             return out
@@ -135,7 +135,7 @@ class ShardedArray:
         bulk = len(missing) > BULK
         early: list[tuple[bytes | None, int]] | None = None
         if self.coarser is not None and self.storage.remote and not bulk:
-            # All levels at once: one after the other their answers would be waited for as many times.
+            # Fetch all levels at once: one after the other, each would add its latency.
             with ThreadPoolExecutor(1) as pool:
                 waiting = pool.submit(self._above, missing)
                 early, above = self._fetch(missing), waiting.result()
@@ -158,29 +158,29 @@ class ShardedArray:
         return out
 
     def _above(self, spots: Sequence[Spot]) -> Window | None:
-        """What these chunks need of the array above; None: nothing."""
+        """Return the part of the coarser array that these chunks need; None if they need none."""
         if self.coarser is None:
             return None
         spans = []
         for axis in (0, 1):
             first, end = min(spot[axis] for spot in spots), max(spot[axis] for spot in spots) + 1
             size, side = self.spec.chunk, self.spec.shape[axis]
-            # (the last sample of an even number of them has an odd number, and is the last one above, too)
+            # (of an even number of samples, the last has an odd index; the last one of the coarser array covers it)
             spans += [first * size // 2, end * size // 2 if end * size < side else side // 2 + 1]
         return Window((spans[0], spans[2]), self.coarser.window(*spans))
 
     def _place(self, out: Array, chunk: Array, i: int, j: int, row0: int, col0: int) -> None:
-        """Copy what of chunk (i, j) lies in the window at (row0, col0)."""
+        """Copy the part of chunk (i, j) that lies in the window at (row0, col0)."""
         size = self.spec.chunk
         top, left = i * size - row0, j * size - col0
         r, c = max(top, 0), max(left, 0)
         out[r : top + size, c : left + size] = chunk[r - top : out.shape[0] - top, c - left : out.shape[1] - left]
 
     def _fetch(self, spots: Sequence[Spot]) -> list[tuple[bytes | None, int]]:
-        """The encoded chunks, None for those that are all fill value, and what their checksums must be."""
+        """Return the encoded chunks (None for those of fill values only), and their expected checksums."""
         side = self.spec.shard // self.spec.chunk
         shards = [s for s in {(i // side, j // side) for i, j in spots} if s not in self._indices]
-        if self.storage.remote and len(shards) > 1:  # all at once: each is waited for
+        if self.storage.remote and len(shards) > 1:  # concurrently, because of the latency
             with ThreadPoolExecutor(min(len(shards), BULK)) as pool:
                 list(pool.map(self._index, sorted(shards)))
         places = []
@@ -196,7 +196,7 @@ class ShardedArray:
         return [(next(found) if length else None, check) for _, length, check in places]
 
     def _index(self, shard: Spot) -> list[Place]:
-        """Where the chunks of a shard lie; length 0 for those that are not written."""
+        """Return the places of the chunks of a shard; length 0 for those that are not written."""
         with self._lock:
             index = self._indices.get(shard)
             if index is not None:

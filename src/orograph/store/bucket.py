@@ -1,12 +1,12 @@
-"""Stores in buckets (``s3://``, ``gs://``, ``az://``) and, to be read, on web servers (``http(s)://``): by obstore.
+"""Stores in buckets (``s3://``, ``gs://``, ``az://``), and read-only on web servers (``http(s)://``), through obstore.
 
-Every request is bounded in number (``AT_ONCE``) and tried again where it failed for the moment only. Objects are asked
-for by name; only ``remove`` of what lies below a key, and ``size``, list. Credentials are those of the environment, as
-the clouds' own tools find them; no message and no record has them.
+A process runs at most ``AT_ONCE`` requests at a time and retries transient failures. It requests objects by name; only
+``remove`` (of everything below a key) and ``size`` list them. Credentials come from the environment, where the clouds'
+own tools find them, and never appear in a message or a record.
 
-A bucket has no locks and no renaming, but it writes under conditions: ``swap`` puts an object only where the one that
-is there is still the one that was looked at. The lock is made of that (``bucket_lock``), and so is the publication of
-a store: its root ``zarr.json`` takes the place of the one that this object has read last, or of none.
+A bucket has neither locks nor renames, but it has conditional puts: ``swap`` writes an object only if the existing one
+is still the version that was read. The lock (``bucket_lock``) is built on this, and so is the publication of a store:
+its root ``zarr.json`` replaces the version that this object last read, or is created where there was none.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
     from orograph.store.bucket_lock import Lease
 
 AT_ONCE = 32
-"""Requests of one process under way at once."""
+"""Concurrent requests of one process."""
 
 PART = 8 << 20
-"""Bytes of an object that is larger which go as one part of a multipart upload."""
+"""Part size of a multipart upload, in bytes; smaller objects go in one request."""
 
 SCHEMES = WEB | {"s3", "s3a", "gs", "az", "azure", "abfs", "abfss"}
 KEPT = "parts/"
-"""What tasks found lies below it until the store is complete."""
+"""Holds the results of tasks until the store is complete."""
 VERSIONS = "versions"
-"""The roots of older versions lie below it."""
+"""Holds the roots of older versions."""
 
 TOGETHER = 1000
-"""Objects that are removed by one request."""
+"""Objects removed by one request."""
 
 T = TypeVar("T")
 
@@ -53,28 +53,28 @@ _gate = threading.BoundedSemaphore(AT_ONCE)
 
 
 def scope_of(plan: bytes) -> str:
-    """Below which name in ``parts/`` lies what the tasks of a build found."""
+    """Return the name in ``parts/`` below which the tasks of a build put their results."""
     return hashlib.blake2b(plan, digest_size=8).hexdigest()
 
 
 def root_key(number: int) -> str:
-    """Where the root of an older version lies (``versions``)."""
+    """Return the key of an older version's root (``versions``)."""
     return f"{VERSIONS}/{number}.json"
 
 
 class Version(NamedTuple):
-    """Which state of an object was looked at."""
+    """Identifies the version of an object that was read."""
 
     e_tag: str | None
     version: str | None
 
     def mode(self) -> dict[str, str]:
-        """As obstore wants it, of what there is."""
+        """Return the known fields in obstore's form."""
         return {name: said for name, said in self._asdict().items() if said is not None}
 
 
 class Seen(NamedTuple):
-    """An object: its bytes, which state of it they are, and when that was written (by the server's clock)."""
+    """An object: its bytes, their version, and when it was written (by the server's clock)."""
 
     data: bytes
     version: Version
@@ -85,14 +85,14 @@ class BucketStorage(Storage):
     """Objects below a prefix of a bucket, or of a web server.
 
     Args:
-        url: of the store's root.
-        options: obstore's configuration of the store (``endpoint``, ``region``, ``skip_signature``…), beside what the
-            environment says; ``client_options`` are obstore's, too.
+        url: the URL of the store's root.
+        options: obstore's configuration of the store (``endpoint``, ``region``, ``skip_signature``…), in addition to
+            the environment; ``client_options`` are obstore's, too.
 
     Attributes:
-        lease: of the lock that is held (``bucket_lock``); without it any process may write.
-        scope: below which of the names in ``parts/`` lies what tasks found (``scope_of``).
-        elsewhere: of which keys in ``parts/`` the objects lie below another name, and which.
+        lease: the lease of the lock that is held (``bucket_lock``); without one, any process may write.
+        scope: the name in ``parts/`` below which tasks put their results (``scope_of``).
+        elsewhere: the scope of each key in ``parts/`` whose object lies below another name.
     """
 
     remote = True
@@ -122,26 +122,26 @@ class BucketStorage(Storage):
         return self._url, self._options
 
     def above(self) -> tuple[BucketStorage, str]:
-        """What the store lies in, and the store's name there ("" if it is all of a bucket)."""
+        """Return what the store lies in, and the store's name there ("" if it is a whole bucket)."""
         found = self._like()
         found.prefix, _, name = self.prefix.rpartition("/")
         found.lease, found.number = None, None
         return found, name
 
     def below(self, prefix: str, url: str) -> BucketStorage:
-        """Another prefix of the same bucket."""
+        """Return another prefix of the same bucket."""
         found = self._like()
         found.prefix, found._url, found.url, found.number = prefix, url, public(url), None
         return found
 
     def older(self, number: int) -> BucketStorage:
-        """An older version of the store (``versions``): its root is another object, the rest lies here."""
+        """Return an older version of the store (``versions``): its root is another object, the rest is shared."""
         found = self.below(self.prefix, f"{self._url}@{number}")
         found.number = number
         return found
 
     def newest(self) -> BucketStorage:
-        """The store itself, of an older version."""
+        """Return the newest version of this store."""
         return self if self.number is None else self.below(self.prefix, self._url.rpartition("@")[0])
 
     def follow(self, other: Storage) -> None:
@@ -166,8 +166,8 @@ class BucketStorage(Storage):
         return f"{self.prefix}/{key}".strip("/")
 
     def _know(self, key: str, data: bytes) -> None:
-        """What is kept until the store is complete lies under its plan's digest: were a listing too old to show what an
-        earlier build has left, that would not be taken for this one's."""
+        """Data kept until the store is complete lies under the digest of its plan, so leftovers of an earlier build
+        that a stale listing hides are not mistaken for this build's."""
         if key in (PLAN, UPDATE):
             self.scope = scope_of(data)
 
@@ -183,7 +183,7 @@ class BucketStorage(Storage):
         return seen.data
 
     def look(self, key: str) -> Seen | None:
-        """An object with what ``swap`` has to know of it; None if there is none."""
+        """Return an object with the version that ``swap`` needs; None if there is none."""
 
         def read() -> Seen:
             found = self._client.get(self._at(key))
@@ -220,7 +220,7 @@ class BucketStorage(Storage):
         return self._try("read", key, lambda: self._client.head(self._at(key))) is not None
 
     def stamp(self, key: str) -> tuple[Any, ...] | None:
-        if self.web:  # (what web servers say of an object besides differs from one to the next)
+        if self.web:  # (an object's other metadata differs from one web server to the next)
             data = self.get(key)
             return None if data is None else (len(data), zlib.crc32(data))
         found = self._try("read", key, lambda: self._client.head(self._at(key)))
@@ -232,7 +232,7 @@ class BucketStorage(Storage):
         return self._try("listed", "", lambda: sum(each["size"] for each in self._below("")))
 
     def listed(self) -> list[str]:
-        """The names of all objects, by a listing: what was just written or removed may be missing, or there still."""
+        """List the names of all objects. The listing may be stale: new objects missing, removed ones still there."""
         found = self._try("listed", "", lambda: [each["path"] for each in self._below("")]) or []
         return [path.removeprefix(f"{self.prefix}/") for path in found]
 
@@ -256,11 +256,11 @@ class BucketStorage(Storage):
         self.elsewhere.pop(key, None)
 
     def swap(self, key: str, data: bytes, version: Version | None) -> Version | None:
-        """Put an object where there is none (``version`` is None), or in the place of this version of it; None if there
-        is something else by now.
+        """Put an object where there is none (``version`` is None), or replace this version of it; return None if
+        another version is there by now.
 
         Raises:
-            StoreError: it cannot be written, or the server writes nothing under conditions.
+            StoreError: it cannot be written, or the server has no conditional puts.
         """
         from obstore.exceptions import AlreadyExistsError, NotSupportedError, PreconditionError
 
@@ -284,24 +284,24 @@ class BucketStorage(Storage):
                 ) from error  # fmt: skip
             raise
         if made is None:
-            # An answer may have been lost, and the second try have met what the first has done.
+            # The first response may have been lost; the retry then found the first write.
             seen = self.look(key)
             return seen.version if seen is not None and seen.data == data else None
         return made
 
     def copy(self, made: BucketStorage, key: str, to: str) -> None:
-        """Copy an object of another prefix of this bucket, by the server."""
+        """Copy an object from another prefix of this bucket, on the server."""
         self.may_write()
         self._try("written", to, lambda: self._client.copy(made._at(key), self._at(to)), written=True)
 
     def _publish(self, data: bytes) -> None:
-        """Put the root in the place of that which was read last."""
+        """Replace the version of the root that was read last."""
         if ROOT not in self._roots:
             self.get(ROOT)
         made = self.swap(ROOT, data, self._roots[ROOT])
         if made is None:
             raise StoreError(
-                "Another process has published the store, or removed it, meanwhile: its root has changed.",
+                "Another process has published or removed the store meanwhile: its root has changed.",
                 path=self.url, remedy="Check what is there, and run it again.",
             )  # fmt: skip
         self._roots[ROOT] = made
@@ -310,7 +310,7 @@ class BucketStorage(Storage):
         self.may_write()
         if key == ROOT or not key:
             self._roots[ROOT] = None
-        if not key.endswith((".json", ".lock")):  # (objects by their names)
+        if not key.endswith((".json", ".lock")):  # (those are single objects)
             self._remove([each["path"] for each in self._try("listed", key, lambda: self._below(key)) or ()])
         if key:
             self._try("removed", key, lambda: self._client.delete(self._at(key)))
@@ -324,11 +324,11 @@ class BucketStorage(Storage):
             self.may_write()
             some = list(paths[first : first + TOGETHER])
             if self._try("removed", "", lambda: self._client.delete(some) or True) is None:  # noqa: B023
-                for path in some:  # (one of them is gone already, and some clouds remove nothing more then)
+                for path in some:  # (one was already gone, and some clouds then remove none of the others)
                     self._try("removed", "", lambda: self._client.delete(path))  # noqa: B023
 
     def may_write(self) -> None:
-        """Raise StoreError if it is a web server, or the lock was lost."""
+        """Raise StoreError if this is a web server, or the lock was lost."""
         if self.web:
             raise StoreError(
                 "It could not be written: web servers are read only.", path=self.url,
@@ -340,7 +340,7 @@ class BucketStorage(Storage):
     # Requests
 
     def _try(self, what: str, key: str, ask: Callable[[], T], written: bool = False) -> T | None:
-        """What a request brings, tried again where it failed for the moment; None if there is no such object."""
+        """Perform a request and retry transient failures; return None if there is no such object."""
         pauses = iter(waiting.AGAIN if self.web else (*waiting.AGAIN, *waiting.LONGER))
         while True:
             try:
@@ -381,7 +381,7 @@ _made: list[ThreadPoolExecutor] = []
 
 
 def _pool() -> ThreadPoolExecutor:
-    """Threads for requests that go together."""
+    """Return the threads for concurrent requests."""
     if not _made:
         _made.append(ThreadPoolExecutor(AT_ONCE, thread_name_prefix="orograph-bucket"))
     return _made[0]

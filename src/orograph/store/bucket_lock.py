@@ -1,15 +1,15 @@
-"""One writer at a time in a bucket: an object ``.area.oro.lock`` beside the store, made and changed under conditions.
+"""One writer at a time in a bucket: a lock object ``.area.oro.lock`` beside the store, written by conditional puts.
 
-It says who holds it (host, process, since when) and is written anew every ``BEAT`` seconds, each time on condition that
-it is still what it was. A holder that could not do so for ``LEASE`` seconds has lost it and writes nothing any more.
-A lock is taken over when its process has ended on this machine; or when it is older than ``LEASE`` by the server's
-clock, and then does not change for half of that while one looks: clocks that differ do not end anybody's lease.
+The object names its holder (host, process, start) and is rewritten every ``BEAT`` seconds, each time on condition that
+it is unchanged. A holder that could not do so for ``LEASE`` seconds has lost the lock and stops writing.
+Another process takes a lock over if its holder was a process on this machine and has ended; or if the lock is older
+than ``LEASE`` by the server's clock and does not change for another half of that. So clock skew ends nobody's lease.
 
-Parts of one build share it: ``shared`` says what they have in common. Who of them finds that another has just beaten
-for all need not; who leaves last removes it.
+The processes of one build share a lock; ``shared`` identifies the build. One heartbeat serves all of them: a holder
+that finds a fresh one skips its own. The last to leave removes the object.
 
-The bucket's guarantee rests on the server: it must write under conditions (If-None-Match, If-Match). Whether it does is
-tried when a lock is taken: one that is already there must not be made again.
+The guarantee rests on the server, which must support conditional puts (If-None-Match, If-Match). This is tested when a
+lock is taken: the server must refuse to create the lock again.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from orograph.processes import host, running
 from orograph.store.bucket import BucketStorage, Seen, Version
 
 LEASE = 60.0
-"""Seconds that a lock holds without a sign of life."""
+"""Seconds that a lock holds without a heartbeat."""
 
 BEAT = 15.0
-"""Seconds between two signs of life."""
+"""Seconds between two heartbeats."""
 
 TRIES = 100
 PAUSE = 0.1
-"""How often, and after how many seconds, it is tried again while the lock changes hands."""
+"""Number of attempts, and seconds between them, while the lock changes hands."""
 
 
 class Lease:
     """A lock on a store in a bucket.
 
     Args:
-        storage: of the store.
-        doing: what others are told.
-        shared: what those have in common who may work at the same time; None: nobody may.
+        storage: the store's storage.
+        doing: what other processes are told about this one.
+        shared: identifies the processes that may work at the same time; None: the lock is exclusive.
     """
 
     def __init__(self, storage: BucketStorage, doing: str, shared: str | None) -> None:
@@ -63,7 +63,7 @@ class Lease:
         self._thread = threading.Thread(target=self._live, name="orograph-lease", daemon=True)
 
     def must_hold(self) -> None:
-        """Raise StoreError if the lock may be another's by now."""
+        """Raise StoreError if another process may have taken the lock."""
         if time.monotonic() - self._renewed > LEASE:
             raise StoreError(
                 f"The lock on this store was lost: the bucket was out of reach for {LEASE:g} s, or another process has "
@@ -102,11 +102,11 @@ class Lease:
         self._thread.start()
 
     def release(self) -> None:
-        """Let go of the lock; what cannot be said any more is left to its lease."""
+        """Release the lock; if the bucket does not answer, the lease expires by itself."""
         self._over.set()
         self._thread.join()
         with contextlib.suppress(StoreError):
-            while time.monotonic() - self._renewed < LEASE / 2:  # else another may be about to take it over
+            while time.monotonic() - self._renewed < LEASE / 2:  # after that, another process may be taking it over
                 began = time.monotonic()
                 seen = self.place.look(self.key)
                 if seen is None or self.token not in [each.get("token") for each in _holders(_read(seen))]:
@@ -119,22 +119,22 @@ class Lease:
                 return
 
     def _live(self) -> None:
-        """Beat, until it is over."""
+        """Send heartbeats until the lock is released."""
         while not self._over.wait(BEAT):
             with contextlib.suppress(StoreError):
                 began = time.monotonic()
                 seen = self.place.look(self.key)
                 holders = [] if seen is None else _holders(_read(seen))
                 if seen is None or self.token not in [each.get("token") for each in holders]:
-                    self._renewed = -LEASE  # it is another's
+                    self._renewed = -LEASE  # another process has it
                     return
-                if seen.version != self._version:  # of those who share it one has beaten, come or gone
+                if seen.version != self._version:  # another holder has sent a heartbeat, joined or left
                     self._version, self._renewed = seen.version, began
                     continue
                 self._put([each for each in holders if not _ended(each)], seen.version, began)
 
     def _put(self, holders: list[dict[str, Any]], version: Version | None, began: float, leaving: bool = False) -> bool:
-        """Write the lock; whether it was still what it was."""
+        """Write the lock; return whether it was unchanged until then."""
         self._beats += 1
         said = {
             "doing": self.doing, "shared": self.shared, "lease": LEASE, "beat": f"{self.token} {self._beats}",
@@ -147,7 +147,7 @@ class Lease:
         return True
 
     def _must_be_kept(self) -> None:
-        """Raise StoreError if the server lets an object that is there be made again."""
+        """Raise StoreError if the server lets an existing object be created again."""
         if self.place.swap(self.key, b"{}", None) is not None:
             self.place.remove(self.key)
             raise StoreError(
@@ -156,7 +156,7 @@ class Lease:
             )  # fmt: skip
 
     def _stale(self, seen: Seen, said: dict[str, Any]) -> bool:
-        """Whether nobody holds it any more."""
+        """Return whether nobody holds the lock any more."""
         holders = _holders(said)
         if holders and all(_ended(each) for each in holders):
             return True
@@ -180,7 +180,7 @@ class Lease:
         heard = ""
         if seen is not None:
             age = max(0, round((datetime.now(UTC) - seen.written).total_seconds()))
-            heard = f" Its last sign of life is {age} s old."
+            heard = f" Its last heartbeat was {age} s ago."
         why = (
             " Its plan is different."
             if self.shared is not None and said.get("shared") not in (None, self.shared)
@@ -188,8 +188,8 @@ class Lease:
         )
         return StoreError(
             f"Another process is {said.get('doing', 'at work on this store')}{who}.{why}{heard}", path=self.url,
-            remedy=f"Wait until it is done; if it has ended, its lock is free {1.5 * _lease(said):g} s after its "
-            "last sign of life.",
+            remedy=f"Wait until it is done; if it has ended, its lock expires {1.5 * _lease(said):g} s after its "
+            "last heartbeat.",
         )  # fmt: skip
 
 
@@ -212,6 +212,6 @@ def _lease(said: dict[str, Any]) -> float:
 
 
 def _ended(holder: dict[str, Any]) -> bool:
-    """Whether it is a process of this machine that has ended."""
+    """Return whether the holder was a process on this machine and has ended."""
     pid = holder.get("pid")
     return holder.get("host") == host() and isinstance(pid, int) and not running(pid)

@@ -1,13 +1,14 @@
 """Updating a store in a bucket, where nothing can be renamed: all versions lie below one key.
 
-Objects have keys that end with their digests (``Digests.place``). So an update writes beside what the version before
-has, takes nothing from its readers, and shares with it whatever came out the same: the new root lists the same digest.
-The root ``zarr.json`` is of the newest version; before a new one takes its place, on condition that it is still the one
-that was read, it is copied to ``versions/N.json``. Then goes what no version needs that is kept (``sweep``).
+Object keys end with their digests (``Digests.place``). So an update adds objects beside those of the version before,
+leaves its readers undisturbed, and shares all objects that come out the same: the new root lists the same digests.
+The root ``zarr.json`` belongs to the newest version. Before a new root replaces it, on condition that it is still the
+one that was read, it is copied to ``versions/N.json``. Then ``sweep`` removes what no kept version needs.
 
-What tasks found lies in ``parts/SCOPE/``, by the plan of their build (``scope_of``). What an update takes over stays
-where it is: ``TAKEN`` says where. The plan lies in ``update.json`` until all is done; an update that finds its own plan
-there goes on, one that finds another's begins anew, and what that one has written goes with its own sweep.
+Results of tasks lie in ``parts/SCOPE/``, where the scope is that of the build's plan (``scope_of``). Parts that an
+update takes over stay where they are, and ``TAKEN`` records where. The plan lies in ``update.json`` until all is done.
+An update that finds its own plan there resumes; one that finds another plan starts over, and its sweep removes what the
+abandoned update wrote.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ from orograph.store.updating import ALL_AGAIN, Begun, read_plan, seeded, sized
 from orograph.store.versions import Edition
 
 TAKEN = f"{PARTS}/taken.json"
-"""Which parts lie below another name: that name → their keys."""
+"""Lists parts that lie below other names: that name → their keys."""
 
 GROUPS = {"heights", "mean", "tiles", SOURCE, VERSIONS, PARTS, PLAN, *(kind.group for kind in KINDS.values())}
-"""What a sweep may remove begins with one of them: it leaves alone what others have put below the store's key."""
+"""First components of the keys that a sweep may remove: it leaves foreign objects below the store's key alone."""
 
 
 class BucketUpdate:
     """One update of a store in a bucket, under its lock.
 
     Args:
-        storage: of the store. keep: versions that are left, with the new one. progress: gets the progress.
+        storage: the store's storage. keep: how many versions stay, counting the new one. progress: receives progress.
     """
 
     def __init__(self, storage: BucketStorage, keep: int, progress: Progress) -> None:
@@ -54,13 +55,13 @@ class BucketUpdate:
         self._before: Record | None = None
 
     def begin(self, plan: dict[str, Any], raster: HeightSource, coding: Coding | None) -> Begun:
-        """Begin, or go on with an update that was interrupted; where there is no store, begin a build.
+        """Begin an update, or resume an interrupted one; where there is no store, begin a build.
 
         Args:
-            plan: of the new version. raster, coding: its heights, and how they are kept.
+            plan: the plan of the new version. raster, coding: its heights, and how they are stored.
 
         Raises:
-            StoreError: something else lies there.
+            StoreError: something other than a store lies there.
         """
         storage = self.storage
         self._root = storage.get(ROOT)
@@ -88,7 +89,7 @@ class BucketUpdate:
     def _seeded(
         self, before: Record, plan: dict[str, Any], raster: HeightSource, coding: Coding | None
     ) -> tuple[dict[str, Any] | None, dict[str, str]]:
-        """The plan to go on by, None where everything is made again; and where the parts lie that are taken over."""
+        """Return the plan to resume with (None if everything is rebuilt), and where the reused parts lie."""
         storage = self.storage
         storage.scope, storage.elsewhere = "" if before.version is None else before.version.parts, {}
         there = _taken(storage)
@@ -107,16 +108,16 @@ class BucketUpdate:
         self.storage.put(TAKEN, [dumps(names)])
 
     def publish(self, record: Record) -> None:
-        """Let the new version take the place of the one before, keep that one, and remove what no version needs.
+        """Publish the new version, keep the previous one, and remove what no version needs.
 
         Args:
-            record: of the new version, all of whose shards are there.
+            record: the record of the new version, whose shards are all written.
 
         Raises:
-            StoreError: another process has published, or removed, the store meanwhile.
+            StoreError: another process has published or removed the store meanwhile.
         """
         version = Edition(1, (), self.storage.scope)
-        self._put_taken()  # (some of it may have been made again)
+        self._put_taken()  # (some parts may have been rebuilt)
         if self._before is not None:
             before = self._before.version or Edition(1, (), "")
             version = Edition(before.number + 1, (before.number, *before.kept)[: self.keep - 1], self.storage.scope)
@@ -126,8 +127,8 @@ class BucketUpdate:
         self._tidy()
 
     def prune(self) -> None:
-        """Where nothing has changed: leave as many versions as are wanted, and no trace of an update that was
-        interrupted."""
+        """When nothing has changed, reduce the versions to the number wanted and remove the traces of an interrupted
+        update."""
         record = self._before
         assert record is not None
         fewer = False
@@ -143,30 +144,30 @@ class BucketUpdate:
         try:
             sweep(self.storage)
             self.storage.remove(UPDATE)
-        except StoreError as error:  # the new version is there, and the next update has this to do again
-            self.progress.note(f"{self.storage.url}: what no version needs is kept for now: {error.what}")
+        except StoreError as error:  # the new version is published; the next update tidies up
+            self.progress.note(f"{self.storage.url}: data that no version needs stay for now: {error.what}")
 
 
 def go_on(storage: Storage) -> None:
-    """Let a worker know which update is under way, and where the parts lie that it takes over."""
+    """Tell a worker which update is under way, and where the parts lie that it takes over."""
     assert isinstance(storage, BucketStorage)
     storage.get(UPDATE)
     storage.elsewhere = _taken(storage)
 
 
 def tidy(storage: BucketStorage) -> None:
-    """``sweep`` when a bake has replaced layers; not where an update was interrupted: it goes on from what is there."""
-    with contextlib.suppress(StoreError):  # (then it is left to the next time)
+    """Sweep after a bake has replaced layers, unless an interrupted update is to resume from what is there."""
+    with contextlib.suppress(StoreError):  # (the next sweep does it)
         store = storage.newest()
         if not store.exists(UPDATE):
             sweep(store)
 
 
 def sweep(storage: BucketStorage) -> None:
-    """Remove what no version needs that is kept. What a listing does not show stays until the next time.
+    """Remove what no kept version needs. Objects that a stale listing hides stay until the next sweep.
 
     Raises:
-        StoreError: a root cannot be read, or nothing can be removed.
+        StoreError: a root cannot be read, or objects cannot be removed.
     """
     newest = read_record(storage)
     version = newest.version or Edition(0, (), "")
@@ -193,7 +194,7 @@ def sweep(storage: BucketStorage) -> None:
 
 
 def _taken(storage: BucketStorage) -> dict[str, str]:
-    """Where the parts lie that the update has taken over whose parts are read."""
+    """Return where the parts lie that the update has taken over, from the storage's current scope."""
     try:
         names = json.loads(storage.get(TAKEN) or b"{}")
     except ValueError:

@@ -1,10 +1,10 @@
-"""Building a store: choose the size of its shards from the memory allowed, do its tasks, and only then let it be seen.
+"""Building a store: choose the shard size from the allowed memory, do all tasks, and only then make the store visible.
 
-A store in a folder is built beside its place, in ``STORE.partial``, which becomes ``STORE`` by a rename when everything
-is written; an old store is replaced only then. At a URL there is no rename: the store is built in place, and it is the
-root's ``zarr.json``, written last, that makes it one (with ``overwrite`` the old store is gone from the beginning).
+A store in a folder is built beside its place, in ``STORE.partial``, which is renamed to ``STORE`` when everything
+is written; only then is an old store replaced. At a URL there is no rename: the store is built in place, and the
+root's ``zarr.json``, written last, makes it a store (with ``overwrite`` the old store is gone from the beginning).
 Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes. All of this
-is done alone (``lock``), from the first look at what is there to the last rename.
+happens under a lock (``lock``), from the first look at what is there to the last rename.
 """
 
 from __future__ import annotations
@@ -128,47 +128,47 @@ def build(
     """Build a store and open it.
 
     Args:
-        source: DEM files, or whatever else heights come as (``store.terrain``), such as what reads windows of them
+        source: DEM files, or heights in any other form that ``store.terrain`` takes, such as a reader of windows
             (``HeightSource``).
         url: the store's folder or URL (``s3://``, ``gs://``, ``az://``…).
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
-        update: make again only what follows of files that were added, changed or removed since (``updating``); begins a
+        update: rebuild only what depends on files that were added, changed or removed since (``updating``); begins a
             build if there is none. The store keeps what that takes. In a folder or a bucket.
-        keep: versions of an updated store that are left, with the new one (default: 2); older ones are removed.
+        keep: how many versions of an updated store stay, counting the new one (default: 2); older ones are removed.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
-        errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
-            them: several, or a text ("exact,midpoint"); none for ().
+        errors: the kinds of errors to store for all diamonds (with their spheres), for methods that refine by them:
+            a sequence, or a text ("exact,midpoint"); none for ().
         tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``); None: no TINs.
-        chunked: cells along a side of the finest chunks whose meshes are stored, and their error in metres, 0: found
-            from the terrain ((32, 0) for ``chunked-lod``), and whether they are compressed ((32, 0, True)); None: no
-            such meshes. They follow from ``midpoint`` errors, which are stored, too.
-        quadtin: metres within which the finest triangles of a stored QuadTIN are, 0: a sixteenth of the spacing of
-            samples, and which points split triangles ((0, "nearest") for ``quadtin``); None: none is stored.
-        keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
-            heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
-        codec: how heights are packed: "portable", which every reader of Zarr v3 understands, "compact"
-            (docs/codec.md), smaller, "smallest", which is decoded slower, or "progressive", which keeps no sample
-            twice: each level is what it differs by from a prediction out of the level above.
-        max_error: how far heights may be from those that are read, metres: they are kept as whole numbers of steps of
-            twice that, and whatever follows is made of these; "auto": in the steps that the data have (whole metres,
-            feet, centimetres…; of what is resampled a tenth of the source's); "lossless": as float32, as they are.
-        progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
-        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
+        chunked: cells along a side of the finest chunks whose meshes are stored; their error in metres, or 0 to derive
+            it from the terrain ((32, 0) for ``chunked-lod``); and whether they are compressed ((32, 0, True)); None: no
+            such meshes. They depend on ``midpoint`` errors, which are stored, too.
+        quadtin: the error bound in metres of the finest triangles of a stored QuadTIN, or 0 for a sixteenth of the
+            sample spacing, and which points split triangles ((0, "nearest") for ``quadtin``); None: none is stored.
+        keep_source: keep the original samples of sources that have to be resampled, so that places have their exact
+            heights (``measuring.pick``); otherwise heights are those of the surface, with a known error.
+        codec: how heights are encoded: "portable", which every reader of Zarr v3 understands; "compact"
+            (docs/codec.md), smaller; "smallest", which decodes more slowly; or "progressive", which stores no sample
+            twice: each level is stored as differences from a prediction by the level above.
+        max_error: the largest allowed error of stored heights, metres: they are rounded to steps of twice that, and
+            everything else is computed from the rounded heights; "auto": the data's own steps (whole metres,
+            feet, centimetres…; for resampled data a tenth of the source's); "lossless": float32, unchanged.
+        progress: receives progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
+        storage_options: for the bucket, in addition to the environment (obstore's: ``endpoint``, ``skip_signature``…).
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
-        part: make only this part of the heights, "3/64" or (3, 64), and return nothing: for job arrays (``in_parts``).
-        finish: make the rest of a store whose parts are all there.
+        part: build only this part of the heights, "3/64" or (3, 64), and return nothing: for job arrays (``in_parts``).
+        finish: build the rest of a store whose parts are all complete.
         workers: build in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: build on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         options: how the source is read, as for ``store.terrain``: ``crs``, ``resolution``, ``nodata``…
 
     Raises:
-        StoreError: something is there already, what was begun differs, the sources were changed meanwhile, parts are
-            missing, or it cannot be written (disk full).
+        StoreError: something already exists there, an interrupted build differs, sources changed meanwhile, parts are
+            missing, or the store cannot be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
-    # (One function, though long: two thirds of it are its options and what they mean.)
+    # (One long function: two thirds of it are its options and their descriptions.)
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)
@@ -181,7 +181,7 @@ def build(
         raise UsageError(f"`tins` must be one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     if chunked is not None:
         chunked = checked_kind(chunked)
-        kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # which chunks follow from
+        kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # chunks depend on it
     if quadtin is not None:
         quadtin = checked_quadtin(quadtin)
     raster = source_of(source, progress, called="build", **options)
@@ -190,7 +190,7 @@ def build(
         check_void()
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
-        final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
+        final = FolderStorage(os.path.realpath(final.path))  # replace the link's target, not the link
     versions = check_keep(keep, update, final)
     if update:
         from orograph.store.bucket_updates import BucketUpdate
@@ -206,7 +206,7 @@ def build(
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
-            f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
+            f"{max_memory >> 20} MiB is less than a build needs; it runs one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
     plan = plan_for(raster, _name(raster, final), shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)
@@ -239,7 +239,7 @@ def build(
             return open(url, storage_options=storage_options)
         if not going_on and not update:
             if not final.remote or begun(storage) or is_store(final):
-                storage.remove(ROOT)  # first, lest what is left look complete
+                storage.remove(ROOT)  # first, so that a half-removed store does not look complete
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
         if in_bucket is not None or not storage.exists(ROOT):
@@ -278,10 +278,10 @@ def _name(raster: HeightSource, final: Storage) -> str:
 
 
 def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrain:
-    """A terrain in memory of what reads windows, read as a whole; heights that are an array are shared.
+    """Read a source as a whole into a terrain in memory; heights that are already an array are shared.
 
     Raises:
-        UsageError: it is in no metric CRS.
+        UsageError: its CRS is not metric.
     """
     if isinstance(source, ArraySource):
         return MemoryTerrain(source.heights, source.grid, source.name, source.vertical, source.attribution)
@@ -304,12 +304,12 @@ def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrai
 
 
 def lattices_of(raster: HeightSource) -> Sequence[SourceLattice]:
-    """What a source was resampled from (``Mosaic.resampled_from``); nothing if its samples are its own."""
+    """Return what a source was resampled from (``Mosaic.resampled_from``); empty if its samples are original."""
     return getattr(raster, "resampled_from", ())
 
 
 def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
-    """Side of the shards and number of tasks at once that fit the memory allowed."""
+    """Return the side of the shards and the number of concurrent tasks that fit the allowed memory."""
     wanted = threads_for(jobs)
     for side in SHARDS if shard is None else (shard,):
         for at_once in range(wanted, 0, -1):
@@ -319,7 +319,7 @@ def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, ki
 
 
 def _memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
-    """About what a build holds at once: its tasks, and the coarse shards that are open (two at level 1)."""
+    """Estimate what a build holds at once: its tasks, and the open coarse shards (two at level 1)."""
     from orograph.store.survey import memory
 
     unit = 4 * shard * shard
@@ -337,7 +337,7 @@ def _fill(
     progress: Progress,
     keyed: bool,
 ) -> Record:  # fmt: skip
-    """Do all tasks; what the store is to say of itself. Args: keyed: as of ``ShardWriter``."""
+    """Do all tasks; return the store's record. Args: keyed: see ``ShardWriter``."""
     from orograph.store.groups import Groups
     from orograph.store.makers import MAKERS, Work
     from orograph.store.points import put_points
@@ -386,7 +386,7 @@ def _fill(
         if not keyed:
             storage.remove()
         raise StoreError(
-            f"Its sources were changed while it was built; what was built is {'not used' if keyed else 'removed'}.",
+            f"Its sources changed while it was built; what was built is {'not used' if keyed else 'removed'}.",
             path=storage.url, remedy="Build it again when they are complete.",
         )  # fmt: skip
     return record

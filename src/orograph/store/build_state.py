@@ -87,7 +87,7 @@ class BuildState:
     """What one process of a cluster needs for a build.
 
     Attributes:
-        making: the QuadTIN that is made (``quadtin_grow.Making``), if one is.
+        making: the QuadTIN being built (``quadtin_grow.Making``), if any.
     """
 
     def __init__(self, recipe: BuildRecipe) -> None:
@@ -103,7 +103,7 @@ class BuildState:
         self._stages: dict[tuple[str, int], Stage[Any]] = {}
 
     def stage(self, name: str, number: int) -> Stage[Any]:
-        """A stage."""
+        """Return a stage."""
         if (name, number) not in self._stages:
             writer, keyed = ShardWriter(self.storage), self.recipe.keyed
             writer.digests = Digests.from_json(json.loads(self.storage.get(KNOWN) or b"{}"), keyed)
@@ -119,7 +119,7 @@ class BuildState:
         """The source, opened here.
 
         Raises:
-            StoreError: its files are not those that the build was begun with.
+            StoreError: its files are not those with which the build began.
         """
         if self._raster is None:
             raster = self.recipe.source.open(take(self.storage, self.recipe.kinds))

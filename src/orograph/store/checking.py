@@ -1,4 +1,4 @@
-"""Whether a store is sound: every byte of it is read, and compared with what its root lists."""
+"""Checking a store: read every byte of it and compare it with what its root lists."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ GONE = "the file is not there"
 
 
 class Damage(NamedTuple):
-    """Something that is not what it should be.
+    """Something that is damaged.
 
     Attributes:
-        key: of an object, or of a chunk (``heights/0/height/c/3/4[1,7]``).
+        key: the key of an object, or of a chunk (``heights/0/height/c/3/4[1,7]``).
         cause: what is wrong with it.
     """
 
@@ -42,7 +42,7 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
 
     Args:
         terrain: an opened store.
-        jobs: threads (default: all processors). progress: gets the shards.
+        jobs: threads (default: all processors). progress: receives progress by shards.
 
     Raises:
         StoreReplacedError: the store was replaced meanwhile.
@@ -65,7 +65,7 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
 
 
 def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot) -> Iterator[Damage]:
-    """What is wrong with a shard."""
+    """Yield what is wrong with a shard."""
     key = spec.key(spot)
     data = storage.get(spec.place(spot, digests))
     if data is None:
@@ -90,7 +90,7 @@ def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot)
 
 
 def _others(storage: Storage, digests: Digests, arrays: Iterable[str]) -> Iterator[Damage]:
-    """What is wrong with coordinates and metadata."""
+    """Yield what is wrong with coordinates and metadata."""
     for key in sorted(set(digests.listed) - set(arrays)):
         data = storage.get(key if key == ROOT else digests.place(key, bytes(digests.listed[key])))
         if data is None:

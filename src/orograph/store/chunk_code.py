@@ -26,9 +26,9 @@ Corners and vertices on the chunk's sides go on with how low the skirt hangs bel
 or 1 + steps. With ``VOIDS`` they begin with whether they are missing (1; then nothing follows), and of each leaf there
 is whether it has no ground (1). All arithmetic is of int32.
 
-A *step* is a power of two, in metres: the largest of which all heights of the chunk are multiples, up to 1 km, or the
-terrain's own (``step_of``). Then heights are off by half of it at most. It is one lattice for all chunks, so those of
-one level still fit.
+A *step* is a power of two in metres: the largest of which all heights of the chunk are multiples, up to 1 km; or the
+terrain's own (``step_of``), with which heights are off by half a step at most. All chunks share one lattice, so those
+of one level still fit together.
 """
 
 from __future__ import annotations
@@ -68,16 +68,16 @@ FINER = 4
 """The error of the finest chunks is at least this many steps."""
 
 MOST = 1 << 18
-"""Heights are fewer steps than this, so that their parts are also whole numbers in float32."""
+"""Heights are below this many steps, so that ``PARTS`` of them are also whole numbers in float32."""
 
 
 class Decoded(NamedTuple):
     """A chunk's mesh in integers.
 
     Attributes:
-        places: (v, 2) int64, rows and columns, not squeezed. heights, targets, low: (v,) int32: steps; in the coarser
-            mesh, ``PARTS`` of a step; where the skirt ends, steps; ``MISSING`` where there is none.
-        triangles: (t, 3) int32. step: metres. exact: whether no height is off.
+        places: (v, 2) int64, rows and columns, not squeezed. heights, targets, low: (v,) int32: heights in steps; in
+            the coarser mesh, in ``PARTS`` of a step; the skirt's lower end in steps; ``MISSING`` where there is none.
+        triangles: (t, 3) int32. step: metres. exact: whether all heights are exact.
     """
 
     places: Corners
@@ -90,20 +90,20 @@ class Decoded(NamedTuple):
 
 
 def step_of(error: float, highest: float) -> float:
-    """The step of a terrain, metres.
+    """Return the step of a terrain, metres.
 
     Args:
-        error: of its finest chunks, metres. highest: no height is farther from 0, metres.
+        error: the error of its finest chunks, metres. highest: the largest distance of a height from 0, metres.
     """
     fine = math.floor(math.log2(error / FINER)) if error > 0 else -20
     return 2.0 ** max(fine, math.ceil(math.log2(max(highest, 1e-6) / (MOST - 1))), -20)
 
 
 def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: float) -> Words:
-    """The words of a chunk, from those of ``chunked``.
+    """Return the words of a chunk, encoded from those of ``chunked``.
 
     Args:
-        step: of the terrain, metres (``step_of``).
+        step: the terrain's step, metres (``step_of``).
     """
     from orograph.store.chunk_write import choose_rices, settle, survey, write_runs
 
@@ -237,7 +237,7 @@ def runs_of(
 
 
 def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
-    """A chunk's mesh in metres, with its skirt."""
+    """Return a chunk's mesh in metres, with its skirt."""
     mesh = decoded(words, layout, level, i, j)
     _, first, of = np.unique(mesh.places[:, 0] << 32 | mesh.places[:, 1], return_index=True, return_inverse=True)
     places, last = mesh.places[first], np.array(layout.shape)[::-1] - 1
@@ -251,23 +251,23 @@ def chunk_of(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
 
 
 def mesh_of(words: Words, layout: Layout, compressed: bool, level: int, i: int, j: int) -> Chunk:
-    """The mesh of chunk (i, j) of a level from its words, compressed or not."""
+    """Return the mesh of chunk (i, j) of a level from its words, compressed or not."""
     return (chunk_of if compressed else unpacked)(words, layout, level, i, j)
 
 
 def off_by(words: Words) -> float:
-    """The largest error of a chunk's heights, metres."""
+    """Return the largest error of a chunk's heights, metres."""
     flags = int(words[HEADER.index("flags")])
     return 0.0 if flags & EXACT else float(2.0 ** ((flags & 255) - 65))
 
 
 def hung_edges(mesh: Decoded, layout: Layout, level: int, i: int, j: int) -> NDArray[np.int32]:
-    """(e, 2) the edges of a chunk that a skirt hangs from."""
+    """Return the edges of a chunk that have a skirt, (e, 2)."""
     return _hung(mesh.triangles, on_sides(mesh.places, layout.side(level), i, j), mesh.low)
 
 
 def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
-    """The step of a chunk, and whether its heights are multiples of it."""
+    """Return the step of a chunk, and whether its heights are multiples of it."""
     there = heights[~np.isnan(heights)].astype(np.float64)
     exact = bool((there / least == np.rint(there / least)).all())
     if not exact:
@@ -277,7 +277,7 @@ def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
 
 
 def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(e, 2) the edges on a side from which a skirt hangs."""
+    """Return the edges on a side that have a skirt, (e, 2)."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     found: NDArray[np.int32] = edges[(low[edges] != MISSING).all(1) & np.any([one[edges].all(1) for one in on], axis=0)]
     return found

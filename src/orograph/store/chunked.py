@@ -1,19 +1,19 @@
 """Chunks of a terrain's quadtree, each a separate mesh simplified to its level's error, with skirts.
 
 Ulrich, *Rendering Massive Terrains using Chunked Level of Detail Control* (SIGGRAPH 2002 course notes). Chunks of level
-l are squares of ``cells`` · 2^l cells; the vertices of their meshes are those whose error, that of the middle of their
-hypotenuse, reaches the level's: ``error`` at level 0, doubled from level to level, rounded in the exponent; plus those
-that these depend on. Each vertex and level is decided once for the whole terrain, so chunks of one level fit. A *skirt*
+l are squares of ``cells`` · 2^l cells. Their meshes consist of the vertices whose error (that of the middle of their
+hypotenuse) reaches the level's, and of those that these depend on. A level's error is ``error`` at level 0 and doubles
+from level to level. Each vertex and level is decided once for the whole terrain, so chunks of one level fit. A *skirt*
 hangs from a chunk's sides, below any edge of a neighbour that is up to ``APART`` levels coarser.
 
-Of a chunk is kept which triangles were split (``chunked_kernels``), the heights of the vertices in the order in which
-they are met, how low its skirt reaches, and the heights of its corners in the mesh of the next coarser level. The rest
-follows: positions, triangles, and the height that each vertex has in that mesh, to which it can move.
+Stored of a chunk are the splits of triangles (``chunked_kernels``), the heights of the vertices in the order in which
+the walk meets them, the depth of its skirt, and the heights of its corners in the mesh of the next coarser level. The
+rest follows: positions, triangles, and the height of each vertex in that mesh, to which it can move.
 
-*Words* (uint32) of a chunk, unless it is compressed (``chunk_code``): numbers of codes and of vertices; codes, 16 a
+*Words* (uint32) of a chunk, unless it is compressed (``chunk_code``): numbers of codes and of vertices; codes, 16 per
 word; heights (float32) of the corners and of the vertices; the skirt's lowest heights (float32) at the vertices on its
-sides, NaN where none hangs; those of the corners in the coarser mesh (float32). Of a level, chunk after chunk, row by
-row; ``lengths`` has how many each takes.
+sides, NaN where there is no skirt; those of the corners in the coarser mesh (float32). A level stores them chunk after
+chunk, row by row; ``lengths`` has the number of words of each.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ APART = 2
 """Adjacent chunks differ by at most this many levels."""
 
 PER_WORD = 16
-"""Codes in a word."""
+"""Codes per word."""
 
 MISSING = -(1 << 31)
 """A quantised height (``chunk_code``) that is missing."""
 
 PARTS = 64
-"""Parts of a step in which heights of the coarser mesh are stored there."""
+"""Heights of the coarser mesh are stored in this fraction of a step."""
 
 DEPTH, MET, WORDS = 48, 192, 320
 """Of a compressed chunk: its tree is at most this deep; no run has more vertices, or words."""
@@ -62,8 +62,8 @@ class Kind(NamedTuple):
     """The kind of chunks to make.
 
     Attributes:
-        cells, finest: of the finest chunks: cells along a side, and their error in metres, 0: found from the terrain.
-        compressed: in the words of ``chunk_code``, which a GPU decodes.
+        cells, finest: cells along a side of the finest chunks, and their error in metres, 0: derived from the terrain.
+        compressed: whether they are encoded by ``chunk_code``, which a GPU decodes.
     """
 
     cells: int = CELLS
@@ -71,15 +71,15 @@ class Kind(NamedTuple):
     compressed: bool = False
 
     def __str__(self) -> str:
-        """As an argument of `orograph.build`."""
+        """Return the kind in the form of an argument of `orograph.build`."""
         return f"({self.cells}, {self.finest:g}{', True' if self.compressed else ''})"
 
 
 def checked_kind(chunked: Any) -> Kind:
-    """The requested kind of chunks.
+    """Return the requested kind of chunks.
 
     Raises:
-        UsageError: they make no sense.
+        UsageError: the request is invalid.
     """
     told = Kind(*chunked) if isinstance(chunked, (tuple, list)) and 2 <= len(chunked) <= 3 else None
     if (
@@ -104,8 +104,8 @@ class Chunk:
     Attributes:
         vertices: (v, 3) float64, column, row, metres; those of the skirt's lower edge last.
         targets: (v,), metres in the next coarser level's mesh.
-        triangles: (t, 3) int32, turning as the hierarchy's do: counter-clockwise on the map where rows run southwards.
-        skirt: how many of the triangles, the last ones, are the skirt's.
+        triangles: (t, 3) int32, wound as the hierarchy's are: counter-clockwise on the map where rows run southwards.
+        skirt: the number of skirt triangles, which are the last ones.
     """
 
     vertices: NDArray[np.float64]
@@ -115,7 +115,7 @@ class Chunk:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that it takes in memory."""
+        """Bytes that the mesh takes in memory."""
         return self.vertices.nbytes + self.targets.nbytes + self.triangles.nbytes
 
 
@@ -124,7 +124,7 @@ class Layout:
     """The layout of chunks.
 
     Attributes:
-        shape: of the raster. cells: along a side of the finest chunks, as asked for.
+        shape: the raster's. cells: along a side of the finest chunks, as requested.
     """
 
     shape: Shape
@@ -141,7 +141,7 @@ class Layout:
         return max(exponent(self.shape), 1) - self.p
 
     def side(self, level: int) -> int:
-        """Samples along a side."""
+        """Return the samples along a side."""
         return 1 << (self.p + level)
 
     def levels(self, level: int) -> int:
@@ -149,12 +149,12 @@ class Layout:
         return 2 * (self.p + level)
 
     def chunks(self, level: int) -> Shape:
-        """Rows and columns of a level's chunks that contain a cell of the raster."""
+        """Return the rows and columns of a level's chunks that contain a cell of the raster."""
         rows, cols = (-((1 - size) >> (self.p + level)) for size in self.shape)
         return max(rows, 1), max(cols, 1)
 
     def corners(self, level: int, i: int, j: int) -> Corners:
-        """(4, 2) rows and columns of a chunk's corners, as ``chunked_kernels`` takes them."""
+        """Return the rows and columns of a chunk's corners, (4, 2), as ``chunked_kernels`` takes them."""
         half = self.side(level) // 2
         row, col = (2 * i + 1) * half, (2 * j + 1) * half
         (p, q), (a, b) = ([way(row, col, k) for k in (0, 1)] for way in (diamonds.apex, diamonds.end))
@@ -162,17 +162,17 @@ class Layout:
 
 
 def lengths_spec(layout: Layout, level: int, shard: int, chunk: int) -> ArraySpec:
-    """How many words each chunk of a level takes."""
+    """Describe the array of word counts of a level's chunks."""
     return ArraySpec(f"chunked/level-{level}/lengths", layout.chunks(level), shard, chunk, "uint32", 0.0)
 
 
 def words_spec(level: int, rows: int, shard: int, chunk: int) -> ArraySpec:
-    """The words of a level's chunks, ``chunk`` a row."""
+    """Describe the array of the words of a level's chunks, ``chunk`` per row."""
     return ArraySpec(f"chunked/level-{level}/words", (rows, chunk), shard, chunk, "uint32", 0.0)
 
 
 def unpacked(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
-    """The mesh of chunk (i, j) of a level from its words."""
+    """Return the mesh of chunk (i, j) of a level from its words."""
     codes, count = int(words[0]), int(words[1]) + 4
     at = 2 - (-codes // PER_WORD)
     bits = words[2:at, None] >> np.arange(0, 2 * PER_WORD, 2, dtype=np.uint32) & 3
@@ -195,7 +195,7 @@ def unpacked(words: Words, layout: Layout, level: int, i: int, j: int) -> Chunk:
 
 
 def on_sides(places: Corners, side: int, i: int, j: int) -> NDArray[np.bool_]:
-    """(4, v) which vertices lie on the north, west, south and east side of chunk (i, j)."""
+    """Return which vertices lie on the north, west, south and east side of chunk (i, j), (4, v)."""
     row, col = places.T
     return np.stack([row == i * side, col == j * side, row == (i + 1) * side, col == (j + 1) * side])
 
@@ -204,7 +204,7 @@ def with_skirt(
     vertices: NDArray[np.float64], targets: NDArray[np.float64], triangles: NDArray[np.int32], places: Corners,
     low: NDArray[np.float64], side: int, i: int, j: int,
 ) -> Chunk:  # fmt: skip
-    """A chunk's mesh with its skirt: two triangles below each edge on a side whose two ends have a lower height."""
+    """Add the skirt to a chunk's mesh: two triangles below each edge on a side whose two ends have a lower height."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     on = on_sides(places, side, i, j)
     hangs = ~np.isnan(low[edges]).any(1) & np.any([one[edges].all(1) for one in on], axis=0)

@@ -1,8 +1,8 @@
 """Make meshes of chunks from a terrain's heights (Ulrich 2002): first the levels of each vertex, then chunk by chunk.
 
-What a vertex needs to know follows from errors of diamonds (``midpoint``: how far a vertex is above or below the middle
-of its hypotenuse, no less than for those that depend on it): the levels whose error it reaches. Chunks need nothing
-else from each other, so they are made on demand, in any order, by any number of threads.
+The levels of a vertex are those whose error it reaches. They follow from the errors of diamonds (``midpoint``: the
+vertical distance of a vertex from the middle of its hypotenuse, no less than that of its dependents). Chunks need
+nothing else from each other, so they are made on demand, in any order, by any number of threads.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BAND = 256
 """Rows of diamonds read at once."""
 
 CORNERS = 1 << 16
-"""How many corners of chunks have their heights in coarser meshes cached."""
+"""Number of chunk corners whose heights in coarser meshes are cached."""
 
 SEEN = 64
 """Maximum number of bands of the finest vertices used for the median."""
@@ -36,10 +36,10 @@ Integers = NDArray[np.int64]
 
 
 class Reached(NamedTuple):
-    """What ``MemoryChunks`` finds out of all errors before it makes any chunk.
+    """What ``MemoryChunks`` computes from all errors before it makes any chunk.
 
     Attributes:
-        error: metres, of level 0. levels: those of all vertices (uint8), octave by octave.
+        error: of level 0, metres. levels: those of all vertices (uint8), octave by octave.
     """
 
     error: float
@@ -54,10 +54,10 @@ class MemoryChunks:
 
     Args:
         terrain: the ground; its ``midpoint`` errors are needed. kind: of the chunks.
-        reached: from another process that has the same terrain; None: found out here.
+        reached: from another process with the same terrain; None: computed here.
 
     Attributes:
-        layout: of the chunks. error: metres, of level 0. reached: for other processes.
+        layout: of the chunks. error: of level 0, metres. reached: for other processes.
         compressed: whether words are encoded by ``chunk_code``.
 
     Raises:
@@ -76,11 +76,11 @@ class MemoryChunks:
         self._corners: dict[tuple[int, int, int], float] = {}
 
     def chunk(self, level: int, i: int, j: int) -> Chunk:
-        """As ``StoredChunks.chunk``."""
+        """Like ``StoredChunks.chunk``."""
         return mesh_of(self.words(level, i, j), self.layout, self.compressed, level, i, j)
 
     def words(self, level: int, i: int, j: int) -> Words:
-        """The stored words of a chunk."""
+        """Return the stored words of a chunk."""
         corners, side = self.layout.corners(level, i, j), self.layout.side(level)
         codes, places, known = self._walk(corners, level)
         places = np.concatenate([corners, places])
@@ -97,16 +97,16 @@ class MemoryChunks:
         words = np.concatenate([counts, packed.astype(np.uint32), numbers.view(np.uint32)])
         return encoded(words, self.layout, level, i, j, self._step) if self.compressed else words
 
-    # ---- which levels have a vertex ----
+    # ---- the levels of vertices ----
 
     def _usual(self) -> float:
-        """The default error of level 0: a share of the median of the finest vertices' errors."""
+        """Return the default error of level 0: a share of the median of the finest vertices' errors."""
         found = [errors[(errors > 0) & np.isfinite(errors) & (radii >= 0)] for errors, radii in self._bands(0, SEEN)]
         some = np.concatenate([np.zeros(0, np.float32), *found])
         return float(np.median(some)) * SHARE if len(some) else 1.0
 
     def _bands(self, level: int, most: int | None = None) -> Iterator[tuple[Heights, Heights]]:
-        """Errors and radii of a level's diamonds in bands of rows; ``most``: at most this many bands, evenly spaced."""
+        """Yield errors and radii of a level's diamonds in bands of rows; at most ``most`` bands, evenly spaced."""
         if self._table is None:
             return
         rows, cols = self.terrain.diamond_shape(level)
@@ -117,7 +117,7 @@ class MemoryChunks:
             yield self._table.read(level, row, min(row + BAND, rows), 0, cols)
 
     def _offsets(self) -> Integers:
-        """The offset of each octave's table of levels, and its rows and columns (``chunked_kernels.level_of``)."""
+        """Return each octave's offset in the table of levels, its rows and columns (``chunked_kernels.level_of``)."""
         if self._table is None:
             return np.array([[0, 3, 3]], np.int64)
         shapes = [self.terrain.diamond_shape(level) for level in range(self.terrain.levels)]
@@ -125,7 +125,7 @@ class MemoryChunks:
         return np.array([(at, *shape) for at, shape in zip(begins.tolist(), shapes)], np.int64)
 
     def _vertices(self) -> NDArray[np.uint8]:
-        """The levels of all vertices."""
+        """Return the levels of all vertices."""
         if self._table is None:  # a raster of one cell, whose square has one diamond, squeezed onto it
             return np.full(9, 255, np.uint8)
         reached = self.error * 2.0 ** np.append(0.0, np.arange(1, self.layout.top + 1) - 0.5)
@@ -141,7 +141,7 @@ class MemoryChunks:
         return found
 
     def _known(self, row: int, col: int) -> int:
-        """The levels of one vertex."""
+        """Return the levels of one vertex."""
         k = min(int(diamonds.octave(row, col)), len(self._places) - 1)
         begin, rows, cols = self._places[k].tolist()
         i, j = row >> k, col >> k
@@ -160,7 +160,7 @@ class MemoryChunks:
             room *= 4
 
     def _heights(self, places: Integers) -> Heights:
-        """The heights of vertices, squeezed onto the raster: each from the coarsest level that has it."""
+        """Return the heights of vertices, squeezed onto the raster: each from the coarsest level that has it."""
         found = np.empty(len(places), np.float32)
         octave = np.minimum(diamonds.octave(*places.T), self.terrain.levels - 1)
         octave[(places == 0).all(1)] = self.terrain.levels - 1
@@ -179,7 +179,7 @@ class MemoryChunks:
     def _skirt(
         self, places: Integers, heights: Heights, known: NDArray[np.uint8], level: int, i: int, j: int, side: int
     ) -> Heights:
-        """The lower end of the skirt at the vertices on the sides; NaN along the raster's border, where there is no
+        """Return the lower end of the skirt at the vertices on the sides; NaN along the raster's border, which has no
         skirt."""
         low = np.full(len(places), np.nan, np.float32)
         last_row, last_col = (size - 1 for size in self.terrain.grid.shape)
@@ -209,7 +209,7 @@ class MemoryChunks:
         return low[sides.any(0)]
 
     def _corner(self, level: int, row: int, col: int) -> float:
-        """The height of a corner of chunks in the mesh of a coarser level (above the last level, its own height)."""
+        """Return the height of a chunk corner in the mesh of a coarser level (above the last level, its own height)."""
         key = level, row, col
         found = self._corners.get(key)
         if found is not None:
@@ -217,7 +217,7 @@ class MemoryChunks:
         if len(self._corners) >= CORNERS:
             self._corners = {}
         own = float(self._heights(np.array([[row, col]]))[0])
-        whole = (row | col) % self.layout.side(min(level, self.layout.top)) == 0  # a corner of chunks of that level
+        whole = (row | col) % self.layout.side(min(level, self.layout.top)) == 0  # a chunk corner of that level
         if level <= self.layout.top and not whole and self._known(row, col) < level + 2:
             (lr, lc), (rr, rc) = ends = [tuple(map(int, diamonds.end(row, col, k))) for k in (0, 1)]
             left, right = (self._corner(level, *end) for end in ends)

@@ -1,11 +1,11 @@
-"""Meshes of chunks as a walk over the binary tree of right triangles: written down, and read again.
+"""Meshes of chunks as a walk over the binary tree of right triangles: written, and read back.
 
-A chunk is a square of 2^p samples a side, cut along the hypotenuse of its middle's diamond into two right triangles.
-The walk takes them in turn, and of each that is split its two halves before what follows it. What it meets is one code
-a triangle; a vertex is new where the first of the two triangles at its hypotenuse is split.
+A chunk is a square of 2^p samples a side, cut along the hypotenuse of its central diamond into two right triangles.
+The walk visits them depth first: the two halves of a split triangle come before what follows it. It records one code
+per triangle. A vertex is new where the first of the two triangles at its hypotenuse is split.
 
-*Codes*: ``DROPPED``, no ground; ``DRAWN``; ``SPLIT``, the vertex is not one of the next coarser level's; ``KEPT``, it
-is. *Levels* of a vertex: 0, its diamond has no ground; 1, no level has it; 2 + l, the levels 0 … l have it; 255, all.
+*Codes*: ``DROPPED``, no ground; ``DRAWN``; ``SPLIT``, the next coarser level lacks the vertex; ``KEPT``, it has it.
+*Levels* of a vertex: 0, its diamond has no ground; 1, no level has it; 2 + l, the levels 0 … l have it; 255, all.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DROPPED, DRAWN, SPLIT, KEPT = 0, 1, 2, 3
 
 @inlined
 def slot(slots, key):
-    """Where a key is in the hash table, or where it would be."""
+    """The slot of a key in the hash table, or the free one where it belongs."""
     size = np.uint64(len(slots) - 1)
     at = (np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20) & size
     while slots[at, 0] != -1 and slots[at, 0] != key:
@@ -29,7 +29,7 @@ def slot(slots, key):
 
 @inlined
 def level_of(levels, places, row, col):
-    """The levels of a vertex (see above); ``places``: (k, 3) where the table of each octave begins, and its shape."""
+    """The levels of a vertex (see above); ``places``: (k, 3) the offset of each octave's table, and its shape."""
     both = row | col
     k = 0
     while k < len(places) - 1 and (both >> k) & 1 == 0:
@@ -50,7 +50,7 @@ def write_walk(levels, places, corners, level, codes, found, known, slots):
         codes: (c,) uint8. found: (v, 2) int64, rows and columns of vertices but the corners. known: (v,) uint8, their
             levels. slots: (s, 2) int64, all −1, s a power of two. All are written to.
 
-    Returns: how many codes and vertices there are; the first is −1 if there is no room.
+    Returns: the numbers of codes and vertices; the first is −1 if there is no room.
     """
     stack = np.empty((128, 6), np.int64)
     for k in range(2):
@@ -94,16 +94,16 @@ def _push(stack, top, ar, ac, lr, lc, rr, rc):
 
 @kernel
 def read_walk(codes, heights, corners, coarse, last_row, last_col, places, vertices, targets, triangles, slots):
-    """The mesh that was walked over.
+    """Rebuild the mesh that was walked over.
 
     Args:
         codes, corners: as written. heights: (v,) float32, of the corners and the vertices. coarse: (4,) of the corners
-            in the next coarser level. last_row, last_col: of the raster; vertices beyond lie on it.
+            in the next coarser level. last_row, last_col: of the raster; vertices beyond are moved onto it.
         places: (v, 2) int64, rows and columns, not squeezed. vertices: (v, 3) float64, column, row, metres. targets:
             (v,) float64, metres in the mesh of the next coarser level. triangles: (t, 3) int32, those that have an area
             and three heights. slots: (s, 2) int64, all −1. All are written to.
 
-    Returns: how many triangles there are.
+    Returns: the number of triangles.
     """
     for k in range(4):
         _put(places, vertices, k, corners[k, 0], corners[k, 1], heights, last_row, last_col)
@@ -150,8 +150,8 @@ def _put(places, vertices, at, row, col, heights, last_row, last_col):
 
 @kernel
 def middle(lr, lc, rr, rc, left, right, own, last_row, last_col):
-    """The height of a vertex on the edge between two others, of which some may lie on the raster's border instead of
-    beyond it; its own where it does not lie on their edge then."""
+    """The height of a vertex on the edge between two others, any of which may be squeezed onto the raster's border;
+    its own height where squeezing takes it off their edge."""
     if max(lr, rr) <= last_row and max(lc, rc) <= last_col:
         return (left + right) / 2
     if lr == rr:
@@ -169,11 +169,11 @@ def _between(a, b, left, right, own, last):
 
 @kernel
 def lowest(at, heights, known, line, ends, level, reach, result):
-    """How low a side's skirt has to reach at each of its vertices, so that no neighbour's edge lies below it.
+    """Find how low a side's skirt has to reach at each of its vertices, so that no neighbour's edge lies below it.
 
     Args:
-        at: (v,) int64, the vertices' places along the side, rising, in samples from its first corner, which is one of
-            them, as is its last. heights, known: (v,) theirs, and their levels. line: (s,) float32, full resolution
+        at: (v,) int64, the vertices' positions along the side, rising, in samples from its first corner; they include
+            both corners. heights, known: (v,) their heights and levels. line: (s,) float32, full resolution
             along the side; what is beyond the raster lies on its last sample. ends: (reach, 2) heights of the corners
             in the meshes of the levels above. level: the chunk's. reach: how many levels above count.
         result: (v,) float32, written to; NaN where nothing is known.

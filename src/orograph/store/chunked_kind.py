@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class ChunkedKind(Derived[dict[str, Any]]):
     """Meshes of chunks. Options: those of ``chunked.Kind``, as requested.
 
-    A record has all of these, the ``error`` of level 0 in metres, and for each level the ``rows`` of its words.
+    A record holds these, the ``error`` of level 0 in metres, and for each level the ``rows`` of its words.
     """
 
     name, version, group = "chunked", 3, "chunked"
@@ -72,13 +72,13 @@ CHUNKED = ChunkedKind()
 
 
 def rows_of(words: int, chunk: int) -> int:
-    """Rows for this many words, at least one."""
+    """Return the rows for this many words, at least one."""
     return max(1, -(-words // chunk))
 
 
 @contextmanager
 def spooled() -> Iterator[IO[bytes]]:
-    """An unnamed temporary file.
+    """Open an unnamed temporary file.
 
     Raises:
         OutputError: the disk of temporary files is full.

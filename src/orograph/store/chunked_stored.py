@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class StoredChunks:
-    """The chunks of a store. Safe from any number of threads.
+    """The chunks of a store. Thread-safe.
 
     Attributes:
         layout: of the chunks. error: metres, of level 0. compressed: whether words are encoded by ``chunk_code``.
@@ -31,7 +31,7 @@ class StoredChunks:
         self._lock = threading.Lock()
 
     def chunk(self, level: int, i: int, j: int) -> Chunk:
-        """The mesh of chunk (i, j) of a level.
+        """Return the mesh of chunk (i, j) of a level.
 
         Raises:
             DamagedChunkError: as ``terrain.read``.
@@ -39,7 +39,7 @@ class StoredChunks:
         return mesh_of(self.words(level, i, j), self.layout, self.compressed, level, i, j)
 
     def words(self, level: int, i: int, j: int) -> Words:
-        """The stored words of a chunk.
+        """Return the stored words of a chunk.
 
         Raises:
             DamagedChunkError: as ``terrain.read``.
@@ -56,7 +56,7 @@ class StoredChunks:
         return read[begin - first * wide : end - first * wide]
 
     def _of(self, level: int) -> NDArray[np.int64]:
-        """The offset of each chunk of a level, and the end of the last."""
+        """Return the offset of each chunk of a level, and the end of the last."""
         with self._lock:
             if level not in self._starts:
                 rows, cols = self.layout.chunks(level)

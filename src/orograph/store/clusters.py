@@ -1,10 +1,10 @@
-"""Work on the workers of a Dask cluster, of this machine or of many that share a file system (or a bucket).
+"""Work on the workers of a Dask cluster, on this machine or on several that share a file system (or a bucket).
 
-To Dask a task is opaque and a few bytes: the stage, and where (``worker_state`` is what workers do with it). This
-process alone plans, holds the store's lock, adds up what tasks found, and lets what was made take its place. It keeps a
-bounded number of futures and lets go of each as soon as its task is done: what a task made lies in the store, so
-nothing that is done is lost with a worker, and what is found there is not made again. A task that fails, or whose
-workers die, is tried again; what fails every time is given up, and told when all others are done.
+To Dask, a task is opaque and a few bytes: its stage and place (``worker_state`` is what workers do with it). Only this
+process plans, holds the store's lock, merges the results of tasks, and publishes the store. It keeps a bounded number
+of futures and releases each as soon as its task is done. Results lie in the store, so a lost worker loses nothing that
+is done, and existing results are not made again. A task that fails, or whose workers die, is retried. One that fails
+every time is given up and reported when all others are done.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ from orograph.store.worker_state import Done, Recipe, do
 from orograph.store.workforce import workforce
 
 TRIES = 4
-"""How often a task is begun before it is given up; Dask itself moves those of dead workers several times before."""
+"""Attempts before a task is given up; before each of them, Dask itself moves tasks of dead workers several times."""
 
 GIVEN_UP = 16
-"""Tasks that are given up before the others are not even begun: it is not the tasks, then."""
+"""Number of given-up tasks after which no more are started: then the cause is not in the tasks."""
 
 AHEAD = 2
-"""Tasks that are under way for each thread of the workers."""
+"""Tasks in flight for each thread of the workers."""
 
 EACH = 8
-"""Groups of heights or errors for each thread of the workers, at least, if there are so many."""
+"""Minimum number of groups of heights or errors for each thread of the workers, if there are so many."""
 
 T = TypeVar("T")
 
 PAUSE = 0.5
-"""Seconds before workers are told again."""
+"""Seconds before the recipe is sent to the workers again."""
 
 COUNTING = 1.0
 """Seconds after which workers are counted again."""
 
 SILENCE = 60.0
-"""Seconds without a word from the scheduler after which the build ends."""
+"""Seconds without a response from the scheduler after which the build ends."""
 
 
 LOST = (OSError, AttributeError)
-"""What a client of Dask raises whose scheduler is gone (it has none any more while it tries to connect again)."""
+"""Errors that a Dask client raises when its scheduler is gone (it has none while it reconnects)."""
 
 
 def answer(call: Callable[..., T], *args: Any, **options: Any) -> T:
-    """What a call to the scheduler gives. Dask's own calls wait for ever for one that was killed as it was asked.
+    """Return the result of a call to the scheduler. Dask's own calls wait for ever if it is killed during one.
 
     Raises:
         TimeoutError: it does not answer within ``SILENCE``.
@@ -77,7 +77,7 @@ def answer(call: Callable[..., T], *args: Any, **options: Any) -> T:
 
 
 def workers_of(client: Any) -> dict[str, int]:
-    """The addresses of all workers there are now, and their threads.
+    """Return the addresses of all current workers, and their threads.
 
     Raises:
         StoreError: the scheduler is gone.
@@ -92,7 +92,7 @@ def workers_of(client: Any) -> dict[str, int]:
 
 
 def threads_of(client: Any) -> int:
-    """Threads of all workers there are now, at least 1.
+    """Return the number of threads of all current workers, at least 1.
 
     Raises:
         StoreError: the scheduler is gone.
@@ -101,7 +101,7 @@ def threads_of(client: Any) -> int:
 
 
 def levels_of(client: Any, shape: Shape, shard: int) -> int:
-    """Levels of the groups of heights and errors."""
+    """Return the levels of the groups of heights and errors."""
     return group_levels(shape, shard, EACH * threads_of(client))
 
 
@@ -109,13 +109,13 @@ def levels_of(client: Any, shape: Shape, shard: int) -> int:
 def on_workers(
     recipe: Recipe, workers: int | None, dask: Any, jobs: int, max_memory: int, what: str
 ) -> Iterator[Cluster]:
-    """A cluster whose workers know a recipe.
+    """Enter a cluster whose workers know a recipe.
 
     Args:
-        workers, dask, jobs, max_memory: as of ``workforce``. what: is done, for messages: "A film".
+        workers, dask, jobs, max_memory: as for ``workforce``. what: the work, for messages: "A film".
 
     Raises:
-        UsageError: as of ``workforce``.
+        UsageError: as for ``workforce``.
     """
     check_workers(workers, dask, what)
     needed = recipe.base + recipe.memory
@@ -124,7 +124,7 @@ def on_workers(
 
 
 def check_workers(workers: int | None, dask: Any, what: str, part: Any = None, finish: bool = False) -> None:
-    """Raise UsageError where there are no workers, or work is shared in two ways (with workers, or in parts)."""
+    """Raise UsageError if there are no workers, or work is shared in two ways (with workers, or in parts)."""
     if workers is not None and workers < 1:
         raise UsageError(f"{what} needs at least one worker, not {workers}.")
     ways = {"workers": workers, "dask": dask, "part": part, "finish": finish or None}
@@ -134,13 +134,13 @@ def check_workers(workers: int | None, dask: Any, what: str, part: Any = None, f
 
 
 class Cluster:
-    """Runs stages on a cluster, whose workers know of the work while it is entered.
+    """Runs stages on a cluster; its workers know the recipe within the ``with`` block.
 
     Args:
-        client: of Dask. recipe: what workers get once. levels: of the groups of a build's heights and errors.
+        client: Dask's. recipe: what workers get once. levels: of the groups of a build's heights and errors.
 
     Attributes:
-        busy: seconds that each worker was at work, by its name. moved: bytes of arrays that workers sent.
+        busy: seconds of work of each worker, by its name. moved: bytes of arrays that workers sent.
     """
 
     def __init__(self, client: Any, recipe: Recipe, levels: int = 0) -> None:
@@ -149,13 +149,13 @@ class Cluster:
         self._counting = threading.Lock()
 
     def count(self, who: str, seconds: float, moved: int) -> None:
-        """Count what a worker did, and the bytes that it sent; from any thread."""
+        """Count the work of a worker and the bytes that it sent; from any thread."""
         with self._counting:
             self.busy[who] += seconds
             self.moved += moved
 
     def imbalance(self) -> float:
-        """How much longer the busiest worker was at work than they were on average: 1 if all were as long."""
+        """Return the busiest worker's working time relative to the average: 1 if all are equal."""
         return max(self.busy.values(), default=0.0) * len(self.busy) / (sum(self.busy.values()) or 1.0) or 1.0
 
     def __enter__(self) -> Cluster:
@@ -165,7 +165,7 @@ class Cluster:
             try:
                 answer(self.client.register_plugin, Telling(self.ident, self.recipe), name=self.ident)
                 break
-            except LOST as error:  # a worker has died while it was told; others may not have been
+            except LOST as error:  # a worker died while the recipe was sent; others may not have received it
                 if not left:
                     raise StoreError(
                         f"The workers of the cluster cannot be reached: {error}.", remedy="Check that they are running."
@@ -181,10 +181,10 @@ class Cluster:
         return self.levels
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
-        """As of all executors.
+        """Run a stage, as all executors do.
 
         Raises:
-            StoreError: tasks were given up, or the scheduler is gone; or what workers wrote is not seen here.
+            StoreError: tasks were given up, the scheduler is gone, or the workers' results are not visible here.
         """
         stage.hand_over()
         with progress.task(stage.label, total=len(stage.tasks())) as task:
@@ -193,7 +193,7 @@ class Cluster:
 
 
 class _Round:
-    """All tasks of one stage, once round."""
+    """One pass over all tasks of a stage."""
 
     def __init__(self, cluster: Cluster, stage: Stage[Any], progress: Progress, task: Task) -> None:
         self.client, self.stage, self.ident, self.task = cluster.client, stage, cluster.ident, task
@@ -208,7 +208,7 @@ class _Round:
         self.able: dict[str, bool] = {}
 
     def go(self) -> None:
-        """Do them."""
+        """Run the pass."""
         try:
             while self._fill():
                 try:
@@ -266,7 +266,7 @@ class _Round:
         yield from self.todo
 
     def _take(self, future: Any) -> None:
-        """Add what a task found, or see to it that it is tried again."""
+        """Add the result of a task, or schedule a retry."""
         spot = self.pending.pop(future, None)
         if spot is None:
             return
@@ -278,7 +278,7 @@ class _Round:
                 if done.seconds:
                     self.stage.renewed(spot)
                 self._hear(done)
-        except Exception as failure:  # the scheduler is gone, and what it knew with it; or the worker
+        except Exception as failure:  # the scheduler is gone, with all that it knew; or the worker is
             error, why = failure, _said(failure)
         future.release()
         if why is None:
@@ -296,7 +296,7 @@ class _Round:
         self._listen()
 
     def _hear(self, done: Done) -> None:
-        """Count what a worker says of a task, and hand on what is new."""
+        """Count the work that a worker reports for a task, and pass on new results."""
         self.busy[done.who] += done.seconds
         for remark in done.remarks:
             if remark not in self.heard_of:
@@ -304,7 +304,7 @@ class _Round:
                 self.progress.warn(remark)
 
     def _listen(self) -> None:
-        """Notice when the scheduler, or every worker, is gone."""
+        """Detect that the scheduler or every worker is gone."""
         if self.client.status == "running":
             with contextlib.suppress(*LOST):
                 if not answer(self.client.nthreads):
@@ -318,7 +318,7 @@ class _Round:
             )  # fmt: skip
 
     def _failed(self) -> StoreError:
-        """What was given up, and why."""
+        """Return the error that lists the tasks given up, and why."""
         left = len(self.stage.tasks()) - sum(1 for _ in self.begun)
         told = [f"{self.stage.key(spot).removesuffix('.part')}: {why}" for spot, why in list(self.given_up.items())[:4]]
         more = len(self.given_up) - len(told)

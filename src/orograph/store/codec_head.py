@@ -1,6 +1,6 @@
-"""What the decoders of *compact* and *smallest* share: how the heads of their chunks are read (docs/codec.md).
+"""What the decoders of *compact* and *smallest* share: reading the heads of chunks (docs/codec.md).
 
-Nothing that is read out of a chunk becomes an index before it is checked.
+Nothing read from a chunk is used as an index before it is checked.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ MISSING = -(1 << 31)
 NEIGHBOURS = 11  # besides N
 BITS = 12  # of probabilities
 TOTAL = 1 << BITS
-DIRECT = 224  # at most so many symbols of a table are values themselves; the others are ranges of larger ones
+DIRECT = 224  # the first symbols of a table, at most this many, are values; the others are ranges of larger ones
 SYMBOLS = DIRECT + 32
-START = 36  # what the first code of a table differs from
-DEEPEST = 16  # bits below symbols
-LEAST = 1 << 16  # state
-WORDS = 5  # that one sample takes at most
+START = 36  # the predecessor of a table's first code
+DEEPEST = 16  # most bits below symbols
+LEAST = 1 << 16  # least state
+WORDS = 5  # most words that one sample takes
 
 CUT_OFF, UNKNOWN, TABLES, MASK, STREAM = 1, 2, 3, 4, 5
-"""What is wrong: the chunk is too short; another version; its tables, mask or stream of words are not possible."""
+"""Error codes: the chunk is too short; another version; its tables, mask or stream of words are invalid."""
 
 
 @inlined
@@ -38,7 +38,7 @@ def u32(data, at):
 
 @kernel
 def frequencies(codes, count, out):
-    """The frequencies that codes stand for, which sum to ``TOTAL``; whether they can.
+    """Decode frequencies, which sum to ``TOTAL``; return whether the codes are valid.
 
     Args:
         codes: of ``count`` symbols. out: becomes the frequencies.
@@ -63,12 +63,12 @@ def frequencies(codes, count, out):
 
 @kernel
 def read_tables(data, at, contexts, table, depths, direct):
-    """Read the tables of all contexts from ``at``; where they end, or -1.
+    """Read the tables of all contexts from ``at``; return where they end, or -1.
 
     Args:
         table: (contexts × TOTAL,) uint32, becomes frequency - 1, offset and symbol (12, 12 and 8 bits) by slot.
             Symbols from ``DIRECT`` are ranges.
-        depths: becomes the bits below symbols, by context. direct: becomes how many symbols are values.
+        depths: becomes the bits below symbols, by context. direct: becomes the number of symbols that are values.
     """
     codes, found = np.zeros(SYMBOLS, np.int64), np.zeros(SYMBOLS, np.int64)
     for context in range(contexts):
@@ -81,7 +81,7 @@ def read_tables(data, at, contexts, table, depths, direct):
             return -1
         bit, last, code = at * 8, data.size * 8, np.int64(START)
         for s in range(count):
-            # A difference: its half in unary (ones, then a zero), its lowest bit, after zigzag.
+            # A difference: half of it in unary (ones, then a zero), then its lowest bit, zigzag-coded.
             ones = np.int64(0)
             while bit < last and data[bit >> 3] >> (bit & 7) & 1:
                 ones += 1
@@ -108,7 +108,7 @@ def read_tables(data, at, contexts, table, depths, direct):
 
 @kernel
 def read_mask(data, at, mode, out):
-    """Put ``MISSING`` where the runs from ``at`` say so, and zeros elsewhere; where they end, or -1."""
+    """Put ``MISSING`` where the runs from ``at`` say so, and zeros elsewhere; return where they end, or -1."""
     rows, cols = out.shape
     filled, missing, size = np.int64(0), False, rows * cols
     flat = out.reshape(size)
@@ -137,7 +137,7 @@ def read_mask(data, at, mode, out):
 
 @kernel
 def full_weights(weights, out):
-    """All twelve: N's is such that the sum is nothing, for N itself is added to it."""
+    """Complete the twelve weights: N's makes the sum zero, because N itself is added to the prediction."""
     total = np.int64(0)
     for k in range(NEIGHBOURS):
         out[k] = weights[k]
@@ -147,7 +147,7 @@ def full_weights(weights, out):
 
 @kernel
 def read_weights(data, at, out):
-    """Read weights; where they end. ``out``: as of ``full_weights``."""
+    """Read weights; return where they end. ``out``: as in ``full_weights``."""
     given = np.empty(NEIGHBOURS, np.int64)
     for k in range(NEIGHBOURS):
         given[k] = np.int16(u16(data, at + 2 * k))

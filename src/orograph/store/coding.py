@@ -1,16 +1,16 @@
 """Heights quantised to one step, with a stated and measured error (``orograph build --max-error``).
 
 A lossy store rounds its heights once, before anything else is made from them: h becomes step · q with q = round(h /
-step). The steps are counted from 0 m for the whole terrain, so a sample is the same number in whatever tile and at
-whatever level it is stored, and tiles agree along their borders to the bit. From then on the rounded heights *are* the
+step). Steps are counted from 0 m for the whole terrain, so a sample is the same number in every tile and level that
+stores it, and tiles agree along their borders to the bit. From then on the rounded heights *are* the
 terrain: levels, extremes, errors, bounds and derived data are computed from them, and a promise in pixels needs no term
-for the codec. Their distance from what was read is measured sample by sample (``Coding``).
+for the codec. The difference from the original is measured sample by sample (``Coding``).
 
-For a stated error e the step is 2e, rounded down to ten binary digits and to a multiple of 2^-10 m: such heights are
-exact in float32 up to 16 km and more, so that every reader gets the same heights whatever arithmetic it uses, and none
+For a stated error e the step is 2e, rounded down to ten binary digits and to a multiple of 2^-10 m. Such heights are
+exact in float32 up to 16 km and more, so every reader gets the same heights whatever arithmetic it uses, and none
 is off by more than e. ``auto`` uses the data's own steps, which are kept exactly: whole metres, feet, centimetres…
 
-Means are kept in a quarter of that step, so means of four valid samples are exact.
+Means are stored in a quarter of that step, so means of four valid samples are exact.
 
 Units: metres, float32, NaN where missing; numbers are int32, ``MISSING`` where missing.
 """
@@ -59,7 +59,7 @@ class Packing:
 
     Attributes:
         step: metres.
-        codec: what packs the numbers.
+        codec: the name of the codec for the numbers.
     """
 
     step: float
@@ -84,19 +84,19 @@ class Packing:
         return found
 
     def attributes(self) -> dict[str, Any]:
-        """Attributes of the array, after CF."""
+        """Return the attributes of the array, after CF."""
         return {"scale_factor": self.step, "add_offset": 0.0, "_FillValue": MISSING}
 
 
 @dataclass(frozen=True, slots=True)
 class Coding:
-    """How a store encodes its heights, and how far they are from those that it was built from.
+    """How a store encodes its heights, and how far they are from the original ones.
 
     Attributes:
-        codec: what packs the numbers.
+        codec: the name of the codec for the numbers.
         step: metres.
         max_error: the requested error, metres; None: the data's own steps.
-        largest, rms: of the differences between the heights read and stored, metres.
+        largest, rms: the largest and rms difference between the heights read and stored, metres.
     """
 
     codec: Codec
@@ -107,24 +107,24 @@ class Coding:
 
     @property
     def heights(self) -> Packing:
-        """Of heights."""
+        """The packing of heights."""
         return Packing(self.step, self.codec)
 
     @property
     def means(self) -> Packing:
-        """Of means."""
+        """The packing of means."""
         if self.codec == "progressive":
             return Packing(self.step * self.factor / MEANS, "smallest")
         return Packing(self.step / MEANS, self.codec)
 
     @property
     def factor(self) -> int:
-        """Steps of heights per twice the largest error, of the codec *progressive*."""
+        """Steps of heights per twice the largest error, for the codec *progressive*."""
         return 1 if self.max_error is None else int(2 * self.max_error / self.step)
 
     def rounded(self, heights: Heights, own: int, kept: Numbers | None = None) -> tuple[Heights, NDArray[np.float64]]:
-        """Heights as stored, and the loss in the first ``own`` rows and columns: (the largest difference, the sum of
-        the squares of all).
+        """Return heights as stored, and the loss in the first ``own`` rows and columns: (the largest difference, the
+        sum of all squares).
 
         Args:
             heights: C order, of a shard of ``own`` samples a side, with the row and column that follow.
@@ -158,17 +158,17 @@ class Coding:
             )
 
     def measured(self, found: Sequence[NDArray[np.float64]], samples: int) -> Coding:
-        """The coding with the losses that all tasks of a build found.
+        """Return the coding with the losses that all tasks of a build found.
 
         Args:
-            found: by ``rounded``. samples: that are valid.
+            found: results of ``rounded``. samples: the number of valid samples.
         """
         largest = max((float(one[0]) for one in found), default=0.0)
         rms = math.sqrt(math.fsum(float(one[1]) for one in found) / max(samples, 1))
         return replace(self, largest=largest, rms=rms)
 
     def surprise(self, height_range: tuple[float, float], resampled: bool) -> str | None:
-        """A warning if data were assumed to have steps of their own, but not all of them have."""
+        """Return a warning if data were assumed to have steps of their own, but some of them do not."""
         highest = np.float32(max(map(abs, height_range)))
         if self.max_error is not None or resampled or not self.largest > np.spacing(highest):
             return None
@@ -178,7 +178,7 @@ class Coding:
         )
 
     def asked(self) -> dict[str, Any]:
-        """The requested coding, without the losses found."""
+        """Return the requested coding, without the losses found."""
         return {"name": self.codec, "step": self.step, "max_error": self.max_error}
 
     def __str__(self) -> str:
@@ -196,7 +196,7 @@ class Coding:
 
 
 def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Coding | None:
-    """The coding for a store of these heights; None: float32, lossless.
+    """Return the coding for a store of these heights; None: float32, lossless.
 
     Args:
         source: the heights, of which some are sampled for ``auto``.
@@ -235,7 +235,7 @@ def floored(width: float) -> float:
 
 
 def _step(source: HeightSource) -> float:
-    """The step of the data: their own; for resampled data a tenth of it; ``FINEST`` if they have none."""
+    """Return the step of the data: their own; for resampled data a tenth of it; ``FINEST`` if they have none."""
     lattices = getattr(source, "resampled_from", ())
     if not lattices:
         return _own(source) or FINEST
@@ -243,7 +243,7 @@ def _step(source: HeightSource) -> float:
 
 
 def _own(raster: Any) -> float | None:
-    """The coarsest of ``OWN_STEPS`` that fits all sampled heights, to a rounding of float32."""
+    """Return the coarsest of ``OWN_STEPS`` that fits all sampled heights, up to float32 rounding."""
     rows, cols = raster.grid.shape
     steps = list(OWN_STEPS)
     for row in _places(rows):
@@ -258,5 +258,5 @@ def _own(raster: Any) -> float | None:
 
 
 def _places(size: int) -> list[int]:
-    """The starts of windows along an axis."""
+    """Return the starts of windows along an axis."""
     return sorted({(size - _SIDE) * at // (_WINDOWS - 1) for at in range(_WINDOWS)}) if size > _SIDE else [0]

@@ -1,6 +1,6 @@
-"""Color errors of diamonds as derived data: how much coarser triangles change colours, one byte each.
+"""Color errors of diamonds as derived data: how much colours change in coarser triangles, one byte each.
 
-``geovis.color_errors`` defines them, ``geovis.color_store`` makes them and puts them into complete stores. They are
+``geovis.color_errors`` defines them, ``geovis.color_store`` makes them and adds them to complete stores. They are
 laid out like errors (``diamond_table``).
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def color_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
-    """The codes of a level."""
+    """Describe the array of a level's codes."""
     return ArraySpec(f"colors/{level}/color", diamond_shape(shape, level), shard, chunk, "uint8", 0.0)
 
 
@@ -67,7 +67,7 @@ class ColorCodes:
         self.terrain = terrain
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.uint8]:
-        """The codes of the entries ``[row0, row1) × [col0, col1)`` of a level."""
+        """Return the codes of the entries ``[row0, row1) × [col0, col1)`` of a level."""
         terrain, record = self.terrain, self.terrain.record
         terrain.check_window(terrain.diamond_shape(level), row0, row1, col0, col1)
         array = terrain.opened(

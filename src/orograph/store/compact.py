@@ -1,6 +1,6 @@
 """The codec *compact*: chunks of integers, predicted from their surroundings and entropy-coded.
 
-A sample is predicted from twelve others to the left and above (weights by least squares, one set per chunk), and the
+A sample is predicted from twelve others to the left and above (weights by least squares, one set per chunk). The
 difference is coded with range asymmetric numeral systems (rANS, Duda 2013), with one of up to eight tables, chosen by
 the size of the differences above it. docs/codec.md has the format, byte by byte.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orograph.store.coding import Numbers
 
 NAME = "orograph.compact"
-"""Its name in the metadata of arrays and in Zarr's registry of codecs."""
+"""The codec's name in the metadata of arrays and in Zarr's registry of codecs."""
 
 WRONG = {
     1: "it ends too early",
@@ -27,7 +27,7 @@ WRONG = {
 
 
 def compressed(numbers: Numbers) -> bytes:
-    """The bytes of a chunk, (rows, cols) int32, -2^31 where missing."""
+    """Return the bytes of a chunk, (rows, cols) int32, -2^31 where missing."""
     from orograph.store.compact_encode import encode
 
     found: NDArray[np.uint8] = encode(np.ascontiguousarray(numbers, np.int32))
@@ -38,7 +38,7 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
     """Decode a chunk from its bytes.
 
     Raises:
-        ValueError: they are not those of such a chunk.
+        ValueError: they are not a valid chunk.
     """
     from orograph.store.compact_decode import decode
 
@@ -46,10 +46,10 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
 
 
 def unpacked(decode: Callable[[NDArray[np.uint8], Numbers], int], data: bytes, shape: tuple[int, int]) -> Numbers:
-    """Decode a chunk from its bytes with a codec's kernel, which fills it and returns an error code (``WRONG``), or 0.
+    """Decode a chunk with a codec's kernel, which fills it and returns 0 or an error code (``WRONG``).
 
     Raises:
-        ValueError: something is.
+        ValueError: the kernel returned an error.
     """
     found = np.empty(shape, np.int32)
     wrong = decode(np.frombuffer(data, np.uint8), found)

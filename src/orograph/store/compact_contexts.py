@@ -1,7 +1,7 @@
 """How the codec *compact* divides the samples of a chunk among tables (``compact_encode``): kernels.
 
-Activities are put in groups of about as many samples, and neighbours among these are joined while that makes the chunk
-smaller. Logarithms are made of plain arithmetic, so that the same samples are the same bytes on every machine.
+Activities are divided into groups of about equal size; neighbouring groups are merged while that makes the chunk
+smaller. Logarithms use plain arithmetic, so the same samples give the same bytes on every machine.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from orograph.store.compact_decode import (
     activities,
 )
 
-GROUPS = 24  # of activities, before those that are alike are joined
-TOKENS = 64 + 4 * 26  # what values are counted as there
-ENTRY = 3.5  # bits of a symbol in a table, about
+GROUPS = 24  # of activities, before similar ones are merged
+TOKENS = 64 + 4 * 26  # bins in which values are counted for this
+ENTRY = 3.5  # bits of a symbol in a table, approximately
 
 
 @shared
@@ -32,7 +32,7 @@ def length(value):
 
 @shared
 def _log2(value):
-    """The binary logarithm of a number of at least 1, to 0.0002: by arithmetic that is the same everywhere."""
+    """The binary logarithm of a number ≥ 1, to 0.0002, by arithmetic that is the same everywhere."""
     whole = 0
     while value >= 2.0:
         value *= 0.5
@@ -53,7 +53,7 @@ def _entropy(count):
 
 @kernel
 def activity_of(values, shift, found):
-    """The activity of every sample, as decoders find it."""
+    """The activity of every sample, as decoders compute it."""
     rows, size = values.shape
     levels, padded = np.zeros(size, np.int32), np.zeros(size + 4, np.int32)
     for row in range(rows):
@@ -77,7 +77,7 @@ def shift_of(values):
 
 @shared
 def token(value):
-    """What a value is counted as: itself, or a quarter of an octave."""
+    """The bin of a value: the value itself, or a quarter of an octave."""
     if value < 64:
         return value
     bits = length(value)
@@ -86,7 +86,7 @@ def token(value):
 
 @kernel
 def cost_of(counts, more, share):
-    """Bits of values so counted, ``share`` times ``more`` included, and of their table."""
+    """Bits of the counted values, ``share`` times ``more`` included, and of their table."""
     total, bits, kinds = 0, 0.0, 0
     for k in range(counts.size):
         count = counts[k] + share * more[k]
@@ -97,7 +97,7 @@ def cost_of(counts, more, share):
 
 @kernel
 def grouped(levels, group, most):
-    """Put levels of activity into at most ``most`` groups of about as many samples; how many there are.
+    """Divide levels of activity into at most ``most`` groups of about equal size; return the number of groups.
 
     Args:
         levels: samples by level. group: becomes the group of each.
@@ -109,7 +109,7 @@ def grouped(levels, group, most):
         if so_far * most >= total * (groups + 1) and groups < most - 1:
             groups = min(so_far * most // max(total, 1), most - 1)
     last, count = -1, 0
-    for level in range(levels.size):  # without gaps
+    for level in range(levels.size):  # renumber without gaps
         if group[level] != last:
             last = group[level]
             count += 1
@@ -119,7 +119,7 @@ def grouped(levels, group, most):
 
 @kernel
 def joined(counts, groups, bounds, most):
-    """Join neighbours among groups while that costs nothing, or there are more than ``most``; how many are left.
+    """Merge neighbouring groups while that costs nothing, or there are more than ``most``; return how many are left.
 
     Args:
         counts: (groups, n), becomes that of what is left. bounds: becomes the first group of each.
@@ -153,7 +153,7 @@ def joined(counts, groups, bounds, most):
 
 @kernel
 def divided(values, activity, bounds):
-    """Decide the contexts, and how many; ``bounds`` becomes the first level of each, ``activity`` contexts."""
+    """Choose the contexts; return their number. ``bounds`` becomes the first level of each, ``activity`` contexts."""
     size = activity.size
     flat, of = activity.reshape(size), values.reshape(size)
     levels, group = np.zeros(LEVELS, np.int64), np.empty(LEVELS, np.int64)

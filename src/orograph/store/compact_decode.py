@@ -1,7 +1,7 @@
 """The kernel that decodes chunks of the codec *compact* (``compact``; docs/codec.md has the format).
 
-Nothing that is read out of a chunk becomes an index before it is checked, and the stream of words is copied to where a
-row more than there can be may be read: damaged bytes end with a status, and touch nothing else.
+Nothing read from a chunk is used as an index before it is checked, and the stream of words is copied to a buffer that
+allows reading a row beyond the longest possible one. Damaged bytes give a status and touch nothing else.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from orograph.store.codec_head import (
 VERSION = 1
 LANES = 4
 CONTEXTS = 8
-CAP = 65535  # of magnitudes that make a context
+CAP = 65535  # largest magnitude that counts for a context
 LEVELS = 256  # of activity
 HEADER = 8 + 2 * NEIGHBOURS
 
 
 @inlined
 def next_symbol(x, p, words, table, base):
-    """(The state after a symbol, the next word, the symbol)."""
+    """Decode a symbol: (the next state, the next word, the symbol)."""
     entry = np.int64(table[np.uint64(base + (x & (TOTAL - 1)))])
     x = ((entry >> 20) + 1) * (x >> BITS) + (entry >> 8 & (TOTAL - 1))
     short = x < LEAST
@@ -51,7 +51,7 @@ def next_symbol(x, p, words, table, base):
 
 @inlined
 def plain_bits(x, p, words, bits):
-    """(The state after so many plain bits, at most 16, the next word, the bits)."""
+    """Read plain bits, at most 16: (the next state, the next word, the bits)."""
     value = x & ((np.int64(1) << bits) - 1)
     x >>= bits
     short = x < LEAST
@@ -61,7 +61,7 @@ def plain_bits(x, p, words, bits):
 
 @kernel
 def ranged(x, p, words, symbol, direct):
-    """(The state, the next word, the value that a range and the bits behind it stand for)."""
+    """Decode the value of a range symbol and the bits after it: (the state, the next word, the value)."""
     bits = symbol - DIRECT
     x, p, value = plain_bits(x, p, words, min(bits, 16))
     if bits > 16:
@@ -72,7 +72,7 @@ def ranged(x, p, words, symbol, direct):
 
 @inlined
 def _step(value, base, north, w0, w1, west, farther):
-    """A sample: its value, what ``predicted`` gave, N, and the two samples before it."""
+    """A sample, from its value, the result of ``predicted``, N, and the two samples before it."""
     residual = np.int32(np.int32(value >> np.uint32(1)) ^ -np.int32(value & np.uint32(1)))
     t = np.int32(np.int32(base + np.int32(w1 * farther)) + np.int32(w0 * west))
     return np.int32(np.int32(north + residual) + np.int32(t >> np.int32(12)))
@@ -80,16 +80,16 @@ def _step(value, base, north, w0, w1, west, farther):
 
 @kernel
 def _row(states, p, words, table, depths, direct, deep, begins, values, weights, before, base, near, line):
-    """Decode the values of a row in four lanes, and rebuild the samples of the row above it; the next word.
+    """Decode the values of a row in four lanes, and rebuild the samples of the row above it; return the next word.
 
-    The two have nothing to do with each other. Each waits for itself most of the time: a state for the table, a sample
-    for the one before it. Done together they take little longer than one of them.
+    The two tasks are independent, and each is mostly latency: a state waits for the table, a sample for the one before
+    it. Interleaved, they take little longer than one of them.
 
     Args:
-        states: of the lanes. begins: where the table of each column begins.
+        states: of the lanes. begins: the offset of each column's table.
         values: (n,) uint32, become the row's.
-        weights, base, near: as in ``predicted``, for the row above; before: its values.
-        line: (n + 4,) int32, becomes its samples, two places from the left.
+        weights, base, near: as in ``predicted``, for the row above. before: its values.
+        line: (n + 4,) int32, becomes its samples, from index 2 on.
     """
     a, b, c, d = states[0], states[1], states[2], states[3]
     w0, w1 = weights[0], weights[1]
@@ -134,7 +134,7 @@ def _row(states, p, words, table, depths, direct, deep, begins, values, weights,
 
 @kernel
 def activities(values, shift, padded, levels):
-    """How much the values around each column of a row were, for the contexts of the next row.
+    """Compute the activity around each column of a row: the size of values there, for the contexts of the next row.
 
     Args:
         values: (n,) uint32, of the row. padded: (n + 4,) int32, zeros at both ends; scratch.
@@ -149,11 +149,11 @@ def activities(values, shift, padded, levels):
 
 @kernel
 def predicted(weights, far, near, out):
-    """What the two rows above give for the prediction of a row: all of the sum but W's and WW's share.
+    """Compute the part of a row's prediction that comes from the two rows above: all but W's and WW's share.
 
     Args:
         weights: (12,) int32, in 1/4096: W, WW, NWW, NW, NE, NEE, NNWW, NNW, NN, NNE, NNEE, and N's.
-        far, near: int32, the row two above and the one above, with two samples more at both ends.
+        far, near: int32, the row two above and the one above, each with two more samples at both ends.
         out: int32, becomes the sums, rounding included.
     """
     w2, w3, w4, w5 = weights[2], weights[3], weights[4], weights[5]
@@ -172,7 +172,7 @@ def decode(data, out):
         data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
 
     Returns:
-        0, or what is wrong.
+        0, or an error code.
     """
     rows, cols = out.shape
     if data.size < HEADER:
@@ -251,7 +251,7 @@ def decode(data, out):
 
 @kernel
 def _first(values, first, line):
-    """The samples of the first row: each is predicted by the one before it."""
+    """Rebuild the first row: each sample is predicted by the one before it."""
     west = first
     for j in range(values.size):
         v = values[j]
@@ -261,7 +261,7 @@ def _first(values, first, line):
 
 @kernel
 def _rebuilt(weights, before, base, near, line):
-    """The samples of a row, as in ``_row``."""
+    """Rebuild the samples of a row, as in ``_row``."""
     west = farther = near[2]
     for j in range(before.size):
         here = _step(before[j], base[j], near[j + 2], weights[0], weights[1], west, farther)
@@ -272,6 +272,6 @@ def _rebuilt(weights, before, base, near, line):
 
 @kernel
 def extend(line, cols):
-    """Repeat the first and last of a row's samples in the two places beside them."""
+    """Repeat the first and last sample of a row in the two places beside them."""
     line[0] = line[1] = line[2]
     line[cols + 2] = line[cols + 3] = line[cols + 1]

@@ -1,8 +1,8 @@
 """The kernels that encode chunks as the codec *compact* (``compact``; docs/codec.md has the format).
 
-What a decoder need not know is decided here: the weights (least squares over some of the chunk's rows), what missing
-samples count as, and (``compact_contexts``) how activities are divided among tables. Nothing depends on a library's
-arithmetic or on the order of threads, so that the same samples are the same bytes everywhere.
+The encoder decides what a decoder need not know: the weights (least squares over some of the chunk's rows), the values
+of missing samples, and (``compact_contexts``) how activities are divided among tables. Nothing depends on a library's
+arithmetic or on the order of threads, so the same samples give the same bytes everywhere.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ WIDTH = 2 * LANES8  # of rows of sums, at least ``NEIGHBOURS``
 
 @kernel
 def _sums(numbers, matrix, right):
-    """The normal equations of the prediction, of some rows; how many samples they are of.
+    """Sum up the normal equations of the prediction over some rows; return the number of samples.
 
-    A sample weighs less the rougher it is around: a cliff must not outvote the plain.
+    Samples in rough surroundings weigh less: a cliff must not outweigh the plain.
     """
     rows, cols = numbers.shape
     d, used = np.zeros(WIDTH), 0
@@ -82,8 +82,8 @@ def fitted(numbers, weights):
 
 @kernel
 def _values(numbers, weights, first, lowest, highest, values):
-    """What each sample differs from its prediction by, zigzag, in rows of whole lanes. Missing samples are what is
-    predicted, within the range of the others."""
+    """Compute each sample's difference from its prediction, zigzag-coded, in rows of whole lanes. A missing sample
+    takes its prediction, clamped to the range of the others."""
     rows, cols = numbers.shape
     lines, base = np.empty((3, cols + 4), np.int32), np.empty(cols, np.int32)
     w0, w1 = weights[0], weights[1]
@@ -112,7 +112,7 @@ def _values(numbers, weights, first, lowest, highest, values):
 
 @shared
 def symbol_of(value, direct):
-    """The symbol of a value without the bits below it."""
+    """The symbol of a value, without the bits below it."""
     return value if value < direct else direct - 1 + length(value - direct + 1)
 
 
@@ -145,7 +145,7 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
             large[many] = k
             many += 1
     for c in range(number):
-        beyond, s = counts[c] - found[c, :DIRECT].sum(), DIRECT  # from here on ranges are as good
+        beyond, s = counts[c] - found[c, :DIRECT].sum(), DIRECT  # from here on, ranges cost hardly more
         while s > 0 and beyond + found[c, s - 1] <= counts[c] >> rare:
             s -= 1
             beyond += found[c, s]
@@ -172,7 +172,7 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
 
 @shared
 def _code(frequency):
-    """The code that is nearest to a frequency of at least 1."""
+    """The code nearest to a frequency ≥ 1."""
     step, bits = frequency, 0
     while step >= 8.0:
         step *= 0.5
@@ -183,7 +183,7 @@ def _code(frequency):
 
 @kernel
 def write_tables(out, at, number, depths, direct, sizes, codes):
-    """Write the tables at ``at`` of the chunk's bytes, zeros so far; where they end."""
+    """Write the tables at ``at`` in the chunk's zeroed bytes; return where they end."""
     for c in range(number):
         out[at], out[at + 1], out[at + 2] = depths[c], direct[c], sizes[c] - direct[c]
         bit, last = (at + 3) * 8, np.int64(START)
@@ -203,7 +203,7 @@ def write_tables(out, at, number, depths, direct, sizes, codes):
 
 @kernel
 def write_mask(numbers, mode, out, at):
-    """Write the runs of samples that are there and that are missing at ``at``; where they end."""
+    """Write the runs of valid and missing samples at ``at``; return where they end."""
     rows, cols = numbers.shape
     state, run = False, np.int64(0)
     for row in range(rows):
@@ -230,15 +230,15 @@ def _write_run(out, at, run):
 
 @inlined
 def push(x, p, words, both, inverse, at):
-    """(The state before a symbol is read, the word before.) One word before the first is written, but does not count.
+    """Encode a symbol: (the state before it, the word before). A word before the first is written, but does not count.
 
-    A product with the inverse is a division: the half keeps it off whole numbers by more than its rounding error.
+    Multiplying by the inverse divides: the added half keeps the product off integers by more than its rounding error.
 
     Args:
         both, inverse: from ``ready_to_push``. at: which symbol of which table.
     """
     frequency, below = both[np.uint64(at)] & 0xFFFF, both[np.uint64(at)] >> 16
-    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)  # (no branch: whether a word is due cannot be foreseen)
+    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)  # (no branch: whether a word is due is unpredictable)
     full = x >= frequency << (32 - BITS)
     x, p = x >> 16 if full else x, p - full
     return np.int64((x + 0.5) * inverse[np.uint64(at)]) * (TOTAL - frequency) + below + x, p
@@ -246,7 +246,7 @@ def push(x, p, words, both, inverse, at):
 
 @inlined
 def push_plain(x, p, words, bits, value):
-    """(The state before so many plain bits are read, the word before.)"""
+    """Encode plain bits: (the state before them, the word before)."""
     words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)
     full = x >= np.int64(1) << (32 - bits)
     x, p = x >> 16 if full else x, p - full
@@ -255,7 +255,7 @@ def push_plain(x, p, words, bits, value):
 
 @kernel
 def ready_to_push(found):
-    """Of each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
+    """For each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
     both, inverse = np.zeros(found.size, np.int64), np.ones(found.size)
     for c in range(found.shape[0]):
         below = np.int64(0)
@@ -269,7 +269,7 @@ def ready_to_push(found):
 
 @kernel
 def _stream(values, contexts, depths, direct, found, words, states):
-    """Write the words from the end, in the opposite order of reading; where they begin."""
+    """Write the words from the end, in the reverse order of reading; return where they begin."""
     rows, size = values.shape
     p, deep = np.int64(words.size), depths.any()
     both, inverse = ready_to_push(found)
@@ -313,7 +313,7 @@ def _push_bits(line, of, codes, four, depths, direct, states, p, words):
 
 @kernel
 def encode(numbers):
-    """The bytes of a chunk, (n,) uint8.
+    """Return the bytes of a chunk, (n,) uint8.
 
     Args:
         numbers: (rows, cols) int32, C order, at least one sample.

@@ -37,7 +37,7 @@ RUN = 1024
 
 
 class Written(NamedTuple):
-    """Chunks of a task. Attributes: lengths: words of each. words: of all."""
+    """Chunks of a task. Attributes: lengths: the word count of each. words: all words."""
 
     lengths: NDArray[np.int64]
     words: Words
@@ -47,11 +47,11 @@ LEVELS, FINEST = f"{HANDED}/levels", f"{HANDED}/finest.json"
 """Where workers find the levels of all vertices, and the error of level 0 with the number of vertices."""
 
 CACHE = 64 << 20
-"""Number of decoded chunks that a worker's terrain caches."""
+"""Bytes of decoded chunks that a worker's terrain caches."""
 
 
 def known(storage: Storage, keyed: bool) -> StoredTerrain:
-    """The terrain of the store being built, as the building process left it; ``keyed`` as of ``Digests``."""
+    """The terrain of the store being built, as the building process left it; ``keyed``: see ``Digests``."""
     record = Record.from_json(json.loads(storage.get(KNOWN) or b"{}"), storage.url)
     return StoredTerrain(storage, replace(record, digests=Digests(record.digests.listed, keyed)), CACHE, 1)
 
@@ -60,7 +60,7 @@ class TerrainStage(ShardStage[Found]):
     """Work on a terrain.
 
     Args:
-        terrain: what is written so far. writer: of the results.
+        terrain: what is written so far. writer: writes the results.
     """
 
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter) -> None:
@@ -74,10 +74,10 @@ class TerrainStage(ShardStage[Found]):
 
 
 class PatchStage(TerrainStage[Heights]):
-    """Errors of patches, of one kind.
+    """Errors of patches, for one kind of error.
 
     Args:
-        kind: of errors, which are written.
+        kind: the kind of error; its diamonds are already written.
     """
 
     name, label = "patches", "Errors of patches"
@@ -114,14 +114,14 @@ class PatchStage(TerrainStage[Heights]):
 class ChunkStage(TerrainStage[Written]):
     """Meshes of chunks. A task makes consecutive chunks of a level, row by row.
 
-    Results wait in a temporary file until all are there. The process that builds finds the levels of all vertices
-    (``Reached``), a byte each; workers map its file. Those that build into a bucket find them themselves.
+    Results wait in a temporary file until all are there. The building process computes the levels of all vertices
+    (``Reached``, a byte each); workers map its file. Workers that build into a bucket compute them themselves.
 
     Args:
-        kind: of the chunks. spool: where chunks wait; None if they are only made.
+        kind: the kind of chunks. spool: the file where results wait; None if chunks are only made, not combined.
 
     Attributes:
-        rows: of words, by level, once it is finished.
+        rows: rows of words by level, once the stage is finished.
     """
 
     name, label = "chunks", "Making chunks"
@@ -144,12 +144,12 @@ class ChunkStage(TerrainStage[Written]):
             storage.put(FINEST, [dumps({"error": error, "vertices": len(levels)})])
 
     def _handed(self) -> Reached | None:
-        """What the process that builds has handed over."""
+        """What the building process has handed over."""
         storage = self.writer.storage
         if not isinstance(storage, FolderStorage) or (told := storage.get(FINEST)) is None:
             return None
         said = json.loads(told)
-        # (Not read-only, for which kernels would be compiled once more.)
+        # (Copy-on-write: for read-only arrays, kernels would be compiled once more.)
         levels: Any = np.memmap(storage.path / LEVELS, np.uint8, "c", shape=(int(said["vertices"]),))
         return Reached(said["error"], np.asarray(levels))
 

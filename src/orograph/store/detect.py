@@ -1,4 +1,4 @@
-"""Whether a path or URL is a store (a Zarr group) rather than a raster file, at the cost of one look."""
+"""Telling stores (Zarr groups) from raster files by a path or URL, with a single look."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from orograph.store.versions import folder_of
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder or URL holds a Zarr group, or what builds left of one, or is named as a version of one (which
-    ``store.open`` refuses, saying what there is).
+    """Whether a folder or URL holds a Zarr group or the remains of a build, or is named like a version of a store
+    (``store.open`` refuses the latter two and says what there is).
 
     Raises:
-        ReadError: a URL that could be a store cannot be looked at.
+        ReadError: a URL that could be a store cannot be reached.
     """
     text = os.fspath(path)
     if "://" not in text:

@@ -55,7 +55,7 @@ class DiamondCodes:
     """How a store encodes them.
 
     Attributes:
-        errors: by kind. radius: of all kinds; None if there are no errors.
+        errors: codes by kind. radius: the code for all kinds; None if there are no errors.
     """
 
     errors: dict[ErrorKind, ErrorCode] = field(default_factory=dict)
@@ -66,7 +66,7 @@ class DiamondCodes:
 
 
 def diamond_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> ArraySpec:
-    """The codes of a level's diamonds: of a kind of errors, or "radius"."""
+    """The array of a level's codes, for a kind of errors or "radius"."""
     return ArraySpec(f"diamonds/{level}/{name}", diamond_shape(shape, level), shard, chunk, "uint8", 0.0)
 
 

@@ -32,10 +32,10 @@ def metric(grid: Grid) -> NDArray[np.float64]:
 
 
 def surface(grid: Grid, minimum: Heights, lowest: float) -> Surface:
-    """What the spheres need from a terrain.
+    """The data of a terrain that the spheres need.
 
     Args:
-        minimum: of the tiles of level 0.
+        minimum: the minima of level 0's tiles.
         lowest: height of the lowest sample, NaN if there is none.
     """
     from orograph.error.diamonds import Surface
@@ -44,7 +44,7 @@ def surface(grid: Grid, minimum: Heights, lowest: float) -> Surface:
 
 
 def blank_top(shape: Shape, dtype: DTypeLike, empty: float) -> NDArray[Any]:
-    """The top level before any part is known: what is wholly beyond the raster stays ``empty``."""
+    """The top level before any part is known: entries wholly beyond the raster stay ``empty``."""
     side, _ = diamond_shape(shape, level_count(shape) - 1)
     whole = np.full((side, side), empty, dtype)
     whole[:: side - 1, :: side - 1] = 0  # the square's corners are not diamonds

@@ -1,10 +1,10 @@
-"""What binds a shard to its store and its place: a label within it, whose digest the store's root lists.
+"""The link between a shard, its store and its place: a label in the shard, whose digest the store's root lists.
 
-The checksum of a chunk proves what it holds, not that it belongs where it lies. Between its last chunk and its index a
-shard has a *label* (``docs/store.md`` has the layout): the checksums of its chunks, and its key. The digest of label
-and index is listed in the root, so a shard that was swapped with another, or comes from another store, is noticed when
-its index is first read, and a chunk of another shard when it is. Neither paths nor times are in it: equal samples make
-equal bytes.
+The checksum of a chunk proves its contents, not that it belongs where it lies. So between its last chunk and its index,
+a shard has a *label* (``docs/store.md`` has the layout): the checksums of its chunks, and its key. The root lists the
+digest of label and index. A shard that was swapped with another, or comes from another store, is therefore detected
+when its index is first read, and a chunk of another shard when the chunk is read. The label contains neither paths nor
+times: equal samples give equal bytes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CRC = 4
 
 
 def crc32c(data: bytes | NDArray[np.uint8], before: int = 0) -> int:
-    """The checksum of Zarr's crc32c codec, of what has the checksum ``before`` and these data behind it."""
+    """The checksum of Zarr's crc32c codec for these data, appended to data with the checksum ``before``."""
     import google_crc32c
 
     return int(google_crc32c.extend(before, data))
@@ -40,12 +40,12 @@ def digest_of(data: bytes) -> bytes:
 
 
 def sealed(key: str, index: NDArray[np.uint64], sums: NDArray[np.uint32]) -> tuple[bytes, bytes]:
-    """The end of a shard, from behind its last chunk; and the shard's digest.
+    """Return the end of a shard, after its last chunk, and the shard's digest.
 
     Args:
-        key: of the shard.
-        index: (chunks, 2) offset and length of each chunk, ``ABSENT`` where it is not written.
-        sums: (chunks,) their checksums, 0 where they are not written.
+        key: the shard's key.
+        index: (chunks, 2) offset and length of each chunk, ``ABSENT`` if it is not written.
+        sums: (chunks,) their checksums, 0 if they are not written.
     """
     table = index.astype("<u8").tobytes()
     name = key.encode()
@@ -56,7 +56,7 @@ def sealed(key: str, index: NDArray[np.uint64], sums: NDArray[np.uint32]) -> tup
 
 
 def tail_length(key: str, chunks: int) -> int:
-    """Bytes of a shard behind its last chunk."""
+    """Bytes of a shard after its last chunk."""
     return CRC * chunks + len(key.encode()) + 2 + len(MAGIC) + CRC + ENTRY * chunks + CRC
 
 
@@ -65,12 +65,12 @@ def unsealed(tail: bytes, key: str, chunks: int, listed: bytes) -> list[tuple[in
 
     Args:
         tail: the last ``tail_length`` bytes of the shard.
-        key: the place where it lies.
-        chunks: in a shard.
+        key: the place where the shard lies.
+        chunks: the number of chunks in a shard.
         listed: the digest that the root lists for that place.
 
     Raises:
-        ValueError: it is damaged, or does not belong there; the message says which.
+        ValueError: the shard is damaged, or does not belong there; the message says which.
     """
     if digest_of(tail) != listed:
         raise ValueError(_cause(tail, key, chunks))
@@ -96,18 +96,18 @@ def _cause(tail: bytes, key: str, chunks: int) -> str:
         return "its label fails its checksum, or is that of another shard"
     if name != key:
         return f"it is the shard {name}, of this store or another"
-    return "it belongs to another store, or to another state of this one"
+    return "it belongs to another store, or to another version of this one"
 
 
 class Digests:
-    """What every object of a store must be: the digests of an array's shards, or of an object that is no shard.
+    """The expected contents of all objects of a store: digests of the shards of arrays, and of all other objects.
 
-    Written to from any number of threads, each for other shards.
+    Safe for writing from any number of threads, each for different shards.
 
     Args:
         listed: path of an array → digests of its shards in C order; key of another object → its digest.
-        keyed: whether objects lie under keys that end with their digests (``place``), so that states of a store lie
-            beside each other.
+        keyed: whether objects lie under keys that end with their digests (``place``), so that several versions of a
+            store can share one place.
     """
 
     def __init__(self, listed: Mapping[str, bytes | bytearray] | None = None, keyed: bool = False) -> None:
@@ -115,7 +115,7 @@ class Digests:
         self.listed: dict[str, bytearray] = {path: bytearray(data) for path, data in (listed or {}).items()}
 
     def put(self, path: str, shards: Spot, spot: Spot, digest: bytes) -> None:
-        """Note the digest of a shard of an array that has ``shards`` each way."""
+        """Record the digest of a shard of an array that has ``shards`` along each axis."""
         whole = self.listed.setdefault(path, bytearray(SIZE * shards[0] * shards[1]))
         at = SIZE * (spot[0] * shards[1] + spot[1])
         whole[at : at + SIZE] = digest
@@ -127,15 +127,15 @@ class Digests:
         return bytes(whole[at : at + SIZE]) or UNKNOWN
 
     def place(self, key: str, digest: bytes) -> str:
-        """The key under which an object of this digest lies."""
+        """The key under which an object with this digest is stored."""
         return f"{key}.{digest.hex()}" if self.keyed else key
 
     def of(self, paths: Iterable[str]) -> dict[str, bytes]:
-        """What is listed of these arrays and objects."""
+        """The digests listed for these arrays and objects."""
         return {path: bytes(self.listed[path]) for path in paths if path in self.listed}
 
     def joined(self, others: Digests) -> Digests:
-        """These, and others that take their place."""
+        """These digests, updated with others."""
         both = Digests(keyed=self.keyed)
         both.listed = {**self.listed, **others.listed}
         return both

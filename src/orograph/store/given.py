@@ -106,9 +106,9 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         return Mosaic.open(files, progress=progress, **said_of_rasters(said))
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
-        return _part(source, _fitting(said, OF_AREAS, "a Terrain, which was read already"))
+        return _part(source, _fitting(said, OF_AREAS, "a Terrain, which has already been read"))
     if isinstance(given, HeightSource):
-        return _part(given, _fitting(said, OF_AREAS, "heights that are read by windows already"))
+        return _part(given, _fitting(said, OF_AREAS, "heights that are already read by windows"))
     several = isinstance(given, list | tuple) and not _is_window(given) and not is_rows(given)
     if several and not given:
         raise UsageError(f"{called} got an empty list: there is nothing to read.")
@@ -239,7 +239,7 @@ def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tupl
     crs = said.get("assume_crs", said.get("crs"))
     own = "assume_crs" not in said and "crs" in said
     if isinstance(one, Dem):
-        _fitting(said, (*OF_GRIDS, "name"), "a Dem, which says it itself")
+        _fitting(said, (*OF_GRIDS, "name"), "a Dem, which has its own")
         return one, False
     if is_dataset(one) or _is_window(one):
         dataset, window = one if _is_window(one) else (one, None)
@@ -249,7 +249,7 @@ def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tupl
     if xarray is not None and isinstance(one, xarray.DataArray | xarray.Dataset):
         from orograph.dem import dataarray
 
-        _fitting(said, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which says it itself")
+        _fitting(said, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which has its own")
         array = the_heights(one)
         if dataarray.says_crs(array):
             crs, own = None, False

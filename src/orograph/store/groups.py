@@ -1,10 +1,10 @@
-"""Heights in larger tasks: whole subtrees of the pyramid, each done in one place, with little to hand on.
+"""Heights in larger tasks: whole subtrees of the pyramid, each made by one task that hands little on.
 
-A group is a square of 2^s × 2^s shards of level 0 with all coarser shards that follow from it alone: those of the
+A group is a square of 2^s × 2^s shards of level 0, with all coarser shards that depend on nothing else: those of the
 levels up to s. (A group at the raster's end also has what extends beyond the last whole shard.) The levels above need
-only its samples of level s, which are in its shards, the sums of its means, and its tile tables; these are stored as
+only its samples of level s, which are in its shards, the sums of its means, and its tile tables. These are stored as
 one object, some 12 bytes for 4^(s+1) samples. Sums are added in the same order as in one process, so the bytes do not
-depend on groups. An interrupted group is continued shard by shard.
+depend on groups. An interrupted group resumes shard by shard.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class Handed(NamedTuple):
     """The result of a group.
 
     Attributes:
-        nested: its samples of level s. total, number: sums of the means that come next (of level s + 1; of s itself
-            where no task makes more levels). facts: of each of its shards of level 0.
+        nested: its samples of level s. total, number: sums for the means that come next (of level s + 1; of s itself
+            where no task makes more levels). facts: those of each of its shards of level 0.
     """
 
     nested: Heights
@@ -61,7 +61,7 @@ class Groups(ShardStage[Handed]):
     Args:
         finest: makes the shards of level 0.
         levels: s, at least 1.
-        pyramid: to which groups are added; None if they are only made.
+        pyramid: receives the groups; None if they are only made.
         jobs: threads within a group.
     """
 
@@ -167,7 +167,7 @@ class Groups(ShardStage[Handed]):
         return spans[0], spans[1], spans[2], spans[3]
 
     def _nested(self, spot: Spot, kept: Facts) -> Heights:
-        """These samples."""
+        """Those samples, read from its shards."""
         if "nested" in kept:
             return kept["nested"]
         nested: Heights = self._array(self.finest.spec_of(heights_spec, self.levels)).read(*self._spans(spot))

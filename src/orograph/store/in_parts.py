@@ -1,9 +1,9 @@
 """Builds in parts, for job arrays: processes that know nothing of each other, on any number of machines.
 
-``part`` I of N makes its share of the heights, whole groups of shards (``groups``), and ends. Parts run in any order,
-or at once, and never wait for each other; they hold the store's lock together, which only those of an equal plan and N
-may. A killed part resumes where it stopped when it is run again. When all are there, ``finish`` makes the
-levels above them and all that follows from the heights, and lets the store take its place.
+``part`` I of N builds its share of the heights, whole groups of shards (``groups``), and ends. Parts run in any order,
+or concurrently, and never wait for each other. They share the store's lock, which is restricted to parts with the same
+plan and N. A killed part resumes where it stopped when it is run again. When all are complete, ``finish`` makes the
+levels above them and all that depends on the heights, and publishes the store.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from orograph.store.terrain import Shape
 from orograph.store.writer import ShardWriter
 
 EACH = 4
-"""Groups that a part is to have at least, if there are so many: so that parts are about equally large."""
+"""Minimum number of groups in a part, if there are so many: parts are then about equally large."""
 
 Part = tuple[int, int]
 """I and N: part I of N, from 1 to N."""
 
 
 def part_of(said: str | Sequence[int]) -> Part:
-    """A part as it is said: "3/64", or (3, 64).
+    """Parse a part: "3/64", or (3, 64).
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not a part.
     """
     if isinstance(said, str):
         found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", said)
@@ -55,12 +55,12 @@ def part_of(said: str | Sequence[int]) -> Part:
 
 
 def levels_of(shape: Shape, shard: int, count: int) -> int:
-    """Levels of the groups of a build in so many parts."""
+    """Levels of the groups of a build in ``count`` parts."""
     return group_levels(shape, shard, EACH * count)
 
 
 def share(tasks: Sequence[Spot], part: Part) -> Sequence[Spot]:
-    """The tasks of a part: they follow one another."""
+    """The tasks of a part, which are consecutive."""
     index, count = part
     return tasks[len(tasks) * (index - 1) // count : len(tasks) * index // count]
 
@@ -69,15 +69,15 @@ def build_part(
     raster: HeightSource, final: Storage, storage: Storage, plan: dict[str, Any], coding: Coding | None,
     part: Part, jobs: int, overwrite: bool, progress: Progress,
 ) -> None:  # fmt: skip
-    """Make a part of a store.
+    """Build a part of a store.
 
     Args:
-        final: where the store will be. storage: where it is made.
-        plan: of the build. coding: how heights are kept. jobs: threads.
-        overwrite: whether a store that is there may be replaced in the end.
+        final: where the store will be. storage: where it is built.
+        plan: the build's plan. coding: how heights are encoded. jobs: threads.
+        overwrite: whether the finished store may replace an existing one.
 
     Raises:
-        StoreError: a store, or another build, is there; or the sources were changed meanwhile.
+        StoreError: a store, or another build, is there; or the sources have changed meanwhile.
         ReadError: a source cannot be read.
     """
     index, count = part
@@ -98,14 +98,14 @@ def build_part(
         go_through(f"Building part {index} of {count}", share(stage.tasks(), part), do, jobs, progress)
         if raster.fingerprint() != plan["source"]:
             raise StoreError(
-                "Its sources were changed while a part of it was built.", path=final.url,
+                "Its sources changed while a part of it was built.", path=final.url,
                 remedy=f"Remove {storage.url} and build all parts again when they are complete.",
             )  # fmt: skip
         storage.close()
 
 
 def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite: bool) -> None:
-    """Put the plan where the store is made, or see that it is the one that is there."""
+    """Write the plan where the store is built, or check that the plan there is the same."""
     there = storage.get(PLAN)
     if there is not None:
         if there != plan:
@@ -117,7 +117,7 @@ def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite:
             )  # fmt: skip
         return
     if begun(storage):
-        raise missing(final)  # complete, but for its last rename
+        raise missing(final)  # complete, except for its last rename
     if is_store(final) and not (overwrite and not final.remote):
         remedy = "Use `overwrite=True` in all parts to replace it in the end." if not final.remote else "Remove it."
         raise StoreError("A store is there already.", path=final.url, remedy=remedy)
@@ -129,7 +129,7 @@ def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite:
 
 
 def count_of(plan: bytes) -> int | None:
-    """In how many parts work is done, by its plan; None if it is not in parts."""
+    """The number of parts in which work is done, by its plan; None if it is not in parts."""
     try:
         found = json.loads(plan).get("parts")
     except (ValueError, AttributeError):
@@ -138,7 +138,7 @@ def count_of(plan: bytes) -> int | None:
 
 
 def parts_begun(final: Storage, storage: Storage) -> int:
-    """In how many parts the build is that was begun; 0 if all of it is done (but for the last rename).
+    """The number of parts of the build that was begun; 0 if all of it is done (except for the last rename).
 
     Raises:
         StoreError: none was begun, or it is not in parts.
@@ -157,7 +157,7 @@ class Gathering:
     """Runs the stages of a build whose heights were made in parts.
 
     Args:
-        url: of the store. count: of parts. then: runs the other stages.
+        url: the store's. count: the number of parts. then: runs the other stages.
     """
 
     def __init__(self, url: str, count: int, then: Executor) -> None:
@@ -167,7 +167,7 @@ class Gathering:
         return levels_of(shape, shard, self.count) if stage == Pyramid.name else self.then.groups(stage, shape, shard)
 
     def run(self, stage: Stage[Any], progress: Progress) -> None:
-        """As of all executors.
+        """Run a stage, as all executors do.
 
         Raises:
             StoreError: parts are missing.
@@ -179,13 +179,14 @@ class Gathering:
 
 
 def gather(stages: Sequence[Stage[Any]], count: int, url: str, progress: Progress) -> None:
-    """Add up what parts have made, and finish the stages.
+    """Combine the results of parts, and finish the stages.
 
     Args:
-        stages: of the same tasks, which parts have shared. count: of parts. url: of what is made, for errors.
+        stages: stages with the same tasks, which the parts have shared. count: the number of parts. url: of the
+            result, for errors.
 
     Raises:
-        StoreError: parts are missing, or what they made is damaged; all of them are named.
+        StoreError: parts are missing, or their results are damaged; the message names all of them.
     """
     tasks = stages[0].tasks()
     left = {spot for stage in stages for spot in tasks if not stage.kept(spot)}
@@ -208,7 +209,7 @@ def gather(stages: Sequence[Stage[Any]], count: int, url: str, progress: Progres
 
 
 def missing_parts(tasks: Sequence[Spot], left: set[Spot], count: int, url: str) -> StoreError:
-    """What says in which of ``count`` parts of tasks some are left."""
+    """The error that lists which of ``count`` parts have tasks left."""
     parts = [i for i in range(1, count + 1) if left.intersection(share(tasks, (i, count)))]
     many = len(parts) > 1
     return StoreError(
@@ -218,7 +219,7 @@ def missing_parts(tasks: Sequence[Spot], left: set[Spot], count: int, url: str) 
 
 
 def _runs(numbers: Sequence[int]) -> str:
-    """Numbers in ascending order in few words: "1-3, 7"."""
+    """Numbers in ascending order, abbreviated: "1-3, 7"."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

@@ -37,7 +37,7 @@ class LatticeRecord:
 
     Attributes:
         grid: where its samples lie.
-        dtype: of its numbers.
+        dtype: the type of its numbers.
         nodata: the number that means "missing", nan for float32.
     """
 
@@ -98,8 +98,8 @@ class StoredLattice:
         self.code = array.spec.dtype, array.spec.fill
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """A window, which may reach beyond the grid (around a globe columns repeat): its shape, float32 metres, NaN
-        where there is none.
+        """Read a window, which may reach beyond the grid (around a globe, columns repeat): float32 metres, NaN where
+        missing.
 
         Raises:
             DamagedChunkError, StoreReplacedError: as ``ShardedArray.read``.

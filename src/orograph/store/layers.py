@@ -44,10 +44,10 @@ class LayerBand:
     """One raster of a layer, and how its values are encoded.
 
     Attributes:
-        name: of its arrays; letters, digits, hyphens and points.
-        unit: of its values.
-        low, high: what the codes 1 and 2^bits − 1 mean.
-        bits: of a code.
+        name: the name of its arrays: letters, digits, hyphens and points.
+        unit: the unit of its values.
+        low, high: the values of the codes 1 and 2^bits − 1.
+        bits: the bits of a code.
     """
 
     name: str
@@ -97,8 +97,8 @@ class LayerRecord:
     """A store's record of a layer.
 
     Attributes:
-        name: of the layer.
-        doc: what it is.
+        name: the layer's name.
+        doc: a description.
         bands: its rasters.
         averaging: how samples of coarser levels are averaged.
         options: what it was made with (JSON).
@@ -136,8 +136,8 @@ class StoredLayer:
 
     Attributes:
         name, doc, averaging, options: see ``LayerRecord``.
-        bands: its rasters, in the order in which ``read`` has them.
-        levels: as many as the terrain has.
+        bands: its rasters, in the order in which ``read`` returns them.
+        levels: the same number as the terrain's.
     """
 
     def __init__(self, record: LayerRecord, shape: Shape, array: Callable[[LayerBand, int], ShardedArray]) -> None:

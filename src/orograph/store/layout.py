@@ -64,7 +64,7 @@ FORMAT = 4
 
 CODEC, VERSION = "codec", "version"
 KNOWN = frozenset({CODEC, VERSION})
-"""What else a store may need of its reader (``Record.needs``)."""
+"""Other features that a store may require from its reader (``Record.needs``)."""
 
 CHUNK = 256
 TABLES = {"minimum": ("float32", math.nan), "maximum": ("float32", math.nan), "error": ("float32", 0.0)}
@@ -97,24 +97,24 @@ def table_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> A
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What a complete store says of itself under ``orograph``.
+    """A complete store's description of itself, under ``orograph``.
 
     Attributes:
-        grid: of level 0.
-        name: of the terrain.
+        grid: the grid of level 0.
+        name: the terrain's name.
         vertical: name of the vertical datum, None if unknown.
         shard, chunk: samples along their sides.
         height_range: lowest and highest valid sample, nan if there is none.
-        valid_fraction: of all samples.
+        valid_fraction: the valid fraction of all samples.
         source: fingerprint of what it was built from.
         derived: its derived data, by name (``store.derived``).
-        resampled: what was lost when its sources were resampled; None if every sample is a source's own.
+        resampled: the loss when its sources were resampled; None if every sample is an original one.
         lattices: the source lattices that it keeps.
-        inputs: the files and options it was built with (``store.inputs``); None if from no files.
-        digests: of all its objects but the root.
-        attribution: whom the makers of its heights want to be named.
-        coding: how it keeps its heights; None: as float32, lossless.
-        version: of a store in a bucket that is updated: which version of it this is (``versions``); None: its objects
+        inputs: the files and options it was built with (``store.inputs``); None if not built from files.
+        digests: of all its objects except the root.
+        attribution: whom the makers of its heights want to be credited.
+        coding: how it encodes its heights; None: float32, lossless.
+        version: for an updated store in a bucket: which version of it this is (``versions``); None: its objects
             lie under their plain keys.
     """
 
@@ -233,7 +233,7 @@ def _understood(record: dict[str, Any], url: str) -> None:
 
 
 def rebuild(record: dict[str, Any], url: str) -> str:
-    """The command that builds a store again, as far as its record tells."""
+    """The command that rebuilds a store, as far as its record tells."""
     inputs = record.get("inputs")
     files, options = "dem", ""
     if isinstance(inputs, dict):
@@ -249,7 +249,7 @@ def _checksum(record: dict[str, Any]) -> str:
 
 
 def dumps(document: dict[str, Any]) -> bytes:
-    """JSON as it is written: the same bytes for the same document."""
+    """JSON as stored: the same bytes for the same document."""
     return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
@@ -328,7 +328,7 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
             {path: {k: v for k, v in node.items() if k != "consolidated_metadata"} for path, node in nodes.items()}
         ),
     }
-    digests = Digests(record.digests.of(nodes), record.digests.keyed)  # of the shards of what is still in the store
+    digests = Digests(record.digests.of(nodes), record.digests.keyed)  # of the shards of arrays still in the store
     digests.listed.update({key: bytearray(digest_of(content)) for key, content in data.items()})
     digests.listed[ROOT] = bytearray(root_digest(root))
     root["attributes"]["orograph"] = replace(record, digests=digests).to_json()

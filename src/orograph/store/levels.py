@@ -3,13 +3,13 @@
 *The error of a level.* Both surfaces are the right-triangle hierarchy's (every cell cut from its (even, even) to its
 (odd, odd) corner). The two by two cells under a coarse cell meet in an (odd, odd) sample, so all four of their
 diagonals end there and together contain both diagonals of the coarse cell: the fine triangulation refines the coarse
-one, whatever way that is cut. On a fine triangle both surfaces are thus linear, and their distance is largest at a
+one, whichever way that is cut. On a fine triangle both surfaces are thus linear, and their distance is largest at a
 corner, a full-resolution sample. The error of a tile is therefore exactly the largest distance of a full-resolution
 sample from the coarse triangles it lies in (in their closure: a sample on an edge belongs to both sides, of which one
 may be a hole). It is computed in float64 and rounded up to float32.
 
 Where a level's cells outgrow the block in memory, the nested sum of Lindstrom & Pascucci (2002) takes over: the error
-of the level below plus the distance between the two levels. That sum says nothing where the level below has a hole, so
+of the level below plus the distance between the two levels. That sum is undefined where the level below has a hole, so
 a tile with missing samples gets its height range instead, which bounds every distance within it.
 
 Heights in metres; every kernel releases the GIL.
@@ -32,7 +32,7 @@ Counts = NDArray[np.int32]
 
 
 def subsample(heights: Heights, level: int, end: tuple[bool, bool] = (True, True)) -> Heights:
-    """Every 2^level-th sample each way, the last one repeated where the step leads beyond an ``end`` of the raster."""
+    """Every 2^level-th sample along each axis, the last one repeated where the step passes an ``end`` of the raster."""
     for _ in range(level):
         heights = halve(heights, end)
     return heights
@@ -94,7 +94,7 @@ class BoxMeans:
     """The box means of a block, level after level: ``next()`` goes one level up and returns its means.
 
     Args:
-        heights: the block; or its (rows, cols), if it is given strip by strip (``add``) before the first ``next()``.
+        heights: the block; or its (rows, cols), if ``add`` gives it strip by strip before the first ``next()``.
     """
 
     def __init__(self, heights: Heights | Shape) -> None:
@@ -106,19 +106,19 @@ class BoxMeans:
             self.add(0, heights)
 
     def add(self, row: int, heights: Heights) -> None:
-        """Sum up the rows from ``row``, an even number, on."""
+        """Sum up rows, the first of which is ``row``, an even number."""
         strip = slice(row // 2, row // 2 + (len(heights) + 1) // 2)
         box_sums(read_only(heights), self.total[strip], self.count[strip])
 
     @classmethod
     def of_sums(cls, total: F64, count: Counts) -> BoxMeans:
-        """Those whose next means are those of these sums."""
+        """Box means whose next ``next()`` uses these sums."""
         made = cls((0, 0))
         made.total, made.count = total, count
         return made
 
     def ahead(self) -> None:
-        """Make ``total`` and ``count`` those of the means that come next."""
+        """Compute ``total`` and ``count`` of the next means."""
         if self._summed:
             rows, cols = self.total.shape
             total = np.empty(((rows + 1) // 2, (cols + 1) // 2))
@@ -195,7 +195,7 @@ def deviations(heights: Heights, step: int, tile: int, parity: int, worst: F64) 
     """For each tile of ``tile`` cells of ``step`` samples, the largest distance of a sample from the cells' surface.
 
     Args:
-        heights: a block that begins on a cell's corner; beyond its end its last samples are repeated.
+        heights: a block that begins at a cell's corner; beyond its end its last samples are repeated.
         step: any power of two; ``deviations_of_two`` is the fast one for 2.
         parity: cell (i, j) is cut from its upper left to its lower right corner if i + j + parity is even.
         worst: the result, shape (tile rows, tile cols); 0 where nothing can be compared.
@@ -220,7 +220,7 @@ def deviations(heights: Heights, step: int, tile: int, parity: int, worst: F64) 
 
 @kernel
 def deviations_of_two(heights: Heights, tile: int, parity: int, worst: F64) -> None:
-    """``deviations`` for cells of 2 × 2: all that can differ are the midpoints of the four edges and the centre."""
+    """``deviations`` for cells of 2 × 2: only the midpoints of the four edges and the centre can differ."""
     rows, cols = heights.shape
     for ty in range(worst.shape[0]):
         for tx in range(worst.shape[1]):
@@ -246,7 +246,7 @@ def deviations_of_two(heights: Heights, tile: int, parity: int, worst: F64) -> N
                     b = np.float64(heights[r, k + 2])
                     c = np.float64(heights[r + 2, k])
                     d = np.float64(heights[r + 2, k + 2])
-                    # Each triangle has two edges; its third corner adds nothing, or makes it a hole.
+                    # Each triangle has two edges; its third corner adds nothing but may make it a hole.
                     x1 = abs(heights[r, k + 1] - 0.5 * (a + b) + 0.0 * (d if even else c))
                     x2 = abs(heights[r + 2, k + 1] - 0.5 * (c + d) + 0.0 * (a if even else b))
                     x3 = abs(heights[r + 1, k] - 0.5 * (a + c) + 0.0 * (d if even else b))
@@ -287,7 +287,7 @@ def reduce_tiles(low: Heights, high: Heights, valid: NDArray[np.uint8]) -> tuple
 
 
 def quarter(table: NDArray[Any], combine: np.ufunc) -> NDArray[Any]:
-    """Combine 2 × 2 entries of a table into one; an odd last row or column stands for itself."""
+    """Combine 2 × 2 entries of a table into one; an odd last row or column stays uncombined."""
     rows = combine(table[0::2], table[np.minimum(np.arange(1, table.shape[0] + 1, 2), table.shape[0] - 1)])
     result: NDArray[Any] = combine(
         rows[:, 0::2], rows[:, np.minimum(np.arange(1, rows.shape[1] + 1, 2), rows.shape[1] - 1)]

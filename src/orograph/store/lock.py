@@ -2,7 +2,7 @@
 
 A writer to the store ``area.oro`` (a build, a bake, a repair) holds ``.area.oro.lock`` from before it examines what is
 there until after its last rename. The lock is ``flock``: the system releases it when its process ends, however it ends,
-so a leftover lock file locks nothing. A sole holder removes the file, and a lock counts only if the name still means
+so a leftover lock file locks nothing. A sole holder removes the file, and a lock counts only if the name still denotes
 the locked file; so there is never a second lock under the same name.
 
 Parts of one build share it: ``shared`` identifies the build, and others are refused.
@@ -34,7 +34,7 @@ from orograph.store.places import sweep
 from orograph.store.storage import FolderStorage, Storage
 
 TRIES = 100
-"""How often a lock may turn out to be on a file just removed, or may change hands among those who share it."""
+"""How often a lock may prove to be on a file just removed, or may change hands among processes that share it."""
 
 PAUSE = 0.02
 """Seconds between such attempts."""
@@ -50,9 +50,9 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
     """Keep all other processes and threads from writing to a store.
 
     Args:
-        storage: of the store, not of the folder in which it is made.
-        doing: what later processes are told: "building this store".
-        shared: the digest of the plan of those who may work at the same time; None: nobody may.
+        storage: the store's, not that of the folder in which it is made.
+        doing: what other processes are told: "building this store".
+        shared: the digest of the plan of the processes that may work at the same time; None: the lock is exclusive.
 
     Raises:
         StoreError: another process is at work, or no lock can be created there.
@@ -114,7 +114,7 @@ class _Flock:
                 if _named(self.path, self.fd):
                     self.path.unlink()
             with contextlib.suppress(OSError):
-                fcntl.flock(self.fd, fcntl.LOCK_UN)  # for the sake of children forked meanwhile
+                fcntl.flock(self.fd, fcntl.LOCK_UN)  # explicitly, because a forked child may hold a copy of it
         finally:
             os.close(self.fd)
 
@@ -156,7 +156,7 @@ def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Floc
     """Lock an open file; None if it should be retried.
 
     Raises:
-        StoreError: somebody else holds it.
+        StoreError: another process holds it.
     """
     import fcntl
 
@@ -168,19 +168,19 @@ def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Floc
             return _Flock(path, fd, False)
     elif shared is None:
         raise _busy(url, _read(fd))
-    # Changing from an exclusive to a shared lock releases it for a moment: another process may come in between.
+    # Changing from an exclusive to a shared lock releases it for a moment: another process may take it in between.
     locked = _locked(fd, fcntl.LOCK_SH)
     said = _read(fd)
     if said.get("shared", shared) != shared:
         raise _busy(url, said, "Its plan is different.")
     if locked and _named(path, fd):
         return _Flock(path, fd, True)
-    time.sleep(PAUSE)  # one of ours holds it exclusively while it begins or ends
+    time.sleep(PAUSE)  # another part of this build holds it exclusively while it begins or ends
     return None
 
 
 def _locked(fd: int, how: int) -> bool:
-    """Lock the file at once, or give up."""
+    """Take the lock without waiting; return whether that succeeded."""
     import fcntl
 
     try:
@@ -193,7 +193,7 @@ def _locked(fd: int, how: int) -> bool:
 
 
 def _named(path: Path, fd: int) -> bool:
-    """Whether the name still means this file."""
+    """Whether the name still refers to this file."""
     try:
         there = path.stat()
     except FileNotFoundError:
@@ -228,7 +228,7 @@ def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> St
 
 
 def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
-    """A lock by a name that only one process can create."""
+    """Lock by a name that only one process can create."""
     if shared is not None:
         raise StoreError(
             "This file system has no locks, which the parts of one build need to share.", path=url,
@@ -247,7 +247,7 @@ def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
 
 
 def _create(path: Path, data: bytes) -> None:
-    """Create a file that must not exist, with its content from the first moment.
+    """Create a file that must not exist, complete from the first moment.
 
     Raises:
         FileExistsError: it exists.

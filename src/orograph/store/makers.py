@@ -35,8 +35,8 @@ class Work(NamedTuple):
 
     Attributes:
         errors: the requested kinds of errors.
-        writer: of shards; all heights, means and tables are written.
-        jobs: threads. executor: runs the work by shard. progress: gets reports on tasks.
+        writer: writes shards; all heights, means and tables are written.
+        jobs: threads. executor: runs the work by shard. progress: receives progress.
         tins: segments along a leg of the finest patches, above which TINs are made; None: no TINs.
         chunked: the kind of chunks whose meshes are made; None: none.
         quadtin: error in metres and splitting of the QuadTIN; None: none.

@@ -8,7 +8,7 @@ found by passing every diamond's error d levels upwards, which costs about as mu
 *Saturated*, P′(D) = max(P(D), κ·P′(children)): with nested spheres a parent's bound in pixels is then κ times its
 children's or more, so that its geomorph ends before theirs begins.
 
-*Missing ground*: diamonds that ground and missing ground share (``mixed``) have infinite errors. Here they count with a
+*Missing ground*: diamonds that are part ground, part missing (``mixed``) have infinite errors. Here they count with a
 bound of the vertical distance wherever both surfaces exist: the errors of the store's levels over the tile, or the
 range of heights. A negative sign marks them.
 
@@ -44,7 +44,7 @@ KAPPA = 1.25
 """κ: a patch is morphed while the bound of its parent's error grows from 1/κ of the tolerance to all of it."""
 
 SATURATION = KAPPA * (1.0 + 2.0**-10)
-"""κ in the tables: larger than κ by what rounding could take away."""
+"""κ in the tables: larger than κ by a margin for rounding."""
 
 NOTHING = np.float32(2.0**-100)
 """Marks the P′ of a mixed diamond, whose value holds wherever there is ground."""
@@ -232,7 +232,7 @@ def _block(
 
 
 def finite_errors(errors: Heights, terrain: Terrain, k: int, at: Shape, spread: float) -> Heights:
-    """The errors of a window; those of mixed diamonds are replaced by what holds where both surfaces exist."""
+    """The errors of a window; those of mixed diamonds are replaced by a bound for where both surfaces exist."""
     mixed = np.isinf(errors)
     if not mixed.any():
         return errors

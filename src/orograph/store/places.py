@@ -1,8 +1,8 @@
-"""The folders of one store: STORE, STORE.partial in which it is made, and STORE.replaced while it takes another's
-place.
+"""The folders of one store: STORE, STORE.partial in which it is built, and STORE.replaced, where the old store waits
+while it is replaced.
 
-A build ends with two renames, STORE to STORE.replaced and STORE.partial to STORE. Whatever it leaves when it is killed
-between them is complete, and nothing is lost: whoever comes next is told which folder holds what, and how to go on.
+A build ends with two renames, STORE to STORE.replaced and STORE.partial to STORE. If it is killed between them, all
+folders are complete and nothing is lost: the next command reports which folder holds what, and how to go on.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ PLAN = "build.json"
 UPDATE = "update.json"
 """The plan of an update in a bucket, while it is under way: the store's root stays beside it."""
 VERSION = re.compile(r"(.+)@([1-9][0-9]*)")
-"""How an older version of a store is named."""
+"""The name pattern of older versions of a store."""
 PARTS = "parts"
-"""Below it lies what tasks of a build found, which an updated store keeps."""
+"""Holds the results of a build's tasks, which an updated store keeps."""
 HANDED = f"{PARTS}/handed"
-"""Below it lies what the process that builds leaves to workers, which no store keeps."""
+"""Holds what the building process leaves for its workers; complete stores do not keep it."""
 
 
 def partial(path: str | os.PathLike[str]) -> str:
@@ -47,19 +47,19 @@ def is_store(storage: Storage) -> bool:
 
 
 def begun(storage: Storage) -> bool:
-    """Whether a build has begun in this storage (of the folder in which it is made, or of a URL)."""
+    """Whether a build has begun in this storage (that of the folder in which a store is built, or of a URL)."""
     return storage.exists(PLAN) or storage.exists(UPDATE if storage.remote else ROOT)
 
 
 def sweep(path: Path) -> None:
-    """Remove the store that another has taken the place of, if the process that did it was killed before it could."""
+    """Remove a store that has been replaced, if the process that replaced it was killed before it could."""
     old = FolderStorage(replaced(path))
     if old.path.exists() and is_store(FolderStorage(path)):
         old.remove()
 
 
 def kept(path: str | os.PathLike[str]) -> list[tuple[int, Path]]:
-    """The older versions beside a store (``versions``), the newest of them first."""
+    """The older versions beside a store (``versions``), newest first."""
     folder = Path(path)
     found = []
     for one in folder.parent.glob("*@*"):
@@ -80,7 +80,7 @@ def left_over(path: str | os.PathLike[str]) -> bool:
 
 
 def missing(storage: Storage) -> StoreError:
-    """Why there is no store, which of its folders are there, and what to do."""
+    """The error that says why there is no store, which of its folders are there, and what to do."""
     if not isinstance(storage, FolderStorage):
         if storage.number is not None:
             store = storage.url.rpartition("@")[0]
@@ -134,21 +134,21 @@ def _unfinished(url: str, where: str = "") -> StoreError:
 
 
 def interrupted(storage: Storage) -> StoreError:
-    """What says that an update in a bucket has not come to its end."""
+    """The error about an unfinished update in a bucket."""
     return StoreError(
         "An update of this store was interrupted.", path=storage.url,
-        remedy="Finish it with `update=True`, or start anew with `overwrite=True`.",
+        remedy="Finish it with `update=True`, or start over with `overwrite=True`.",
     )  # fmt: skip
 
 
 def names_version(path: Path) -> bool:
-    """Whether a path is named as a version of a store that is there, whether or not that version is."""
+    """Whether a path is named like a version of an existing store, whether or not that version exists."""
     name = VERSION.fullmatch(path.name)
     return name is not None and (path.with_name(name[1]) / ROOT).is_file()
 
 
 def _no_version(path: Path) -> StoreError | None:
-    """Why a version of a store is not there; None where none is named."""
+    """The error about a missing version of a store; None if the path does not name a version."""
     name = VERSION.fullmatch(path.name)
     if name is None or not names_version(path):
         return None
@@ -164,7 +164,7 @@ def _none(url: str) -> StoreError:
 
 
 def occupied(final: Storage) -> bool:
-    """Whether something lies where a store is to be."""
+    """Whether something lies where a store is to be built."""
     if not isinstance(final, FolderStorage):
         return final.exists(ROOT)
     path = final.path
@@ -172,7 +172,7 @@ def occupied(final: Storage) -> bool:
 
 
 def publish(built: Path, final: Path) -> None:
-    """Let the finished store take its place; an old one goes away only after that."""
+    """Move a finished store into place; only then is an old one removed."""
     old = Path(replaced(final))
     try:
         if final.exists():

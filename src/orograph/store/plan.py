@@ -1,4 +1,4 @@
-"""The plan of a build, ``build.json``, and what is there already that it goes on from, replaces or must not touch."""
+"""The plan of a build, ``build.json``, and what it resumes, replaces or must leave alone where it is built."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def plan_of(record: Record) -> dict[str, Any]:
 
 
 def check_replaceable(final: Storage, storage: Storage) -> None:
-    """Raise StoreError if what is there is no store, and was not to become one."""
+    """Raise StoreError if something other than a store, or a build of one, is there."""
     known = is_store(final) or begun(storage) or final.exists(f"heights/0/height/{ROOT}")  # its root may be damaged
     if occupied(final) and not known:
         raise StoreError(
@@ -87,30 +87,30 @@ def check_replaceable(final: Storage, storage: Storage) -> None:
 
 
 def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: bool) -> tuple[dict[str, Any], bool]:
-    """The plan to go on by, and whether there is nothing left to do.
+    """Return the plan to resume with, and whether there is nothing left to do.
 
     Raises:
-        StoreError: something is there that this build does not go on from.
+        StoreError: something is there that this build cannot resume.
     """
     if storage.remote and storage.exists(UPDATE):
         raise interrupted(storage)
     if resume and begun(storage):
         data = storage.get(PLAN)
-        if data is None:  # complete but for its last rename
+        if data is None:  # complete, except for its last rename
             before = plan_of(read_record(storage))
         else:
             try:
                 before = json.loads(data)
             except ValueError:
                 before = {}
-        # The shards' size follows from --max-memory, which may differ: the build goes on as it was begun.
+        # The shard size depends on --max-memory, which may differ: the build keeps the size it began with.
         plan = {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
         unlike = differing(plan, before)
         if unlike:
             raise StoreError(
                 f"The interrupted build cannot be resumed: its {unlike} differ.",
                 path=storage.url,
-                remedy="Run it with the same files and options, or start anew with `overwrite=True`.",
+                remedy="Run it with the same files and options, or start over with `overwrite=True`.",
             )
         return plan, False
     if is_store(final):
@@ -140,7 +140,7 @@ def compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: boo
 
 
 def differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
-    """What of a plan is not as before, in words; empty if all is."""
+    """Name what differs between two plans; empty if nothing does."""
     names = {
         "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
         "chunked": "chunks", "quadtin": "QuadTIN", "keep_source": "source samples to keep",
@@ -154,5 +154,5 @@ def _interrupted(final: Storage) -> StoreError:
     return StoreError(
         "An interrupted build of this store is there.",
         path=final.url,
-        remedy="Finish it with `resume=True`, or start anew with `overwrite=True`.",
+        remedy="Finish it with `resume=True`, or start over with `overwrite=True`.",
     )

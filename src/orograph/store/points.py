@@ -1,8 +1,8 @@
 """The points that a terrain was gridded from, kept beside it: their triangulation in sample coordinates.
 
 ``points/places``: int32, two numbers a point, column and row on the lattice (``dem.delaunay``); ``points/heights``:
-float32, one a point; ``points/triangles``: int32, three numbers a triangle. Each lies row by row in rows of a chunk's
-length, zeros after the last. The group records how many there are, and the lattice's bits.
+float32, one a point; ``points/triangles``: int32, three numbers a triangle. Each is stored in rows of a chunk's
+length, with zeros after the last number. The group records their counts, and the lattice's bits.
 """
 
 from __future__ import annotations

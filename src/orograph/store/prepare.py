@@ -1,9 +1,9 @@
-"""From paths to a terrain: opened, read into memory, or built once into a store that is kept.
+"""From paths to a terrain: opened, read into memory, or built once into a store in the cache.
 
 A raster that is small enough is read into memory. A larger one is built into a store in the user's cache folder
 (``$OROGRAPH_CACHE``, or the platform's own place), under a name derived from its files, their sizes and times, the
 reading options and its errors: the next picture of it opens that store at once. One process builds it, and others that
-need it wait. The folder keeps within a size (``store.kept``).
+need it wait. The folder stays within a size limit (``store.kept``).
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def of_mosaic(
         try:
             terrain = open(kept, cache_bytes=cache_bytes(max_memory))
         except OrographError as error:
-            # Only complete stores have this name: this one was damaged since, and is a copy.
+            # Only complete stores have this name: this one has been damaged since, and can be rebuilt.
             progress.warn(f"the kept store cannot be used and is built again ({error})")
             shutil.rmtree(kept, ignore_errors=True)
         else:

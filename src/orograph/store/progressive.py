@@ -2,15 +2,15 @@
 
 After the compressed pyramid of geometry clipmaps (Losasso and Hoppe 2004, section 5): a level is predicted from every
 second of its samples by the tensor product of (-1, 9, 9, -1) / 16. These samples are those of the level above, *as
-decoded*, and are kept; for the others the difference is stored, in steps of twice the largest error. Predictions lie
-between these steps, in finer ones (``Packing.factor``), so each level is as close to the terrain as requested, and
-smooth ground costs next to nothing. No sample is stored twice.
+decoded*, and stay unchanged; for the others the difference is stored, in steps of twice the largest error. Predictions
+may lie between these steps, in finer ones (``Packing.factor``). So each level is as close to the terrain as requested,
+smooth ground costs next to nothing, and no sample is stored twice.
 
-A chunk is predicted from its own samples alone, so it needs only one chunk of the level above; and a shard of level 0
-depends on nothing beyond it and the row and column that it shares. Levels whose chunks are larger than that are whole
-numbers of the large steps.
+A chunk is predicted from its own samples alone, so it needs only one chunk of the level above. A shard of level 0
+depends only on its own samples and the row and column that it shares with the next shards. Levels whose chunks are
+larger than a shard use whole large steps.
 
-If the raster's last row has an odd number, the level above repeats it (``level_shape``), so it is known from there.
+If the index of the raster's last row is odd, the level above repeats that row (``level_shape``) and so provides it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from orograph.store.coding import MISSING, Numbers
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """How a level follows from the one above it.
+    """How a level is predicted from the one above it.
 
     Attributes:
         factor: steps of heights per stored step.
-        exact: whether its heights are whole numbers of stored steps.
+        exact: whether heights and predictions are whole numbers of stored steps.
     """
 
     factor: int
@@ -37,7 +37,7 @@ class Scheme:
 
 
 def known(shape: tuple[int, int], first: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
-    """Whether the last row and column of a chunk are the array's, with odd numbers: (1 or 0, 1 or 0).
+    """Whether the last row and column of a chunk are the array's and have odd indices: (1 or 0, 1 or 0).
 
     Args:
         shape: of the array. first, size: of the chunk.
@@ -88,7 +88,7 @@ def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> 
     Args:
         units: heights in small steps, NaN where missing; they begin at a multiple of ``chunk`` << (``levels`` - 1)
             samples, and end at such a multiple, or with the raster.
-        levels: how many are predicted; the one above them is whole numbers of the large steps.
+        levels: the number of predicted levels; the one above them uses whole large steps.
     """
     from orograph.store.progressive_kernels import settle
 

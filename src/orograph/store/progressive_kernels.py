@@ -1,4 +1,4 @@
-"""The kernels of the codec *progressive*: a level is predicted from the one above it (``progressive``)."""
+"""The kernels of the codec *progressive*: each level is predicted from the one above it (``progressive``)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from orograph.store.codec_head import MISSING
 
 @kernel
 def _filled(line, out):
-    """A row or column with two samples more at its end and one at its beginning, on the line through the last two;
-    those that are missing are the nearest before them, else the first that is there. Whether any is."""
+    """Extrapolate a row or column linearly by two samples at its end and one at its beginning. A missing sample takes
+    the nearest value before it, else the first one present. Return whether any is present."""
     n, first = line.size, np.int64(MISSING)
     for k in range(n):
         if line[k] != MISSING:
@@ -32,19 +32,19 @@ def _filled(line, out):
 
 @kernel
 def _between(line, out):
-    """16 times what lies half-way behind each sample of a filled line: (-1, 9, 9, -1)."""
+    """16 times the interpolated value half-way after each sample of a filled line: (-1, 9, 9, -1)."""
     for k in range(out.size):
         out[k] = 9 * (line[k + 1] + line[k + 2]) - line[k] - line[k + 3]
 
 
 @kernel
 def predict(coarse, known_row, known_col, out):
-    """Foretell a chunk from every second of its samples.
+    """Predict a chunk from every second of its samples.
 
     Args:
-        coarse: (n, m) int32, ``MISSING`` where missing. known_row, known_col: 1 if its last row or column is that of
-            the chunk, too, whose number is odd; else 0.
-        out: (rows, cols) int32, becomes the predictions, and ``coarse`` where that is.
+        coarse: (n, m) int32, ``MISSING`` where missing. known_row, known_col: 1 if its last row or column is also the
+            last one of the chunk, which has an odd index; else 0.
+        out: (rows, cols) int32, becomes the predictions, and ``coarse`` where the level above has the sample.
     """
     rows, cols = out.shape
     n, m = coarse.shape[0] - known_row, coarse.shape[1] - known_col
@@ -63,7 +63,7 @@ def predict(coarse, known_row, known_col, out):
         _between(tall, down)
         for i in range(rows // 2):
             out[2 * i + 1, 2 * j] = (down[i] + 8) >> 4
-    for i in range(1, n):  # rows without any sample are those before them
+    for i in range(1, n):  # a row without any sample repeats the one before it
         if not there[i]:
             across[i + 1] = across[i]
             there[i] = there[i - 1]
@@ -99,7 +99,7 @@ def predict(coarse, known_row, known_col, out):
 
 @inlined
 def _given(k, side, known):
-    """Whether a row or column is one that the level above has."""
+    """Whether the level above has a row or column."""
     return k & 1 == 0 or (known and k == side - 1)
 
 
@@ -111,7 +111,7 @@ def _floored(value, factor):
 
 @kernel
 def _predicted(coarse, known_row, known_col, factor, exact, out):
-    """As ``predict``; where it is ``exact`` predictions are whole numbers of large steps."""
+    """Like ``predict``; if ``exact``, predictions are rounded to large steps."""
     predict(coarse, known_row, known_col, out)
     if exact and factor > 1:
         half, wide = factor // 2, np.float64(factor)
@@ -136,7 +136,7 @@ def _put_known(coarse, known_row, known_col, out):
 
 @kernel
 def settle(units, coarse, known_row, known_col, factor, out):
-    """The numbers that heights become: large steps from their predictions.
+    """Quantise heights: whole large steps from their predictions.
 
     Args:
         units: (rows, cols) float64, in small steps, NaN where missing. coarse, known_row, known_col: as in ``predict``.
@@ -158,7 +158,7 @@ def settle(units, coarse, known_row, known_col, factor, out):
 
 @kernel
 def subtract(numbers, coarse, known_row, known_col, factor, exact, out):
-    """What is stored of a chunk: (rows, cols) int32, in large steps, 0 where the level above has the sample."""
+    """The stored differences of a chunk: (rows, cols) int32, in large steps, 0 where the level above has the sample."""
     _predicted(coarse, known_row, known_col, factor, exact, out)
     rows, cols = out.shape
     wide = np.float64(factor)
@@ -175,7 +175,7 @@ def subtract(numbers, coarse, known_row, known_col, factor, exact, out):
 
 @kernel
 def add(stored, coarse, known_row, known_col, factor, exact, out):
-    """A chunk of what is stored of it and the samples that the level above has."""
+    """Rebuild a chunk from its stored differences and the samples that the level above has."""
     _predicted(coarse, known_row, known_col, factor, exact, out)
     rows, cols = out.shape
     for i in range(rows):

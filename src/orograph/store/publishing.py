@@ -1,7 +1,7 @@
-"""A finished store copied to a URL: every object is proved before it goes and after, the root comes last.
+"""Copying a finished store to a URL: every object is verified before and after it is sent; the root comes last.
 
-No folder or bucket is listed: the root of the store names all objects and what each must be. What is there already as
-it must be, of a copy that was broken off, does not go again.
+No folder or bucket is listed: the root of the store lists all objects and their digests. An interrupted copy resumes:
+objects that are already there and correct are not sent again.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from orograph.store.stored import StoredTerrain
 from orograph.store.stored import open as open_store
 
 AT_ONCE = 16
-"""Objects under way at once: they wait for the network, not for the processor."""
+"""Concurrent transfers: they wait for the network, not for the processor."""
 
 
 class Published(NamedTuple):
-    """What a copy took.
+    """The outcome of a copy.
 
     Attributes:
-        objects: that the store has. sent: of them. size: bytes that were sent.
+        objects: how many the store has. sent: how many were sent. size: bytes that were sent.
     """
 
     objects: int
@@ -52,21 +52,21 @@ def publish(
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
 ) -> Published:
-    """Copy a finished store to a URL, where it can be opened when all of it is there and proved.
+    """Copy a finished store to a URL, where it can be opened once all of it is there and verified.
 
-    Repeating an interrupted copy resumes it. Of a store in a bucket that is updated one version is
+    Repeating an interrupted copy resumes it. If the store lies in a bucket and is updated, one version is
     copied, to plain keys.
 
     Args:
         store: opened, or its path or URL.
         url: the destination: ``s3://bucket/area.oro``, ``gs://``, ``az://``…
         overwrite: replace a store that is there; it is gone from the beginning.
-        jobs: objects under way at once; None: 16.
-        progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
-        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
+        jobs: concurrent transfers; None: 16.
+        progress: receives progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
+        storage_options: for the bucket, in addition to the environment (obstore's: ``endpoint``, ``skip_signature``…).
 
     Raises:
-        DamagedChunkError: the store is damaged; what was sent is no store.
+        DamagedChunkError: the store is damaged; what was sent does not open as a store.
         StoreError: a store, or another writer, is there, or it cannot be written.
         UsageError: ``url`` is a folder (copy the store with the system's own tools), or an older version of a store.
     """
@@ -79,7 +79,7 @@ def publish(
                 opened, url, overwrite=overwrite, jobs=jobs, progress=progress, storage_options=storage_options
             )
     if target.number is not None:
-        raise UsageError("This is an older version of a store, which stays what it is.", path=target.url)
+        raise UsageError("This is an older version of a store, which does not change.", path=target.url)
     root = store.storage.get(ROOT)
     if root is None:
         raise StoreError("The store is gone.", path=store.url)
@@ -95,7 +95,7 @@ def publish(
                 raise StoreError(
                     "A store is there already.", path=target.url, remedy="Use `overwrite=True` to replace it."
                 )
-            target.remove(ROOT)  # first, lest what is left look complete
+            target.remove(ROOT)  # first, so that a half-removed store does not look complete
             target.remove()
         elif begun(target):
             raise StoreError(
@@ -113,7 +113,7 @@ def publish(
 
 
 class _Copy:
-    """The objects of a store, on their way."""
+    """The objects of a store during a copy."""
 
     def __init__(self, store: StoredTerrain, target: Storage) -> None:
         self.source, self.target, self.digests = store.storage, target, store.record.digests
@@ -125,7 +125,7 @@ class _Copy:
         self.objects += [key for key in sorted(self.digests.listed) if key not in arrays and key not in (ROOT, PLAN)]
 
     def send(self, what: tuple[ArraySpec, Spot] | str) -> int:
-        """Copy an object unless it is there; the bytes that were sent."""
+        """Copy an object unless it is there; return the bytes sent."""
         key = what if isinstance(what, str) else what[0].key(what[1])
         if self._is_there(what, key):
             return 0
@@ -138,7 +138,7 @@ class _Copy:
         return len(data)
 
     def _read(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bytes:
-        """An object, proved to be what the root says of it."""
+        """Read an object and verify that it is what the root lists."""
         data = self.source.get(self._place(what)) or b""
         if isinstance(what, str):
             causes = [] if digest_of(data) == self.digests.listed[key] else ["it is not what was written"]
@@ -149,14 +149,14 @@ class _Copy:
         return data
 
     def _place(self, what: tuple[ArraySpec, Spot] | str) -> str:
-        """Where an object lies in the source."""
+        """The key of an object in the source."""
         if isinstance(what, str):
             return self.digests.place(what, bytes(self.digests.listed[what]))
         return what[0].place(what[1], self.digests)
 
     def _is_there(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bool:
-        """Whether the object is there as it must be. Of a shard its end tells: an object is there whole or not at all,
-        and the end has the checksums of all of it."""
+        """Whether the correct object is there. Only the end of a shard is read: writes are atomic,
+        and the end has the checksums of all chunks."""
         if isinstance(what, str):
             data = self.target.get(key)
             return data is not None and digest_of(data) == self.digests.listed[key]

@@ -1,15 +1,15 @@
 """The hierarchy of a QuadTIN: right triangles in topology, whose split points lie where the points do.
 
-Two triangles cover the domain; each is split at a point near the middle of its *base*, together with that across it
-(a *diamond*), and so on: the triangulation is that of a restricted quadtree, its vertices are irregular. A triangle is
-split while it is further from the *truth*, a triangulated surface, than ``finest``; first whatever must be split so
-that none gets a vertex inside a side (newest-vertex bisection, as in ROAM's forced splits).
+Two triangles cover the domain; each is split at a point near the middle of its *base*, together with the one across it
+(a *diamond*), and so on: the topology is that of a restricted quadtree, with irregular vertices. A triangle is
+split while it is further than ``finest`` from the *truth*, a triangulated surface; first whatever must be split so
+that no triangle has a vertex inside a side (newest-vertex bisection, as in ROAM's forced splits).
 
-The split point is no midpoint, so a diamond can fold: of the truth's vertices those count from which all four corners
-are seen, strictly, by orientation tests that are exact in int64 (the lattice of ``dem.delaunay``), and which leave each
-half no less than ``LEAST`` of its share. The nearest to the middle is taken. Where there is none, the middle itself
-becomes a vertex on the truth (a Steiner point). Each triangle carries the truth's triangles that overlap it, so its
-deviation, extreme at the truth's vertices within and where edges cross, is exact. Lattice units; metres.
+The split point is not exactly the midpoint, so a diamond could fold. Candidates are the truth's vertices that strictly
+see all four corners, by orientation tests that are exact in int64 (the lattice of ``dem.delaunay``), and that leave
+each half at least ``LEAST`` of its share. The one nearest to the middle is taken. If there is none, the middle itself
+becomes a vertex on the truth (a Steiner point). Each triangle has a list of the truth's triangles that overlap it, so
+its deviation, extreme at the truth's vertices within and where edges cross, is exact. Lattice units; metres.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from orograph._numba import inlined, kernel, leaf
 from orograph.store.quadtin_geometry import apart, covers, crossing, enters, height_on, orient
 
 DEAD, LIVE, MIXED = 0, 1, 2
-"""Of triangles: no ground, ground everywhere, both."""
+"""States of triangles: no ground, ground everywhere, both."""
 
 TRIANGLES, VERTICES, QUEUE, POOL, STEINER, STUCK = range(6)
-"""Counts: triangles; vertices; triangles looked at; entries of lists; Steiner points; those that cannot be split."""
+"""Counts: triangles; vertices; triangles examined; entries of lists; Steiner points; triangles that cannot be split."""
 
 LEAST = 0.25
-"""The least area of a half, in parts of half of its triangle, for a point that is no Steiner point."""
+"""The least area of a half, as a fraction of half its triangle, for a split point that is not a Steiner point."""
 
 DONE, TRIANGLES_FULL, POOL_FULL = range(3)
 
@@ -60,7 +60,7 @@ def measure(tree, truth, t):
 
 @inlined
 def fits(tree, t, u, x, y, least):
-    """Whether a diamond can be split at a place: all its corners are seen from there, and no half is too small."""
+    """Whether a diamond can be split at a point: it sees all corners, and no half is too small."""
     p, q, a = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
     xs, ys = tree.x, tree.y
     left, right = orient(xs[a], ys[a], xs[p], ys[p], x, y), orient(xs[q], ys[q], xs[a], ys[a], x, y)
@@ -77,7 +77,7 @@ def fits(tree, t, u, x, y, least):
 
 @inlined
 def choose(tree, truth, t, u, by_deviation):
-    """The truth's vertex that a diamond is split at, −1: none."""
+    """The truth's vertex at which to split a diamond, −1: none."""
     p, q = tree.corners[t, 0], tree.corners[t, 1]
     x2, y2 = tree.x[p] + tree.x[q], tree.y[p] + tree.y[q]
     best, found = np.inf, -1
@@ -102,7 +102,7 @@ def choose(tree, truth, t, u, by_deviation):
 
 @inlined
 def on_truth(tree, truth, t, x, y):
-    """The height of the truth at a place in a triangle; NaN where there is none."""
+    """The height of the truth at a point in a triangle; NaN where there is none."""
     for i in range(tree.lists[t, 0], tree.lists[t, 1]):
         s = tree.pool[i]
         a, b, c = truth.triangles[s, 0], truth.triangles[s, 1], truth.triangles[s, 2]
@@ -121,8 +121,8 @@ def side_of(tree, outline, p, q):
 
 @inlined
 def on_side(tree, truth, outline, side, p, q):
-    """The vertex that halves a piece of an inner side: column, row, height, whether it is none of the truth's, and
-    whether there is room for it."""
+    """The vertex that halves an edge on an inner side: column, row, height, whether it is a Steiner point,
+    and whether there is room for it."""
     upright = side < 2
     one, two = (tree.y[p], tree.y[q]) if upright else (tree.x[p], tree.x[q])
     low, high = min(one, two), max(one, two)
@@ -151,7 +151,7 @@ def on_side(tree, truth, outline, side, p, q):
 
 @inlined
 def asked(tree, outline, t):
-    """Whether a vertex that the other side of the outline has lies inside a side of a triangle."""
+    """Whether a vertex of the tree beyond the outline lies inside a side of a triangle."""
     for k in range(3):
         if tree.beside[t, k] >= 0:
             continue
@@ -207,8 +207,8 @@ def new_vertex(tree, truth, outline, t, u, by_deviation):
 
 @inlined
 def new_triangle(tree, truth, parent, other, a, b, c):
-    """A triangle, with its share of the lists of its parent and of the one across the parent's base: where the split
-    point lies on that side, it reaches there."""
+    """Add a triangle. It inherits from its parent's list, and from that of the triangle across the parent's base, into
+    which it may reach because the split point need not lie on the base."""
     t = tree.counts[TRIANGLES]
     tree.counts[TRIANGLES] = t + 1
     tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2] = a, b, c
@@ -251,7 +251,7 @@ def halve(tree, truth, t, u, m):
 
 @inlined
 def split(tree, truth, outline, t, by_deviation):
-    """Split a diamond; whether it could be."""
+    """Split a diamond; return whether that was possible."""
     u = tree.beside[t, 0]
     m = new_vertex(tree, truth, outline, t, u, by_deviation)
     if m < 0:
@@ -267,7 +267,7 @@ def split(tree, truth, outline, t, by_deviation):
 
 @inlined
 def wanted(tree, outline, t, finest, smallest):
-    """Whether a leaf is too far from the truth, or too large for ground and missing ground, or is asked for."""
+    """Whether a leaf is too far from the truth, too large for being part ground, or must be split for a neighbour."""
     if tree.child[t] >= 0:
         return False
     if asked(tree, outline, t):
@@ -281,7 +281,7 @@ def wanted(tree, outline, t, finest, smallest):
 
 @kernel
 def grow(tree, truth, outline, finest, smallest, by_deviation):
-    """Split all triangles that have to be; goes on where it stopped. DONE, or what is full.
+    """Split all triangles that need it; resume where it stopped. Return DONE, or what is full.
 
     Args:
         finest: metres. smallest: lattice units.
@@ -318,7 +318,7 @@ def grow(tree, truth, outline, finest, smallest, by_deviation):
 
 @kernel
 def gather_lists(tree, pool):
-    """Copy the lists of leaves into another pool; its entries."""
+    """Copy the lists of leaves into another pool; return the number of entries."""
     at = 0
     for t in range(tree.counts[TRIANGLES]):
         begin, end = tree.lists[t, 0], tree.lists[t, 1]

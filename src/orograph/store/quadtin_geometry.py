@@ -1,4 +1,4 @@
-"""What a QuadTIN's hierarchy is made of, and how its triangles lie to the truth's: exact in int64.
+"""The data of a QuadTIN's hierarchy, and the positions of its triangles relative to the truth's: exact in int64.
 
 Lattice units; metres.
 """
@@ -29,11 +29,11 @@ class Truth(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """All triangles there ever are, in the order in which they are made.
+    """All triangles, including split ones, in the order in which they are made.
 
     Attributes:
         x, y: (v,) int64; z: (v,) float64: vertices; the first four are the domain's corners.
-        steiner: (v,) uint8, 1 where a vertex is none of the truth's.
+        steiner: (v,) uint8, 1 where a vertex is a Steiner point, not one of the truth's.
         owners: (v, 2) int32, the triangles that a vertex splits, −1: none.
         corners: (t, 3) int32: left and right end of the base, apex; of positive area.
         beside: (t, 3) int32, the leaves across the base, (right, apex), (apex, left); −1: none.
@@ -64,15 +64,16 @@ class Tree(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """The rectangle that a tree covers, and what other trees, on the other side of its sides, ask of it.
+    """The rectangle that a tree covers, and the vertices that trees beyond its sides require of it.
 
-    Sides are west, east, north, south. Vertices on an *inner* side, which has another tree beyond it, follow from its
-    ends alone, so that both trees have the same: the sample nearest to the middle; the middle, where samples end.
+    Sides are west, east, north, south. Vertices on an *inner* side, which has another tree beyond it, depend on its
+    ends alone, so both trees have the same ones: the sample nearest to the middle; the middle itself below the
+    sample spacing.
 
     Attributes:
         bounds: (4,) int64, the sides on the lattice. inner: (4,) uint8.
-        unit: int64, between samples; 0: the truth is no raster. width, col0, row0: int64, of the raster's window.
-        forced: int64, sorted, places of vertices that the other side has; forced_at: (5,) int64, where each side's are.
+        unit: int64, the sample spacing; 0: the truth is not a raster. width, col0, row0: int64, of the raster's window.
+        forced: int64, sorted, positions of vertices that the other side has; forced_at: (5,) int64, offsets by side.
         near: int32, rising, the truth's triangles that touch each side; near_at: (5,) int64.
     """
 
@@ -90,7 +91,7 @@ class Outline(NamedTuple):
 
 @inlined
 def orient(ax, ay, bx, by, cx, cy):
-    """Twice the signed area of three places, exact."""
+    """Twice the signed area of the triangle of three points, exact."""
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
@@ -137,7 +138,7 @@ def enters(tree, truth, t, p, q):
 
 @inlined
 def height_on(xs, ys, zs, a, b, c, x, y):
-    """The height of the plane through three vertices at a place."""
+    """The height at a point of the plane through three vertices."""
     u = orient(xs[b], ys[b], xs[c], ys[c], x, y)
     v = orient(xs[c], ys[c], xs[a], ys[a], x, y)
     area = orient(xs[a], ys[a], xs[b], ys[b], xs[c], ys[c])
@@ -147,7 +148,7 @@ def height_on(xs, ys, zs, a, b, c, x, y):
 
 @inlined
 def covers(xs, ys, a, b, c, x, y):
-    """Whether a place lies in a triangle, its sides included."""
+    """Whether a point lies in a triangle, its sides included."""
     return (
         orient(xs[a], ys[a], xs[b], ys[b], x, y) >= 0
         and orient(xs[b], ys[b], xs[c], ys[c], x, y) >= 0

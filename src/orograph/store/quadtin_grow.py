@@ -28,15 +28,15 @@ from orograph.store.quadtin_layout import (
 from orograph.store.terrain import Terrain
 
 PART = 16
-"""Default error of the finest triangles: the spacing of samples over this."""
+"""Default error of the finest triangles: the sample spacing divided by this."""
 
 ROUNDING = 1e-9
-"""Deviations below this part of the largest height count as none."""
+"""Deviations below this fraction of the largest height count as none."""
 
 WEST, EAST, NORTH, SOUTH = range(4)
 
 BEYOND = {WEST: (0, -1, EAST), EAST: (0, 1, WEST), NORTH: (-1, 0, SOUTH), SOUTH: (1, 0, NORTH)}
-"""For each side, the block beyond it (rows and columns away) and which of its sides that is."""
+"""For each side, the block beyond it (offsets in rows and columns), and which of that block's sides it is."""
 
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
@@ -54,7 +54,7 @@ def has_points(terrain: Terrain) -> bool:
 
 
 def finest_of(terrain: Terrain, asked: float) -> float:
-    """The error in metres; 0 means a part of the spacing of samples, and heights' rounding counts as none."""
+    """The error in metres; 0 means a fraction of the sample spacing. Rounding of heights does not count."""
     low, high = terrain.height_range
     least = ROUNDING * max(abs(low), abs(high)) + ROUNDING
     return max(asked or min(terrain.grid.spacing) / PART, least)
@@ -66,9 +66,9 @@ class Grown(NamedTuple):
     Attributes:
         cuts: (parts, 2) number of vertices and triangles up to the end of each part.
         sides: for each side the places of its vertices, ascending, and their numbers.
-        ground: (2, 2) lowest and highest of the first two triangles. own: how many vertices are the truth's, and how
-            many are not, without those of the eastern and southern sides.
-        stuck: triangles. whole: whether all is ground.
+        ground: (2, 2) lowest and highest of the first two triangles. own: the number of the truth's vertices, and of
+            others, without those of the eastern and southern sides.
+        stuck: the number of triangles that cannot be split. whole: whether all is ground.
     """
 
     cuts: Ints
@@ -96,8 +96,8 @@ class Making:
     """A hierarchy under construction.
 
     Args:
-        terrain: the ground. finest: metres, as requested. by_deviation: diamonds are split at the point furthest from
-            them, not at that nearest to the middle. side: samples along a block's side, about.
+        terrain: the ground. finest: metres, as requested. by_deviation: split diamonds at the point furthest from
+            them, instead of the point nearest to the middle. side: approximate samples along a block's side.
         max_memory: bytes for a block in progress.
     """
 
@@ -146,7 +146,7 @@ class Making:
         return (row * across + col, other) if 0 <= row < across and 0 <= col < across else None
 
     def _truth(self, block: int) -> tuple[Truth, tuple[int, int, int, int]]:
-        """The domain of a block; the spacing of samples, the row length of its window, and the window's first column
+        """The truth within a block; the sample spacing, the row length of its window, and the window's first column
         and row."""
         west, east, north, south = self.bounds(block)
         if self.surface is not None:
@@ -174,7 +174,7 @@ class Making:
         return truth, (1 << bits, cols, c0, r0)
 
     def grow(self, block: int, forced: Sequence[NDArray[np.int32]]) -> tuple[Part, Grown]:
-        """Grow a block with vertices at least at these places of its sides; errors and radii cover what vertices split.
+        """Grow a block with at least these vertices on its sides; errors and radii are those of its own splits.
 
         Raises:
             UsageError: it takes more memory than allowed. DamagedChunkError: as ``terrain.read``.
@@ -269,7 +269,7 @@ class Making:
         )  # fmt: skip
 
     def closed(self, block: int, part: Part) -> tuple[Part, NDArray[np.float64]]:
-        """Close errors and spheres over a block; returns it and those (4, 2) of its corners."""
+        """Close errors and spheres over a block; return it with the (4, 2) errors and radii of its corners."""
         west, _, north, _ = self.bounds(block)
         v, t = len(part.x), len(part.node)
         row, col = divmod(block, self.layout.across)
@@ -327,7 +327,7 @@ def _overlapping(tree: Tree, truth: Truth, t: int) -> NDArray[np.int32]:
 
 
 def _larger(tree: Tree) -> Tree:
-    """An array with twice the room."""
+    """Arrays with twice the room."""
     grown_ = {
         name: np.concatenate([array, np.full_like(array, -1 if name in ("owners", "beside", "child", "node") else 0)])
         for name, array in tree._asdict().items()

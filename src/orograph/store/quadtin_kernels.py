@@ -1,8 +1,8 @@
-"""A QuadTIN's hierarchy as it is kept: errors and spheres of its vertices, closed over it, and its triangles.
+"""The stored form of a QuadTIN's hierarchy: errors and spheres of its vertices, closed over it, and its triangles.
 
-Triangles lie in the order of their depth, those of a parent one behind the other in the order of the parents, and
-vertices in the order in which they split triangles: so all that is kept of how triangles hang together is which vertex
-splits each. Errors and radii are float32, rounded up where they are found; what is closed stays closed. Metres.
+Triangles are ordered by depth, and within a depth by their parents; vertices are in the order in which they
+split triangles. So the topology is stored as the splitting vertex of each triangle, and nothing else.
+Errors and radii are float32, rounded up when they are computed, so the closure holds for the stored numbers. Metres.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from orograph._numba import inlined, kernel
 from orograph.store.quadtin_build import DEAD, MIXED, RIM, VERTICES
 
 UNREAD = -2
-"""In the place of a vertex that splits a triangle and is not in memory; −1: none does."""
+"""Replaces the number of a splitting vertex that is not in memory; −1: there is none."""
 
 
 @inlined
 def up(value):
-    """A number as float32, no smaller."""
+    """A number as float32, rounded up."""
     found = np.float32(value)
     return found if found >= value else np.nextafter(found, np.float32(np.inf))
 
 
 @kernel
 def own_bounds(tree, east, north, error, radius):
-    """The errors and spheres of what each vertex itself splits.
+    """Compute the errors and spheres of each vertex's own triangles.
 
     Args:
-        east, north: (v,) metres. error, radius: (v,) float32 zeros, filled: of the triangles that a vertex splits, and
-            of the ground around it that they have.
+        east, north: (v,) metres. error, radius: (v,) float32 zeros, filled: the error of the triangles that a vertex
+            splits, and the radius around it that covers their ground.
     """
     for v in range(4, tree.counts[VERTICES]):
         for side in range(2):
@@ -48,11 +48,11 @@ def own_bounds(tree, east, north, error, radius):
 
 @kernel
 def saturate(places, parents, error, radius):
-    """Close errors and spheres over a hierarchy: the first as large as those of all that depend on a vertex, the second
-    around theirs.
+    """Close errors and spheres over a hierarchy: the error of a vertex becomes at least those of its dependents, and
+    its sphere contains theirs.
 
     Args:
-        places: (v, 3) metres, those that others depend on first. parents: (v, 2) int32, −1: none.
+        places: (v, 3) metres, vertices before their dependents. parents: (v, 2) int32, −1: none.
         error, radius: (v,) float32, changed.
     """
     for v in range(len(parents) - 1, -1, -1):
@@ -67,14 +67,14 @@ def saturate(places, parents, error, radius):
 
 @kernel
 def expand(node, ids, roots, base, corners, child, nodes_of, parents, nodes):
-    """Find how a part of a hierarchy hangs together.
+    """Rebuild the topology of a part of a hierarchy.
 
     Args:
-        node: (t,) int32, the vertex that splits each triangle, −1: none; those beyond ``ids`` are not there.
+        node: (t,) int32, the vertex that splits each triangle, −1: none; numbers beyond ``ids`` are not in memory.
         ids: (v,) int32, the numbers of vertices in the whole. roots: (2,) int32, the numbers of the first two
             triangles, whose corners are known; the others are ``base`` and so on.
         corners: (T, 3) int32. child, nodes_of: (T,) int32: the first child, the vertex. parents: (V, 2) int32, −1 where
-            there is none yet. nodes: (V, 4) int32, −1 likewise: what depends on each vertex.
+            not yet known. nodes: (V, 4) int32, the dependents of each vertex, −1 likewise.
     """
     following = 2
     for t in range(len(node)):

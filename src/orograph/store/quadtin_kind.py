@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 def checked_quadtin(asked: Any) -> tuple[float, str]:
-    """The error in metres and the splitting of a hierarchy.
+    """Parse the error in metres and the splitting rule of a hierarchy.
 
     Raises:
-        UsageError: they make no sense.
+        UsageError: they are invalid.
     """
     pair = tuple(asked) if isinstance(asked, (tuple, list)) else ()
     if len(pair) != 2 or not isinstance(pair[0], (int, float)) or not 0 <= pair[0] < math.inf or pair[1] not in SPLITS:
@@ -46,7 +46,7 @@ def checked_quadtin(asked: Any) -> tuple[float, str]:
 class QuadTinKind(Derived[dict[str, Any]]):
     """The hierarchy of a QuadTIN. Options: ``finest``, as requested; ``split``.
 
-    A record has both, as ``asked``; the ``side`` of blocks; of each part the ``rows`` of its words; and ``Facts``.
+    A record holds both, as ``asked``; the ``side`` of blocks; the ``rows`` of each part's words; and ``Facts``.
     """
 
     name, version, group = "quadtin", 1, "quadtin"

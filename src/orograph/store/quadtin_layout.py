@@ -1,12 +1,12 @@
 """The stored form of a QuadTIN's hierarchy: in blocks, and these in parts by depth.
 
-*Blocks* are 2^k × 2^k squares of the quadtree: their corners lie on samples, in straight rows and columns, so that each
+*Blocks* are 2^k × 2^k squares of the quadtree: their corners lie on samples, in straight rows and columns, so each
 is a separate hierarchy. Above them is the *top*, the triangles between the squares' corners. A view needs a block only
-as deep as its tolerance asks: *part* 0 is its triangles to depth ``DEPTHS[0]``, and so on.
+to the depth that its tolerance requires: *part* 0 is its triangles to depth ``DEPTHS[0]``, and so on.
 
-*Words* (uint32) of a part: numbers of vertices and of triangles; of its vertices places on the lattice from the block's
-north-western corner (x, y), heights (float64), errors and radii (float32); of its triangles the vertices that split
-them (numbers in the block, after its corners 0 to 3; −1: none), how far they are off (float32, metres, rounded up) and
+*Words* (uint32) of a part: numbers of vertices and of triangles; for its vertices, positions on the lattice from the
+block's north-western corner (x, y), heights (float64), errors and radii (float32); for its triangles, the vertices that
+split them (numbers in the block, after its corners 0 to 3; −1: none), their errors (float32, metres, rounded up) and
 whether there is ground. The arrays continue part after part. ``summaries`` holds the facts about all blocks that are
 needed before they are read.
 """
@@ -233,23 +233,23 @@ class MemoryQuadTin:
 
 
 def lengths_spec(across: int, part: int, shard: int, chunk: int) -> ArraySpec:
-    """How many words each block's part takes."""
+    """The array of the word counts of each block's part."""
     return ArraySpec(f"quadtin/part-{part}/lengths", (across, across), shard, chunk, "uint32", 0.0)
 
 
 def words_spec(part: int, rows: int, shard: int, chunk: int) -> ArraySpec:
-    """The words of all blocks' parts, block after block, ``chunk`` a row."""
+    """The array of the words of all blocks' parts, block after block, ``chunk`` per row."""
     return ArraySpec(f"quadtin/part-{part}/words", (rows, chunk), shard, chunk, "uint32", 0.0)
 
 
 def summary_spec(across: int, shard: int, chunk: int) -> ArraySpec:
-    """The summary: its arrays one after the other, float64 as two words each."""
+    """The array of the summary: its arrays one after the other, float64 as two words each."""
     count = sum(int(np.prod(shape)) for shape in summary_shapes(across).values())
     return ArraySpec("quadtin/summary", (-(-2 * count // chunk), chunk), shard, chunk, "uint32", 0.0)
 
 
 class StoredQuadTin:
-    """The hierarchy of a store. See ``MemoryQuadTin``. Safe from any number of threads."""
+    """The hierarchy of a store. See ``MemoryQuadTin``. Thread-safe."""
 
     def __init__(self, terrain: StoredTerrain, what: dict[str, Any]) -> None:
         self.terrain, self._rows = terrain, what["rows"]

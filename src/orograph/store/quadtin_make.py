@@ -1,10 +1,10 @@
 """Make a QuadTIN's hierarchy block by block: splits until blocks agree at their sides; then errors likewise.
 
 A vertex on a side between two blocks splits a triangle of each. So each block is grown separately, then again with the
-vertices that its neighbours have on its sides, until no block has a vertex that another lacks: this ends with the
+vertices that its neighbours have on its sides, until no block lacks a vertex of its neighbours. This ends with the
 smallest hierarchy that is within ``finest`` metres everywhere, whatever the order. Errors and spheres are closed over
-the hierarchy in the same way: sides pass on the larger of both. Memory holds only blocks in progress and the vertices
-on sides. Lattice units; metres.
+the hierarchy in the same way: blocks exchange the larger of both along their sides. Memory holds only blocks in
+progress and the vertices on sides. Lattice units; metres.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ class Rounds(Protocol):
     """Runs a step on blocks, which are independent within a round."""
 
     def run(self, what: str, todo: Sequence[int], given: Callable[[int], Arrays]) -> Iterator[Arrays]:
-        """The result of each block (``done``), in the order of ``todo``; ``given`` is called once for each block's
-        input."""
+        """Yield the result of each block (``done``), in the order of ``todo``; ``given`` is called once for each
+        block's input."""
 
 
 class Here:
     """Rounds in this process; grown blocks wait in a scratch file.
 
     Args:
-        making: the hierarchy. file: where blocks wait. jobs: threads. progress: gets reports on rounds.
+        making: the hierarchy. file: where blocks wait. jobs: threads. progress: receives progress by rounds.
     """
 
     def __init__(self, making: Making, file: IO[bytes], jobs: int | None, progress: Progress) -> None:
@@ -119,14 +119,14 @@ def make_quadtin(
     terrain: Terrain, finest: float, split: str, *, jobs: int | None = None, progress: Progress = SILENT,
     side: int = SIDE, max_memory: int = 1 << 30,
 ) -> MemoryQuadTin:  # fmt: skip
-    """The hierarchy of a terrain in memory.
+    """Make the hierarchy of a terrain in memory.
 
     Args:
         terrain: the ground; if it was gridded from points and has them, the points are used.
-        finest: error of the finest triangles in metres, 0: a part of the spacing of samples. split: which point splits
+        finest: error of the finest triangles in metres, 0: a fraction of the sample spacing. split: which point splits
             a triangle.
         jobs: threads (default: all processors); the result does not depend on them.
-        side: samples along a block's side, about. max_memory: bytes for a block.
+        side: approximate samples along a block's side. max_memory: bytes for a block.
 
     Raises:
         UsageError: there is no ground, or a block does not fit. DamagedChunkError: as ``terrain.read``.
@@ -144,7 +144,7 @@ def made(
     """Make a hierarchy.
 
     Args:
-        rounds: runs the steps on blocks. keep: takes parts of blocks, block after block: which part, and its words.
+        rounds: runs the steps on blocks. keep: receives parts of blocks, block by block: which part, and its words.
 
     Raises:
         UsageError: a block does not fit. DamagedChunkError: as ``terrain.read``.
@@ -257,8 +257,8 @@ def _finished(
 def _put_top(
     making: Making, grown: list[Grown], by_corners: NDArray[np.float64], roots: NDArray[np.float64], summary: Summary
 ) -> None:  # fmt: skip
-    """Fill in the summary of the top. A triangle there is off by at most the height range of the ground relative to its
-    corners, which are on the ground."""
+    """Fill in the summary of the top. The error of a triangle there is at most the height range of the ground relative
+    to its corners, which are on the ground."""
     layout = making.layout
     top = top_of(layout.across)
     row, col = top.order.T

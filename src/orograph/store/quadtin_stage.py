@@ -1,4 +1,4 @@
-"""Make a QuadTIN's blocks by tasks: a stage for each round, whose tasks do one block each.
+"""Making a QuadTIN's blocks by tasks: a stage for each round, with one task per block.
 
 A block's input and its grown state are in ``parts/``. The building process writes inputs before a stage begins,
 compares the sides of blocks between rounds, and concatenates their words at the end.
@@ -25,11 +25,11 @@ from orograph.store.writer import ShardWriter
 
 
 class Given(NamedTuple):
-    """What the building process knows about a round.
+    """The inputs of a round, as the building process has them.
 
     Attributes:
-        what: the step. todo: the blocks. arrays: the input of each. grown: for each the number of the round in which it
-            was last grown.
+        what: the step. todo: the blocks. arrays: the input of each. grown: for each, the number of the round in which
+            it was last grown.
     """
 
     what: str
@@ -113,8 +113,8 @@ class Tasks:
     """Rounds run by an executor. See ``quadtin_make.Rounds``.
 
     Args:
-        terrain: what is written so far. writer: of the store. making: the hierarchy. executor: of the tasks.
-        progress: gets the rounds.
+        terrain: what is written so far. writer: writes the store. making: the hierarchy. executor: runs the tasks.
+        progress: receives progress by rounds.
     """
 
     def __init__(

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 Range = tuple[str, int, int]
 """(key, first byte, end)."""
 
-GAP = 32 << 10  # bytes that may be fetched in vain to save a request
+GAP = 32 << 10  # bytes that may be fetched needlessly to save a request
 REQUEST = 4 << 20  # maximum bytes per request
 
 
 def merged(wanted: Sequence[Range]) -> list[Range]:
-    """Merge adjacent ranges of one object into one request, as long as little is fetched in vain."""
+    """Merge adjacent ranges of one object into one request, as long as little is fetched needlessly."""
     together: list[Range] = []
     for key, start, stop in sorted(wanted):
         if together and together[-1][0] == key:

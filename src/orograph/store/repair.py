@@ -1,8 +1,8 @@
-"""Mending a store: what is damaged is made again, from its sources or from what of the store is sound.
+"""Repairing a store: damaged objects are rebuilt, from its sources or from its intact objects.
 
-Only shards of level 0, and the samples of source lattices, need the sources; all others follow from them. What is made
-takes a damaged shard's place only if its digest is the one that the root lists, so a mended store is the store that was
-built, to the byte, and a source that was changed meanwhile cannot creep in. Readers may be at work all the time.
+Only shards of level 0, and the samples of source lattices, need the sources; all others depend on these. A rebuilt
+shard replaces a damaged one only if its digest is the one that the root lists. So a repaired store is, byte for byte,
+the one that was built, and sources that have changed since cannot alter it. Readers may be at work all the time.
 """
 
 from __future__ import annotations
@@ -58,19 +58,19 @@ def repair(
     progress: Progress = SILENT,
     storage_options: dict[str, Any] | None = None,
 ) -> list[str]:
-    """Make again what is damaged of a store; returns the keys of what was.
+    """Rebuild what is damaged in a store; return the keys of what was damaged.
 
     Args:
-        url: of the store.
+        url: the store's.
         source: the heights it was built from; None: the files that its record names.
         max_memory: bytes the process should stay within.
         jobs: threads (default: all processors).
 
     Raises:
-        StoreError: something could not be mended; the message says what, why, and what to do. The rest was.
+        StoreError: something could not be repaired; the message says what, why, and what to do. The rest was repaired.
     """
     storage = storage_at(url, storage_options)
-    open(url, storage_options=storage_options).close()  # what is no store is said before anything is written beside it
+    open(url, storage_options=storage_options).close()  # fails if there is no store, before anything is written
     with alone(storage, "repairing this store"), open(url, jobs=jobs, storage_options=storage_options) as terrain:
         found = check(terrain, jobs=jobs, progress=progress)
         if found:
@@ -79,11 +79,11 @@ def repair(
 
 
 class _Mender(ShardWriter):
-    """Writes the shards that are damaged, if they are what they were; no others.
+    """Writes damaged shards, if they come out as they were; writes nothing else.
 
     Args:
-        storage: of the store.
-        digests: what its shards must be.
+        storage: the store's storage.
+        digests: the digests of its shards.
         damaged: keys of shards.
     """
 
@@ -105,7 +105,7 @@ class _Mender(ShardWriter):
         return listed
 
     def keep(self, key: str, data: bytes) -> None:
-        """Nothing is kept: what is sound is there."""
+        """Keep nothing: the stored results of tasks are not needed."""
 
 
 class _StoredHeights:
@@ -127,7 +127,7 @@ class _StoredHeights:
 
 
 class _Repair:
-    """The mending of one store."""
+    """The repair of one store."""
 
     def __init__(
         self, terrain: StoredTerrain, found: list[Damage], source: HeightSource | None, max_memory: int,
@@ -141,7 +141,7 @@ class _Repair:
         self.why = ""
 
     def run(self) -> None:
-        """Mend, in the order in which things follow from each other.
+        """Repair everything, in the order of dependencies.
 
         Raises:
             StoreError: something could not be repaired.
@@ -174,7 +174,7 @@ class _Repair:
         return any(key.startswith(beginnings) for key in self.mender.damaged)
 
     def _small(self) -> None:
-        """Coordinates and metadata, from the record."""
+        """Rewrite coordinates and metadata, from the record."""
         others, root = metadata(self.record)
         digests = self.record.digests
         for key in sorted(self.mender.damaged & {*others, ROOT}):
@@ -187,7 +187,7 @@ class _Repair:
                 self.mender.differing.add(key)
 
     def _finest(self) -> None:
-        """Shards of level 0, from the source."""
+        """Rebuild shards of level 0, from the source."""
         source = self._opened()
         if source is None:
             return
@@ -205,7 +205,7 @@ class _Repair:
         go_through("Mending heights", spots, make, self.jobs, self.progress)
 
     def _lattices(self) -> None:
-        """Shards of source lattices, from the source."""
+        """Rebuild shards of source lattices, from the source."""
         source = self._opened()
         if source is None:
             return
@@ -225,7 +225,7 @@ class _Repair:
             go_through("Repairing samples of the source", spots, make, self.jobs, self.progress)
 
     def _opened(self) -> HeightSource | None:
-        """The source that was given, or the record names; None if it cannot be opened, and ``why`` says so."""
+        """The source that was given, or that the record names; None, with the reason in ``why``, if neither opens."""
         if self.source is not None:
             return self.source
         inputs = self.record.inputs
@@ -240,10 +240,10 @@ class _Repair:
         return self.source
 
     def _coarse(self) -> None:
-        """Coarser levels, means and tables, from level 0."""
+        """Rebuild coarser levels, means and tables, from level 0."""
         record = self.record
         heights: HeightSource | None = _StoredHeights(self.terrain)
-        if record.coding is not None and record.coding.codec == "progressive":  # level 0 needs those above it
+        if record.coding is not None and record.coding.codec == "progressive":  # its level 0 depends on those above
             heights = self._opened()
         if heights is None:
             raise self._left()
@@ -265,7 +265,7 @@ class _Repair:
             self.mender.damaged |= {each.object for each in damage}
 
     def _left(self) -> StoreError:
-        """What could not be mended, and what to do about it."""
+        """The error that says what could not be repaired, and what to do about it."""
         left = sorted(self.mender.damaged)
         names = ", ".join(left[:3]) + (f" and {len(left) - 3} more" if len(left) > 3 else "")
         differing = "Its sources now give other data than it held." if self.mender.differing else ""
@@ -278,7 +278,7 @@ class _Repair:
 
 
 def _remedies(left: Iterable[str], record: Record, url: str) -> list[str]:
-    """Commands that make what cannot be mended."""
+    """Calls that rebuild what cannot be repaired."""
     told, others = [], set(left)
     for kind in KINDS.values():
         keys = [key for key in left if key.partition("/")[0] == kind.group]

@@ -53,9 +53,9 @@ def look_back(
     """Keep the lattices that a terrain was resampled from, and compare it with them.
 
     Args:
-        lattices: the finest first.
-        grid: of the terrain, whose level 0 is complete.
-        writer: of its shards.
+        lattices: the source lattices, finest first.
+        grid: the terrain's; its level 0 is complete.
+        writer: writes its shards.
         sizes: samples along the sides of shards and chunks.
         keep: whether the samples are written.
         executor: runs the tasks.
@@ -103,7 +103,7 @@ class Look(ShardStage[Facts]):
     """The tasks of one lattice; ``facts`` has their results.
 
     Args:
-        number: of the lattice; the others are as for ``look_back``.
+        number: the number of the lattice. The others are as for ``look_back``.
     """
 
     name = "source"

@@ -1,7 +1,7 @@
 """The common part of writing a store shard by shard: running tasks over shards.
 
 One task makes one shard, and no other task writes it; results do not depend on the number or order of tasks. An error
-or Ctrl-C cancels what has not begun (``parallel.map_ordered``), and tasks store what they have done.
+or Ctrl-C cancels tasks that have not begun (``parallel.map_ordered``), and finished tasks have stored their results.
 """
 
 from __future__ import annotations

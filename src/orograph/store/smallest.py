@@ -1,9 +1,9 @@
-"""The codec *smallest*: like *compact*, with tables that also depend on what has just been decoded.
+"""The codec *smallest*: like *compact*, with tables that also depend on the samples just decoded.
 
-A sample is predicted as in *compact*. Twelve differences and errors above it and five to its left tell how good the
-prediction is (weights by least squares). Where the prediction lies between two integers, or on which side of the sample
-above, selects the table within that, as energy and texture do in CALIC (Wu and Memon 1997). docs/codec.md has the
-format, byte by byte.
+A sample is predicted as in *compact*. Twelve differences and errors above it and five to its left estimate how good the
+prediction is (weights by least squares). The table also depends on the fractional part of the prediction, or on its
+distance from the sample above, as contexts depend on energy and texture in CALIC (Wu and Memon 1997). docs/codec.md has
+the format, byte by byte.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from orograph.store.coding import Numbers
 from orograph.store.compact import unpacked
 
 NAME = "orograph.smallest"
-"""Its name in the metadata of arrays and in Zarr's registry of codecs."""
+"""The codec's name in the metadata of arrays and in Zarr's registry of codecs."""
 
 WHOLE, NESTED = 1, 4
 
 
 def compressed(numbers: Numbers, nested: bool = False) -> bytes:
-    """The bytes of a chunk, (rows, cols) int32, -2^31 where missing.
+    """Return the bytes of a chunk, (rows, cols) int32, -2^31 where missing.
 
     Args:
         nested: samples of even row and column are not stored; they are decoded as 0.
@@ -36,7 +36,7 @@ def decompressed(data: bytes, shape: tuple[int, int]) -> Numbers:
     """Decode a chunk from its bytes.
 
     Raises:
-        ValueError: they are not those of such a chunk.
+        ValueError: they are not a valid chunk.
     """
     from orograph.store.smallest_decode import decode
 

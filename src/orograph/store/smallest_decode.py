@@ -1,9 +1,9 @@
 """The kernels that decode chunks of the codec *smallest* (``smallest``; docs/codec.md has the format).
 
-A sample's table hangs on the sample before it, so no row can be decoded faster than sample by sample. Sixteen rows are
-decoded side by side instead (``smallest_rows``), in the lanes of vectors: a step decodes a sample of each. Tables, runs
-of missing samples and plain bits are those of *compact*; as there, nothing that is read out of a chunk becomes an index
-before it is checked, and the words are copied to where a block of steps more than there are may be read.
+A sample's table depends on the sample before it, so a row can only be decoded sample by sample. Instead, sixteen rows
+are decoded side by side (``smallest_rows``), in the lanes of vectors: a step decodes a sample of each. Tables, runs
+of missing samples and plain bits are those of *compact*. As there, nothing read from a chunk is used as an index
+before it is checked, and the words are copied to a buffer that allows reading a block of steps beyond their end.
 """
 
 from __future__ import annotations
@@ -67,15 +67,15 @@ from orograph.store.smallest_rows import (
     steps_of,
 )
 
-BLOCK = 64  # steps between two looks at whether the words have run out
-PAST = 5  # steps that are looked back at
+BLOCK = 64  # steps between two checks whether the words have run out
+PAST = 5  # earlier steps that a step refers to
 
 Flat = NDArray[np.int32]
 
 
 class Tables(NamedTuple):
-    """Frequencies, offsets and symbols (``read_tables``); of each table the bits below symbols and the number of
-    values; where the table of each cell begins. All are flat, int32."""
+    """Frequencies, offsets and symbols (``read_tables``); for each table the bits below symbols and the number of
+    values; the offset of each cell's table. All are flat, int32."""
 
     entries: Flat
     depths: Flat
@@ -84,11 +84,11 @@ class Tables(NamedTuple):
 
 
 class Front(NamedTuple):
-    """What steps leave to those after them.
+    """The state that a step leaves to later ones.
 
     Each of the first five holds ``BLOCK + PAST`` steps of sixteen lanes, flat: the sample two to the right in the row
-    above; the same two rows above; the error of the former; its distance from the sample to its left, and above it.
-    ``edges`` are rows that the first lane continues from: (4, period), the samples of the last and the last but one
+    above; the same two rows above; the error of the former; its difference from the sample to its left, and above it.
+    ``edges`` are the rows that the first lane continues from: (4, period), the samples of the last and the last but one
     lane, and their errors. ``last``, flat: W, WW, the error at W, and the states.
     """
 
@@ -109,7 +109,7 @@ def _size(difference):
 
 @inlined
 def _refilled(states, p, words):
-    """(The states, those below ``LEAST`` with a word each; the next word.)"""
+    """Refill states below ``LEAST`` with a word each: (the states; the next word.)"""
     short = shifted_right(states, 16) == 0
     more = gather32(words, marked_before(short) + p)
     return where(short, (states << 16) | more, states), p + count_of(short)
@@ -117,7 +117,7 @@ def _refilled(states, p, words):
 
 @inlined
 def _plain_bits(states, p, words, bits):
-    """(The states after so many plain bits of each lane, at most 16; the next word; the bits.)"""
+    """Read plain bits of each lane, at most 16: (the states; the next word; the bits.)"""
     found = states & ((spread32(1) << bits) - 1)
     states, p = _refilled(shifted_right(states, bits), p, words)
     return states, p, found
@@ -131,13 +131,13 @@ def _times(factors, at, k, values):
 
 @inlined
 def _ago(o, steps):
-    """Where the lanes of an earlier step lie."""
+    """The offset of the lanes of an earlier step."""
     return o - np.uint64(steps * LANES32)
 
 
 @inlined
 def _predicted(factors, at, front, o, nee, nnee):
-    """What the two rows above give for the predictions, in 1/4096."""
+    """The share of the two rows above in the predictions, in 1/4096."""
     above, beyond = front.above, front.beyond
     o1, o2, o3, o4 = _ago(o, 1), _ago(o, 2), _ago(o, 3), _ago(o, 4)
     near = _times(factors, at, 2, load32(above, o4)) + _times(factors, at, 3, load32(above, o3))
@@ -150,7 +150,7 @@ def _predicted(factors, at, front, o, nee, nnee):
 
 @inlined
 def _active(factors, at, front, o, e_nee, e_nn, across):
-    """What the rows above give for the activities, in 1/256."""
+    """The share of the rows above in the activities, in 1/256."""
     errors, down = front.errors, front.down
     o1, o2, o3, o4 = _ago(o, 1), _ago(o, 2), _ago(o, 3), _ago(o, 4)
     of_errors = _times(factors, at, 12, load32(errors, o2)) + _times(factors, at, 13, load32(errors, o3))
@@ -163,7 +163,7 @@ def _active(factors, at, front, o, e_nee, e_nn, across):
 
 @inlined
 def _cell(active, t):
-    """(The cell within a lane's class, and -1 where the sign is reversed, else 0.)"""
+    """(The cell within a lane's class; -1 where the sign is reversed, else 0.)"""
     beyond = (t & (TOTAL - 1)) - TOTAL // 2
     lean = t - TOTAL // 2
     far = shifted_right(most(lean, 0 - lean), 4)
@@ -177,7 +177,7 @@ def _cell(active, t):
 
 @inlined
 def _values(states, p, words, tables, deep, cells, coded):
-    """(The states after a value of each lane that is coded, the next word, the values.)"""
+    """Decode a value of each lane that has a sample: (the states, the next word, the values.)"""
     begins = gather32(tables.cells, cells)
     entries = gather32(tables.entries, begins + (states & (TOTAL - 1)))
     after = (shifted_right(entries, 20) + 1) * shifted_right(states, BITS) + (shifted_right(entries, 8) & (TOTAL - 1))
@@ -201,13 +201,13 @@ def _values(states, p, words, tables, deep, cells, coded):
 
 @kernel
 def _decode_block(count, step, period, p, words, tables, deep, factors, coded, starts, front, out):
-    """Decode a block of steps; the next word.
+    """Decode a block of steps; return the next word.
 
     Args:
-        count: of steps, at most ``BLOCK``. step: the first. p: the next word of ``words``.
+        count: the number of steps, at most ``BLOCK``. step: the first. p: the next word of ``words``.
         deep: whether any table has bits below its symbols.
         factors: flat, of even and odd steps, ``FACTORS`` of sixteen lanes each.
-        coded, starts: (steps,) uint16, the lanes that have a sample then, and those that are two before a row.
+        coded, starts: (steps,) uint16, the lanes that have a sample in a step, and those that are two before a row.
         out: flat, becomes the samples of each step of the block.
     """
     last, edges, above, beyond, errors = front.last, front.edges, front.above, front.beyond, front.errors
@@ -218,7 +218,7 @@ def _decode_block(count, step, period, p, words, tables, deep, factors, coded, s
         load32(last, 3 * LANES32),
     )
     here = step % period  # the column of the first lane
-    behind = (step - LAG * (LANES32 - 1)) % period  # and of the last one
+    behind = (step - LAG * (LANES32 - 1)) % period  # and that of the last one
     for k in range(count):
         o, at = np.uint64((k + PAST) * LANES32), np.uint64(((step + k) & 1) * (FACTORS * LANES32))
         ahead = np.uint64(here + 2 if here + 2 < period else here + 2 - period)
@@ -281,10 +281,10 @@ def _begun(period, first):
 
 @kernel
 def _decode_steps(words, count, tables, classes, weights, shares, marks, first, states, out):
-    """Decode all steps; whether the words end where they must.
+    """Decode all steps; return whether the words end where they must.
 
     Args:
-        words: uint16, ``count`` of them and zeros after them. states: (lanes,) of the rows that there are.
+        words: uint16, ``count`` of them and zeros after them. states: (lanes,), for the rows that exist.
         marks: (rows, cols) int32, where samples are missing, or without rows. out: becomes the chunk.
     """
     rows, cols = out.shape
@@ -323,7 +323,7 @@ def _put_samples(block, lines, size, step, out):
         transpose32(block, k * LANES32, lines, k, BLOCK)
     for i in range(LANES32):
         since, k = step - LAG * i, max(LAG * i - step, 0)
-        while k < size:  # (a block may see the end of a row and the beginning of another)
+        while k < size:  # (a block may contain the end of one row and the beginning of another)
             row, col = (since + k) // period * LANES32 + i, (since + k) % period
             here = np.uint64(i * BLOCK + k)
             if row < rows:
@@ -335,7 +335,7 @@ def _put_samples(block, lines, size, step, out):
 
 @kernel
 def _clear(marks, classes, out):
-    """Put what stands for nothing where samples are missing, or hold nothing."""
+    """Put ``MISSING`` where samples are missing, and 0 where they hold nothing."""
     for row in range(out.shape[0]):
         if classes == CLASSES and row & 1 == 0:
             out[row, ::2] = 0
@@ -352,7 +352,7 @@ def decode(data, out):
         data: (n,) uint8, its bytes. out: (rows, cols) int32, C order, becomes the samples.
 
     Returns:
-        0, or what is wrong (``codec_head``).
+        0, or an error code (``codec_head``).
     """
     rows, cols = out.shape
     if data.size < HEADER:

@@ -1,7 +1,7 @@
 """The kernels that encode chunks as the codec *smallest* (``smallest``; docs/codec.md has the format).
 
-A coder knows all samples, so nothing waits for anything: what decoders find out sample by sample is found out row by
-row here (``smallest_look``).
+An encoder knows all samples, so nothing depends on the sample before: what decoders compute sample by sample is
+computed here row by row (``smallest_look``).
 """
 
 from __future__ import annotations
@@ -45,15 +45,16 @@ from orograph.store.smallest_rows import (
 )
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
-RARE = 6  # values that one in 2^6 exceeds are ranges: shorter tables are worth more than what is lost
+RARE = 6  # values that only one in 2^6 exceeds are coded as ranges: shorter tables outweigh the loss
 
 
 @kernel
 def _merged(counts, left, final):
-    """Merge any two tables while that makes the chunk smaller; how many are left.
+    """Merge any two tables while that makes the chunk smaller; return how many are left.
 
     Args:
-        counts: (tables, TOKENS). left: tables. final: (tables,), becomes what each is merged into, without gaps.
+        counts: (tables, TOKENS). left: the number of tables. final: (tables,), becomes the table that each is merged
+            into, numbered without gaps.
     """
     costs, joint, into = np.zeros(left), np.zeros((left, left)), np.arange(left)
     for k in range(left):
@@ -87,11 +88,11 @@ def _merged(counts, left, final):
 
 @kernel
 def _divided(values, groups, kinds, most, places):
-    """Decide the tables of all cells; how many.
+    """Choose the tables of all cells; return their number.
 
     Args:
         values, groups, kinds: of the samples that are coded, from ``look``; ``kinds`` become tables.
-        most: groups that are told apart, at most.
+        most: the largest number of groups to distinguish.
         places: (CLASSES, GROUPS, BINS) int64, become tables, -1 where there are no samples.
     """
     parts, merged = np.zeros(4 * GROUPS, np.int64), np.empty(GROUPS, np.int64)
@@ -136,7 +137,7 @@ def _divided(values, groups, kinds, most, places):
 
 @kernel
 def _write_map(out, at, places):
-    """Write which table each class, group and bin has; where that ends."""
+    """Write the table of each class, group and bin; return where that ends."""
     bit = at * 8
     for k in range(places.shape[0]):
         for g in range(GROUPS):
@@ -231,14 +232,14 @@ def _push_ranges(ordered, codes, at, depths, direct, states, p, words):
 
 @kernel
 def _write_u32(out, at, value):
-    """Write the lowest 32 bits of a number, the lowest byte first."""
+    """Write the lowest 32 bits of a number, lowest byte first."""
     for k in range(4):
         out[at + k] = np.uint8(value >> (8 * k) & 255)
 
 
 @kernel
 def _first_of(numbers):
-    """The first sample that is there, or 0."""
+    """The first sample that is not missing, or 0."""
     flat = numbers.reshape(numbers.size)
     for k in range(flat.size):
         if flat[k] != MISSING:
@@ -248,7 +249,7 @@ def _first_of(numbers):
 
 @kernel
 def _fitted(whole, skips, classes, weights, shares, given, held):
-    """Fit the weights and shares of all classes; (CLASSES, …), as they are used and as they are written."""
+    """Fit the weights and shares of all classes; (CLASSES, …), as used and as written."""
     rows, cols = skips.shape
     for k in range(classes == CLASSES, classes):
         row0, col0, spread = (k >> 1, k & 1, 2) if classes == CLASSES else (0, 0, 1)
@@ -266,7 +267,7 @@ def _fitted(whole, skips, classes, weights, shares, given, held):
 
 @kernel
 def encode(numbers, classes):
-    """The bytes of a chunk, (n,) uint8.
+    """Return the bytes of a chunk, (n,) uint8.
 
     Args:
         numbers: (rows, cols) int32, C order, at least one sample.

@@ -1,6 +1,6 @@
-"""What the encoder of *smallest* fits to a chunk: the weights of predictions, and of what tells how good they are.
+"""What the encoder of *smallest* fits to a chunk: the weights of predictions, and the shares of signs in activities.
 
-Both are least squares over some of the chunk's rows, in plain arithmetic, so that the same samples are the same bytes
+Both are least squares over some of the chunk's rows, in plain arithmetic, so that the same samples give the same bytes
 everywhere.
 """
 
@@ -17,17 +17,17 @@ from orograph.store.codec_head import (
 )
 from orograph.store.smallest_rows import SIGNS
 
-SAMPLED = 4096  # samples of a class that are looked at, about
+SAMPLED = 4096  # samples of a class that are used, approximately
 SWEEPS = 40
 WIDTH = 2 * LANES  # of rows of sums, at least ``NEIGHBOURS``
 
 
 @kernel
 def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
-    """The normal equations of the prediction; how many samples they are of.
+    """Sum up the normal equations of the prediction; return the number of samples.
 
     Args:
-        whole: (rows + 2, cols + 4) int32, the samples with those around them. skips: (rows, cols) uint8.
+        whole: (rows + 2, cols + 4) int32, the samples with their surroundings. skips: (rows, cols) uint8.
         row0, col0, step, stride: which rows and columns. before: weights of a first round, or zeros.
         matrix, right: as of ``tally``.
     """
@@ -55,7 +55,7 @@ def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
 
 @kernel
 def fitted_weights(whole, skips, row0, col0, spread, weights):
-    """The weights (NEIGHBOURS,) int64, in 1/4096, of samples whose rows and columns are ``spread`` apart."""
+    """Fit the weights (NEIGHBOURS,) int64, in 1/4096, for samples whose rows and columns are ``spread`` apart."""
     rows, cols = skips.shape
     step = spread * max(rows * cols // (spread * spread * SAMPLED), 1)
     before = np.zeros(NEIGHBOURS + 1)
@@ -79,10 +79,10 @@ def fitted_weights(whole, skips, row0, col0, spread, weights):
 
 @kernel
 def fitted_shares(signs, sizes, used, shares):
-    """By how much each sign tells the size of what is left: least squares without negative shares.
+    """Fit each sign's share in the size of residuals: least squares without negative shares.
 
     Args:
-        signs: (n, SIGNS) int32. sizes: (n,) int32. used: how many there are. shares: become (SIGNS,) int64, in 1/256.
+        signs: (n, SIGNS) int32. sizes: (n,) int32. used: how many to use. shares: become (SIGNS,) int64, in 1/256.
     """
     n, width = SIGNS + 1, 3 * LANES
     sums, right, d, found = np.zeros(width * width), np.zeros(width), np.zeros(width), np.zeros(n)

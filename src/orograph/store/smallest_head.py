@@ -1,4 +1,4 @@
-"""What the decoder of *smallest* makes before it steps: factors of the lanes, whose turn it is, tables of cells."""
+"""What the decoder of *smallest* prepares before it steps: factors of lanes, marks of steps, tables of cells."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from orograph.store.smallest_rows import (
     own_factors,
 )
 
-MARKS = np.uint16  # a bit of each lane
-FACTORS = WEIGHTS + SIGNS + 1  # of a lane: weights, shares, and where its class begins among the cells
+MARKS = np.uint16  # a bit for each lane
+FACTORS = WEIGHTS + SIGNS + 1  # of a lane: weights, shares, and the offset of its class among the cells
 
 
 @kernel
 def put_factors(band, classes, weights, shares, factors):
-    """Fill in the factors of all lanes, for rows of the first band of sixteen, or of others."""
+    """Fill in the factors of all lanes, for rows of the first band of sixteen, or of later ones."""
     own_weights, own_shares = np.empty(WEIGHTS, np.int32), np.empty(SIGNS, np.int32)
     for parity in range(2):
         for i in range(LANES32):
-            k = class_of(i, parity + i, classes)  # (the step and the lane tell the parity of the column)
+            k = class_of(i, parity + i, classes)  # (the parity of the column follows from the step and the lane)
             own_factors(band * LANES32 + i, weights[k], shares[k], own_weights, own_shares)
             at = parity * FACTORS * LANES32 + i
             for m in range(WEIGHTS):
@@ -40,7 +40,7 @@ def put_factors(band, classes, weights, shares, factors):
 
 @kernel
 def mark_steps(marks, rows, cols, classes, coded, starts):
-    """Fill in which lanes have a sample in each step, and which are two before a row."""
+    """Mark which lanes have a sample in each step, and which are two before a row."""
     for row in range(rows):
         begin, bit = begin_of(row, cols), MARKS(1 << row % LANES32)
         if begin >= 2:
@@ -59,7 +59,7 @@ def mark_steps(marks, rows, cols, classes, coded, starts):
 
 @kernel
 def read_cells(data, at, classes, tables, cells):
-    """Read where the table of each class, group and bin begins; where that ends, or -1."""
+    """Read the offset of the table of each class, group and bin; return where that ends, or -1."""
     bit, last = at * 8, data.size * 8
     for cell in range(classes * GROUPS * BINS):
         if bit + 1 > last:

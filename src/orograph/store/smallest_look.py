@@ -1,4 +1,4 @@
-"""What the coder of *smallest* finds out about samples: residuals, activities, cells (``smallest_encode``).
+"""What the encoder of *smallest* computes from samples: residuals, activities, cells (``smallest_encode``).
 
 All samples are known, so whole rows are computed at once, by plain loops that LLVM turns into vector instructions.
 """
@@ -40,7 +40,7 @@ class Rows(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Of each sample of a row (n,): its weighted sum, what is left, its activity, group, bin and value."""
+    """For each sample of a row (n,): its weighted sum, residual, activity, group, bin and value."""
 
     sums: Row
     residuals: Row
@@ -52,14 +52,14 @@ class Found(NamedTuple):
 
 @shared
 def size_of(difference):
-    """The absolute value of a difference of two samples, which wraps, in 0 to ``CAP``."""
+    """The absolute value of a difference of two samples, which wraps, clamped to 0 … ``CAP``."""
     wrapped = np.int32(difference)
     return np.int32(min(np.uint32(wrapped if wrapped >= 0 else -wrapped), np.uint32(CAP)))
 
 
 @kernel
 def surrounded(numbers, classes, first, whole, skips):
-    """Put a chunk among what decoders take to lie around it, and say which samples are not coded.
+    """Copy a chunk into the surroundings that decoders assume, and mark the samples that are not coded.
 
     Args:
         whole: (rows + 2, cols + 4) int32. skips: (rows, cols) uint8, 1 where a sample is missing or holds nothing.
@@ -78,7 +78,7 @@ def surrounded(numbers, classes, first, whole, skips):
 
 @kernel
 def _sum(w, rows, out):
-    """The weighted sums, with the half that rounds them."""
+    """The weighted sums, including the half that rounds them."""
     far, near, line = rows.far, rows.near, rows.line
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10, w11 = (
         w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], w[10], w[11],
@@ -91,7 +91,7 @@ def _sum(w, rows, out):
 
 @kernel
 def _miss(rows, sums, skips, residuals):
-    """What is left of each sample, and its size; nothing where it is not coded."""
+    """The residual of each sample, and its size; 0 where the sample is not coded."""
     near, line, left = rows.near, rows.line, rows.left
     for j in range(residuals.size):
         residuals[j] = np.int32(line[j + 2] - near[j + 2] - (sums[j] >> np.int32(12)))
@@ -138,7 +138,7 @@ def _place(found, real):
 
 @kernel
 def _note(rows, sums, j, seen):
-    """Note the signs of a sample, and the size of what is left of it: (SIGNS + 1,) int32."""
+    """Record the signs of a sample, and the size of its residual: (SIGNS + 1,) int32."""
     far, near, line, further, above, left = rows
     for k, at in enumerate((2, 1, 3, 0, 4)):
         seen[k] = above[j + at]
@@ -152,17 +152,17 @@ def _note(rows, sums, j, seen):
 
 @kernel
 def look(whole, skips, classes, weights, shares, step, seen, counts, values, groups, kinds):
-    """Look at all samples, or at the signs of some.
+    """Examine all samples, or the signs of some.
 
     Args:
         whole, skips: from ``surrounded``. weights, shares: (CLASSES, …) int32.
-        step: of every so many rows the signs of two are noted, and nothing else is, unless ``seen`` is empty.
-        seen: (CLASSES, n, SIGNS + 1) int32. counts: (CLASSES,) int64, how many are noted.
-        values, groups, kinds: (n,), become those of the samples that are coded: the value, the group of activity, and
+        step: unless ``seen`` is empty, only the signs of two rows in each ``step`` rows are recorded.
+        seen: (CLASSES, n, SIGNS + 1) int32. counts: (CLASSES,) int64, how many are recorded.
+        values, groups, kinds: (n,), become those of the coded samples: the value, the group of activity, and
             ``BINS`` times the class plus the bin.
 
     Returns:
-        how many are coded.
+        the number of coded samples.
     """
     rows, cols = skips.shape
     sizes, odd = np.zeros((3, cols + 4), np.int32), np.empty(cols, np.int32)
@@ -171,7 +171,7 @@ def look(whole, skips, classes, weights, shares, step, seen, counts, values, gro
     found, real = Found(table[0], table[1], table[2], table[3], table[4], table[5]), np.empty(cols, np.float32)
     at, noting, two = 0, seen.shape[1] > 0, classes == CLASSES
     for row in range(rows):
-        if noting and (row + 2) % step >= 4:  # (those that are looked at need the sizes of the two before them)
+        if noting and (row + 2) % step >= 4:  # (recorded rows need the sizes of the two before them)
             continue
         further, above, left = sizes[(row + 1) % 3], sizes[(row + 2) % 3], sizes[row % 3]
         around = Rows(whole[row], whole[row + 1], whole[row + 2], further, above, left)

@@ -1,7 +1,7 @@
-"""What coder and decoder of *smallest* agree on: the order of samples, and what lies around them (docs/codec.md).
+"""What encoder and decoder of *smallest* share: the order of samples, and their assumed surroundings (docs/codec.md).
 
-Sixteen rows are decoded side by side, each three samples behind the one above it, so that all that a sample is
-predicted from is known before it. A row that ends makes room for the sixteenth after it.
+Sixteen rows are decoded side by side, each three samples behind the one above it, so that every sample that a
+prediction needs is already known. When a row ends, its lane continues with the sixteenth row after it.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from orograph.store.codec_head import NEIGHBOURS
 
 VERSION = 3
 LAG = 3  # samples that a row is behind the one above it
-CLASSES = 4  # at most: of samples, by the parity of row and column
-SIGNS = 17  # what makes an activity
+CLASSES = 4  # most classes: of samples, by the parity of row and column
+SIGNS = 17  # terms of an activity
 WEIGHTS = NEIGHBOURS + 1
 GROUPS = 64  # of activity: four per octave
-OCTAVE = 7  # bits of the least activity that is not in the first group
+OCTAVE = 7  # bits of the least activity beyond the first group
 LOWEST = (127 + OCTAVE - 1) * 4  # quarter octaves below the first group, as the bits of a float count them
-WORDS = 4  # that one sample takes at most
-BINS = 5  # of what a prediction says besides itself
-SETS = 48  # tables, at most
-CAP = 4095  # of each sign
-SMALL = 307  # of activity, in 1/256: where a prediction lies between two numbers tells something
+WORDS = 4  # most words that one sample takes
+BINS = 5  # of the position of a prediction
+SETS = 48  # most tables
+CAP = 4095  # largest value of a sign
+SMALL = 307  # of activity, in 1/256: below this, the bin depends on the fractional part of the prediction
 HEADER = 8
 CLASS = 2 * NEIGHBOURS + SIGNS  # bytes of a class
 
@@ -35,7 +35,7 @@ def period_of(cols):
 
 @shared
 def steps_of(rows, cols):
-    """Steps in which a chunk is decoded: in each one sample of every row whose turn it is."""
+    """The number of steps that decode a chunk; each takes one sample from every active row."""
     return -(-rows // LANES32) * period_of(cols) + LAG * (LANES32 - 1)
 
 
@@ -53,7 +53,7 @@ def class_of(row, col, classes):
 
 @kernel
 def own_factors(row, weights, shares, own_weights, own_shares):
-    """The weights and shares of a row: the first two have less above them.
+    """The weights and shares of a row: the first two rows have less above them.
 
     Args:
         weights, own_weights: (WEIGHTS,) int32, in 1/4096. shares, own_shares: (SIGNS,) int32, in 1/256.
@@ -63,7 +63,7 @@ def own_factors(row, weights, shares, own_weights, own_shares):
         own_weights[:], own_shares[:] = 0, 0
         own_weights[0], own_weights[1], own_weights[NEIGHBOURS] = 6144, -2048, -4096
         own_shares[12] = own_shares[14] = 128
-    elif row == 1:  # (the row two above counts as the one above)
+    elif row == 1:  # (the row above also serves as the one two above)
         own_weights[2] += weights[6]
         own_weights[3] += weights[7]
         own_weights[4] += weights[9]

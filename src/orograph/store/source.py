@@ -1,4 +1,4 @@
-"""What a store is built from: anything with a grid that reads windows of heights (a Mosaic, or a wrapped Dem)."""
+"""The input of a build: anything with a grid that reads windows of heights (a Mosaic, or a wrapped Dem)."""
 
 from __future__ import annotations
 

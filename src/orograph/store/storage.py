@@ -1,12 +1,12 @@
 """Where a store's bytes lie: a folder, or another place (``addresses``).
 
-A store needs very little of its storage: whole objects by key, ranges of them, and a put after which the object is
-there entirely or not at all. A folder gives that by writing beside the place and renaming; object stores by nature.
-Keys are paths with ``/``. Every failure other than absence is a StoreError that says where.
+A store needs very little of its storage: whole objects by key, ranges of them, and an atomic put, after which the
+object is there entirely or not at all. A folder does this by writing a file beside its place and renaming it; object
+stores do it by nature. Keys are paths with ``/``. Every failure other than absence is a StoreError that says where.
 
-A web server that accepts and never answers must not hold a reader for long: after ``SILENCE`` seconds without a byte it
-is an error. A server that answers that it is busy, or drops the connection, is asked again, ``AGAIN`` seconds later; a
-bucket for longer.
+A web server that accepts a connection and never answers must not hold a reader for long: ``SILENCE`` seconds without
+a byte are an error. If a server reports that it is busy, or drops the connection, the request is retried after
+``AGAIN`` seconds; for a bucket, more often.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from orograph.servers import SILENCE as SILENCE
 from orograph.store.ranges import Range
 
 OPEN_FILES = 128
-WRITING = ".writing"  # how the names of files end that are not complete
-AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
-LONGER = (2.0, 4.0, 8.0, 16.0)  # and then of a bucket
+WRITING = ".writing"  # suffix of the names of incomplete files
+AGAIN = (0.25, 1.0)  # seconds of back-off before retries of transient failures
+LONGER = (2.0, 4.0, 8.0, 16.0)  # further retries, for a bucket
 
 
 class Storage(ABC):
@@ -39,7 +39,7 @@ class Storage(ABC):
     url: str
     remote: bool
     number: int | None = None
-    """Of an older version of a store whose versions lie below one key (``versions``); None: it is the newest."""
+    """The version, if it is an older one of a store whose versions lie below one key (``versions``); else None."""
 
     @abstractmethod
     def get(self, key: str) -> bytes | None:
@@ -51,7 +51,8 @@ class Storage(ABC):
 
     @abstractmethod
     def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
-        """Ranges of objects, fetched together where that is faster; short or empty if an object is cut off or gone."""
+        """Ranges of objects, fetched concurrently where that is faster; short or empty if an object is truncated or
+        gone."""
 
     @abstractmethod
     def put(self, key: str, parts: Sequence[bytes]) -> None:
@@ -62,7 +63,7 @@ class Storage(ABC):
         """Whether the object is there."""
 
     def renewed(self, key: str) -> None:  # noqa: B027 (only buckets remember where an object lies)
-        """Another process has written an object."""
+        """Note that another process has written an object."""
 
     @abstractmethod
     def remove(self, key: str = "") -> None:
@@ -70,30 +71,30 @@ class Storage(ABC):
 
     @abstractmethod
     def size(self) -> int | None:
-        """Bytes of all objects together, None where that cannot be told."""
+        """Bytes of all objects together; None if the storage cannot tell."""
 
     def stamp(self, key: str) -> tuple[Any, ...] | None:
-        """Differs when an object was replaced, at the cost of a look; None if it is not there, or nothing tells."""
+        """A value that changes when an object is replaced, found with one request; None if there is none."""
         return None
 
     def anew(self) -> Storage:
-        """The same place, without anything that was remembered of it."""
+        """The same place, with nothing cached."""
         return self
 
     def follow(self, other: Storage) -> None:
-        """Go on reading in another place, where what was read so far lies now."""
+        """Continue reading from another place, to which the store has moved."""
         raise NotImplementedError
 
     def named(self) -> tuple[str, dict[str, Any] | None]:
-        """What other processes find it by (``storage_at``)."""
+        """The URL and options with which other processes open it (``storage_at``)."""
         return self.url, None
 
     def close(self) -> None:  # noqa: B027 (only folders hold files open)
-        """Let go of open files."""
+        """Close open files."""
 
 
 class _File:
-    """An open file descriptor, closed when its last user lets go of it."""
+    """An open file descriptor, closed when its last user releases it."""
 
     __slots__ = ("fd",)
 
@@ -109,12 +110,12 @@ class FolderStorage(Storage):
     """A folder on a local disk; the files read last stay open.
 
     Args:
-        path: of the folder.
-        many: whether several processes may write the same objects (of the same bytes) at once. What one that is killed
-            leaves beside them is only removed by ``sweep``, then.
+        path: the folder's path.
+        many: whether several processes may write the same objects (with the same bytes) at once. Then only ``sweep``
+            removes the incomplete files that a killed process leaves.
 
     Attributes:
-        home: the folder it was made for, also when it has moved (``follow``).
+        home: the original folder, even if the store has moved (``follow``).
     """
 
     remote = False
@@ -179,7 +180,7 @@ class FolderStorage(Storage):
                 with beside.open("wb") as file:
                     file.writelines(parts)
                 with self._lock:
-                    self._open.pop(key, None)  # what was there before is not what is read from now on
+                    self._open.pop(key, None)  # later reads must open the new file
                 beside.replace(path)
             except BaseException:
                 remove(beside)
@@ -201,7 +202,7 @@ class FolderStorage(Storage):
             raise self._failed("removed", key, error) from error
 
     def rename(self, key: str, to: str) -> None:
-        """Give what lies below a key another place, which must be free."""
+        """Move everything below a key to another one, which must be free."""
         try:
             (self.path / key).rename(self.path / to)
         except OSError as error:
@@ -210,7 +211,7 @@ class FolderStorage(Storage):
             self._open.clear()
 
     def sweep(self) -> None:
-        """Remove what processes that were killed left of objects they were writing."""
+        """Remove the incomplete files that killed processes left."""
         for path in self.path.rglob(f".*{WRITING}"):
             remove(path)
 
@@ -241,7 +242,7 @@ class FolderStorage(Storage):
             self._open.clear()
 
     def must_stand(self) -> None:
-        """A file that is gone is damage, a folder that is gone has been moved or removed."""
+        """Raise StoreError if the folder is gone: then it was moved or removed. (A missing file is damage.)"""
         if not self.path.exists():
             raise StoreError(
                 "The folder no longer exists.", path=self.path,

@@ -37,10 +37,10 @@ from orograph.store.versions import number, older
 from orograph.store.watch import Watch
 
 Key = tuple[str, tuple[tuple[str, Any], ...]]
-"""Derived data by their name and what they were made with."""
+"""Derived data by name and the options they were made with."""
 
 CACHE_BYTES = 256 << 20
-"""Decoded chunks a terrain keeps unless told otherwise."""
+"""Default budget of decoded chunks in bytes."""
 
 
 class StoredTerrain(Terrain):
@@ -48,18 +48,18 @@ class StoredTerrain(Terrain):
 
     Args:
         storage: where the store lies.
-        record: what it says of itself.
+        record: the store's record.
         cache_bytes: budget of decoded chunks.
         jobs: threads for large windows.
-        watch: whether the store is still the same; None: nobody replaces it.
-        version: which of the store's versions it is; None where nobody counts them.
+        watch: notices when the store is replaced; None: it never is.
+        version: the store's version; None if versions are not numbered.
 
     Attributes:
-        supplied: derived data that the store lacks and that were made in memory (``supply``), by name and options.
+        supplied: derived data that the store lacks and that were computed in memory (``supply``), by name and options.
     """
 
     use: object | None = None
-    """What keeps it in the cache folder while it is read (``kept.Use``)."""
+    """Keeps it in the cache folder while it is read (``kept.Use``)."""
 
     def __init__(
         self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None, watch: Watch | None = None,
@@ -69,7 +69,7 @@ class StoredTerrain(Terrain):
         self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
         self.attribution = record.attribution
         self.remote = storage.remote
-        self._last = self.levels - 1  # found once: reads of small windows would notice
+        self._last = self.levels - 1  # computed once: it would slow down reads of small windows
         self.cache = ChunkCache(cache_bytes)
         self._jobs = jobs
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
@@ -98,17 +98,17 @@ class StoredTerrain(Terrain):
 
     @property
     def errors(self) -> tuple[ErrorKind, ...]:
-        """The kinds of errors it has of its diamonds."""
+        """The kinds of errors of its diamonds."""
         return tuple(DIAMONDS.of(self.record).errors)
 
     @property
     def size_bytes(self) -> int | None:
-        """Bytes of the store on disk; None where the storage cannot list what it has (a web server)."""
+        """Bytes of the store on disk; None if the storage cannot list its objects (a web server)."""
         return self.storage.size()
 
     def _kept(self) -> list[Row]:
         rows = [("layers", ", ".join(self.layers))] if self.layers else []
-        size = None if self.remote else self.size_bytes  # (which is not worth a network's time)
+        size = None if self.remote else self.size_bytes  # (not worth network requests)
         version = "" if self.version is None else f", version {self.version}"
         newest = ", not the newest" if version and self.watch is not None and self.watch.replaced else ""
         return [*rows, ("store", self.url + version + newest + ("" if size is None else f", {amount(size)}"))]
@@ -120,7 +120,7 @@ class StoredTerrain(Terrain):
             return array.read(row0, row1, col0, col1)
         if self.watch is not None:
             self.watch()
-        # The coarsest level is small, and what frames ask for on the spot (the range of a tint): it stays.
+        # The coarsest level is small, and frames need it at once (for the range of a tint): it stays in memory.
         if self._coarsest is None:
             self._coarsest = array.read(0, array.spec.shape[0], 0, array.spec.shape[1])
         return self._coarsest[row0:row1, col0:col1].copy()
@@ -161,7 +161,7 @@ class StoredTerrain(Terrain):
         return made or kind_of(name).has(self, **options)
 
     def supply(self, name: str, **options: Any) -> None:
-        """Make derived data that the store lacks, in memory: of diamonds about 19 bytes per sample.
+        """Compute derived data that the store lacks, in memory: for diamonds about 19 bytes per sample.
 
         Raises:
             DamagedChunkError: as ``read``.
@@ -193,7 +193,7 @@ class StoredTerrain(Terrain):
         self.storage.close()
 
     def reopen(self) -> StoredTerrain:
-        """Open the store that is there now, after a ``StoreReplacedError`` say; this terrain stays what it was.
+        """Open the store that is there now, for example after a ``StoreReplacedError``; this terrain stays unchanged.
 
         Raises:
             StoreError: as ``open``.
@@ -219,12 +219,12 @@ class StoredTerrain(Terrain):
         return found
 
     def _lattice(self, number: int) -> StoredLattice:
-        """A source lattice that is kept."""
+        """A source lattice of the store."""
         record, sizes = self.record.lattices[number], (self.record.shard, self.record.chunk)
         return StoredLattice(record.grid, self.opened("source", number, lambda: record.spec(number, *sizes)))
 
     def check(self, progress: Progress = SILENT) -> list[str]:
-        """Read everything, and return the keys of what is damaged (``checking.check`` says why, too)."""
+        """Read everything, and return the keys of damaged objects (``checking.check`` also says what is wrong)."""
         from orograph.store.checking import check
 
         return [found.key for found in check(self, jobs=self._jobs, progress=progress)]
@@ -245,14 +245,14 @@ def open(
     """Open a store for reading.
 
     Args:
-        url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads). Of a
-            store that is updated, ``STORE@2`` is its second version.
+        url: a folder, or a URL (``s3://``, ``gs://``, ``az://``, ``http://``, and any other that fsspec reads). If the
+            store is updated, ``STORE@2`` is its second version.
         cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
         jobs: threads for large windows (default: all processors).
-        storage_options: for the bucket, besides the environment (obstore's: ``endpoint``, ``skip_signature``…).
+        storage_options: for the bucket, in addition to the environment (obstore's: ``endpoint``, ``skip_signature``…).
 
     Raises:
-        StoreError: there is no store, its build is not finished, it has another format than this reader, or its
+        StoreError: there is no store, its build is not finished, this reader does not know its format, or its
             metadata is damaged.
     """
     kept = 0 if cache_bytes == 0 else bytes_of(cache_bytes, "cache_bytes")
@@ -261,7 +261,7 @@ def open(
 
 def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain:
     while True:
-        # Before the record: if it is replaced in between, the first read notices. (At a URL it compares records.)
+        # Take the stamp before the record: then the first read detects a replacement. (At a URL it compares records.)
         stamp = None if storage.remote else storage.stamp(ROOT)
         record = read_record(storage)
         version = number(storage)
@@ -273,10 +273,10 @@ def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain
 
 
 def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int | None, source: str) -> StoredTerrain:
-    """A store that another process has opened, or the version of it that was kept since.
+    """Open the store that another process has open, or the version of it that was kept since.
 
     Raises:
-        StoreError: there is another here, or none.
+        StoreError: a different store is there, or none.
     """
     storage = storage_at(*named)
     found = _open(storage, cache_bytes, jobs)
@@ -292,7 +292,7 @@ def _same(named: tuple[str, dict[str, Any] | None], cache_bytes: int, jobs: int 
 
 
 def read_record(storage: Storage) -> Record:
-    """What the store says of itself.
+    """Read the record of a store.
 
     Raises:
         StoreError: see ``open``.
@@ -304,10 +304,10 @@ def read_record(storage: Storage) -> Record:
 
 
 def record_of(data: bytes, url: str) -> Record:
-    """What the root of a store says.
+    """Parse the record in the root of a store.
 
     Raises:
-        StoreError: it is damaged, of no store, or of one that this reader does not know.
+        StoreError: it is damaged, is not a store's, or is of a format that this reader does not know.
     """
     try:
         document = json.loads(data)

@@ -61,7 +61,7 @@ class Errors(ShardStage[Surveyed]):
         writer: of its shards; all heights are written.
         shard, chunk: samples along their sides; powers of two.
         first: the tile table of level 0.
-        kinds: which errors.
+        kinds: the kinds of errors.
         coding: how the heights are encoded.
     """
 

@@ -1,8 +1,8 @@
-"""Errors in larger tasks, like heights (``groups``): squares of 2^s × 2^s areas, with little to hand on.
+"""Errors in larger tasks, like heights (``groups``): squares of 2^s × 2^s areas that hand little on.
 
 A group writes the codes of octave 0 and, since its shards of octaves 1 to s consist of its own areas alone, those too.
 The building process only has to combine the codes of octaves s + 1 to 4 (if s is less than 4), and what larger diamonds
-need, one window for a whole group (some 3 % of a byte per sample for each number). An interrupted group is continued
+need, one window for a whole group (some 3 % of a byte per sample for each number). An interrupted group resumes
 area by area, and the bytes do not depend on groups.
 """
 
@@ -36,7 +36,7 @@ class ErrorGroups(ShardStage[Surveyed]):
     """The diamonds' arrays of a store under construction, group by group.
 
     Args:
-        errors: makes areas, and what follows from all.
+        errors: makes areas, and combines the results.
         levels: s, at least 1.
     """
 

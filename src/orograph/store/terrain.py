@@ -3,8 +3,8 @@
 The raster is treated as the corner of a square of side 2^n + 1 samples; it is never padded in memory. Level k holds the
 *nested* subsample, every 2^k-th sample, so that a coarse vertex is a fine vertex (Lindstrom & Pascucci 2002); where the
 last sample of a level falls beyond the raster it repeats the raster's last one. Box means for shading are a second
-pyramid. Over tiles of 256 × 256 cells each level has tables of the lowest and highest full-resolution sample, of how
-much is valid, and of a bound of the vertical distance between the full-resolution surface and the level's.
+pyramid. Over tiles of 256 × 256 cells each level has tables of the lowest and highest full-resolution sample, of the
+valid fraction, and of a bound of the vertical distance between the full-resolution surface and the level's.
 
 Heights are metres, float32, NaN where missing; indices are (row, col) from the north-west sample; windows are half
 open.
@@ -70,7 +70,7 @@ def mean_shape(shape: Shape, level: int) -> Shape:
 
 
 def tile_shape(shape: Shape, level: int) -> Shape:
-    """Tiles that cover the cells of a level (at least one each way, even for a single row of samples)."""
+    """Tiles that cover the cells of a level (at least one along each axis, even for a single row of samples)."""
     rows, cols = level_shape(shape, level)
     return max(1, -(-(rows - 1) // TILE)), max(1, -(-(cols - 1) // TILE))
 
@@ -103,7 +103,7 @@ class TileTable:
 
 @dataclass(frozen=True, slots=True)
 class Resampled:
-    """What a terrain lost when it was brought to another grid (``store.resampling`` has the definitions); metres, nan
+    """The loss of a terrain when it was resampled (``store.resampling`` has the definitions); metres, nan
     where nothing could be compared.
 
     Attributes:
@@ -149,11 +149,11 @@ class Terrain(ABC):
     vertical: str | None
     attribution: tuple[str, ...] = ()
     remote: bool = False
-    """Whether it is read over a network: many reads at once take hardly longer than one."""
+    """Whether it is read over a network: many concurrent reads take hardly longer than one."""
     samples: Samples | None = None
-    """Its original samples, while they are available; None if only its own are known."""
+    """The original samples, while they are available; None if only its own are known."""
     resampled: Resampled | None = None
-    """How far it is from its original samples; None if it has these, or nobody has measured it."""
+    """The distance from its original samples; None if it has these, or it was never measured."""
 
     @property
     @abstractmethod
@@ -167,7 +167,7 @@ class Terrain(ABC):
 
     @property
     def chart(self) -> AffineChart:
-        """Where its samples lie in the world: flat terrain has one affine chart."""
+        """The map from samples to the world: flat terrain has one affine chart."""
         return AffineChart(self.grid)
 
     @property
@@ -182,7 +182,7 @@ class Terrain(ABC):
 
     @property
     def levels(self) -> int:
-        """How many nested levels there are; level 0 is the raster itself."""
+        """The number of nested levels; level 0 is the raster itself."""
         return level_count(self.grid.shape)
 
     def shape(self, level: int) -> Shape:
@@ -217,7 +217,7 @@ class Terrain(ABC):
         """The tile table of a level."""
 
     def diamond_shape(self, level: int) -> Shape:
-        """(rows, cols) of the arrays of diamonds: of ``shape(level)``, at the top level the whole padded square."""
+        """(rows, cols) of the arrays of diamonds: ``shape(level)``, at the top level the whole padded square."""
         return diamond_shape(self.grid.shape, self._check(level))
 
     def derived(self, name: str, **options: Any) -> Any:
@@ -225,7 +225,7 @@ class Terrain(ABC):
 
         Args:
             name: "diamonds" (``error``), "patches" (``error``, ``legs``)…; see ``store.registry``.
-            options: options it must have been made with.
+            options: the options it must have been made with.
 
         Raises:
             UsageError: there is no such kind, error or option.
@@ -247,7 +247,7 @@ class Terrain(ABC):
 
         Args:
             name: "sky-view-factor", "aperture"…
-            options: what it must have been made with (``radius=600.0``, ``azimuths=64``…).
+            options: the options it must have been made with (``radius=600.0``, ``azimuths=64``…).
 
         Raises:
             StoreError: it has no such layer, or one made with other options or from other heights.

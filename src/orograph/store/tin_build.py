@@ -1,10 +1,10 @@
 """Make TINs of patches bottom up: level by level of the hierarchy, diamond by diamond, each from those below it.
 
-Per diamond the four patches below become two above at half the triangles (Cignoni et al. 2003, sec. 3). The vertices on
-the diamond's legs were decided by the diamonds below, whose hypotenuses these are, and stay; those on its hypotenuse
-move only along it. Then the TINs' error is measured again, against all full-resolution samples in the diamond and all
-crossings of its edges with the surface's, and made at least the children's. Diamonds of a level touch only in vertices
-that are already decided, so they may be made in any order, by any number of threads.
+For each diamond, the four patches below become two above with half the triangles (Cignoni et al. 2003, sec. 3). The
+vertices on the diamond's legs were decided by the diamonds below, whose hypotenuses these are, and stay; those on its
+hypotenuse move only along it. Then the TINs' error is measured again, against all full-resolution samples in the
+diamond and all crossings of its edges with the surface's, and made at least the children's. Diamonds of a level share
+only vertices that are already decided, so they may be made in any order, by any number of threads.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Figures:
     """Statistics of the TINs of a level.
 
     Attributes:
-        octave, kind: of its diamonds (``hierarchy.diamonds``). diamonds: how many have TINs. triangles: of all.
-        below: of the patches below them. legs: vertices on legs, which could not be moved. vertices: of all.
+        octave, kind: of its diamonds (``hierarchy.diamonds``). diamonds: how many have TINs. triangles: the total.
+        below: triangles of the patches below. legs: vertices on legs, which could not be moved. vertices: the total.
         error: the largest before saturation, metres.
     """
 
@@ -62,8 +62,9 @@ class Band(NamedTuple):
     """Diamonds of a level that are made together.
 
     Attributes:
-        octave, kind: of the level. first: whether it is its first band. rows, cols: of the diamonds. error, radius,
-            below: from the diamonds below. todo: which have TINs. numbers: of these (``Made``), filled in by ``take``.
+        octave, kind: of the level. first: whether this is its first band. rows, cols: of the diamonds. error, radius,
+            below: from the diamonds below. todo: which have TINs. numbers: their ``Made.numbers``, filled in by
+            ``take``.
     """
 
     octave: int
@@ -86,7 +87,7 @@ class Building:
     """TINs under construction, octave by octave.
 
     Args:
-        terrain: the ground. legs: of the finest patches.
+        terrain: the ground. legs: segments along a leg of the finest patches.
 
     Attributes:
         marks: by octave. errors, radii: by octave, float64, at (row >> octave, col >> octave): inf where there is no
@@ -118,7 +119,7 @@ class Building:
 
         Args:
             run: makes the diamonds of a band and passes them to ``take``.
-            task: gets reports on each band (``bands``).
+            task: receives progress by bands (``bands``).
         """
         totals, largest = np.zeros(5, np.int64), 0.0
         per = self._rows_at_once(octave)
@@ -167,7 +168,7 @@ class Building:
         put_marks(self.marks[band.octave], made.windows, made.chosen, bit)  # only its own vertices: windows overlap
 
     def _taken(self, band: Band) -> tuple[Integers, float]:
-        """Record a band's diamonds, once all are taken; returns their ``Figures``."""
+        """Record a band's diamonds, once all are taken; return their ``Figures``."""
         octave, todo, found, error, below = band.octave, band.todo, band.numbers, band.error, band.below
         error[todo] = np.maximum(error[todo], found[:, 0])
         i, j = band.rows >> octave, band.cols >> octave
@@ -313,11 +314,11 @@ def made_by(
 
     Args:
         terrain: the ground. legs: segments along a finest patch's leg.
-        run: makes a band's diamonds and takes them; progress within another task.
-        progress: gets reports on levels.
+        run: makes a band's diamonds and passes them to ``take``; reports progress within another task.
+        progress: receives progress by levels.
 
     Raises:
-        DamagedChunkError: as ``terrain.read``. OutputError: the disk that temporary files are on is full.
+        DamagedChunkError: as ``terrain.read``. OutputError: the disk for temporary files is full.
     """
     building = Building(terrain, legs)
     todo = [(k, kind) for k in building.marks for kind in (diamonds.EDGE, diamonds.SQUARE)]

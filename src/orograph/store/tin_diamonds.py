@@ -23,7 +23,7 @@ from orograph.store.tin_windows import Window, clipped, legs_of
 from orograph.store.tins import EDGE, FINER, SQUARE, Marks, Tins, lattice
 
 TOGETHER = 32
-"""The most diamonds that are made by one call of a kernel."""
+"""Maximum number of diamonds per call of a kernel."""
 
 LIMIT = 1e-6
 """Error in metres below which no vertex is inserted."""
@@ -42,7 +42,7 @@ class Place:
     """The place of a diamond: its window, and the window on the raster.
 
     Args:
-        terrain: the ground. row, col: the diamond. legs: of the finest patches.
+        terrain: the ground. row, col: the diamond. legs: segments along a leg of the finest patches.
     """
 
     __slots__ = ("ends", "heights_at", "octave", "window", "x0", "x1", "y0", "y1")
@@ -85,7 +85,7 @@ class Workplace(threading.local):
 
     def room(self, legs: int, marks: Marks) -> Work:
         """Arrays for a diamond's window."""
-        side = max(legs << (FINER + 1), TILE) + 2  # (windows on the coarsest level are of a tile at most)
+        side = max(legs << (FINER + 1), TILE) + 2  # (windows on the coarsest level are at most one tile)
         need = max(2 * legs * legs + 8 * side, int(np.count_nonzero(marks)) + 64)
         if legs not in self.work or len(self.work[legs].mesh.x) < need:
             self.work[legs] = new_work(need, side)
@@ -97,7 +97,7 @@ def tins_of(
 ) -> tuple[NDArray[np.float64], Corners, Corners]:
     """The TINs of a diamond: vertices (v, 3) column, row, metres; triangles (t, 3) of its top triangles 0 and 1.
 
-    They turn positively in (column, row).
+    They are wound positively in (column, row).
 
     Raises:
         OrographError: its marks do not form a TIN. DamagedChunkError: as ``terrain.read``.
@@ -115,8 +115,8 @@ def tins_of(
 
 
 NUMBERS = ("error", "first", "second", "legs", "vertices", "full")
-"""Results of a diamond: its TINs' error, the triangles of both, vertices on its legs and in total, and the triangles of
-full resolution there."""
+"""Results for a diamond: the error of its TINs, the triangles of each, the vertices on its legs and in total, and the
+triangles of full resolution there."""
 
 
 class Made(NamedTuple):
@@ -133,7 +133,7 @@ class Made(NamedTuple):
 
 
 def below(octave: int, kind: int, legs: int) -> int | None:
-    """The octave whose marks say which vertices lie on the legs of a level's diamonds; None: all samples do."""
+    """The octave whose marks give the vertices on the legs of a level's diamonds; None: all samples are vertices."""
     if kind == diamonds.SQUARE:
         return octave
     return octave - 1 if octave > legs.bit_length() - 1 else None
@@ -143,8 +143,8 @@ class Maker:
     """Makes the TINs of diamonds, one by one, from any thread.
 
     Args:
-        terrain: the ground. legs: of the finest patches.
-        marks: returns those of the levels below.
+        terrain: the ground. legs: segments along a leg of the finest patches.
+        marks: returns the marks of the levels below.
     """
 
     def __init__(self, terrain: Terrain, legs: int, marks: MarksOf) -> None:
@@ -167,7 +167,7 @@ class Maker:
         return Made(numbers, windows, np.concatenate([np.zeros(0, np.uint8), *chosen]))
 
     def _beside(self, rows: Integers, cols: Integers, d: int) -> int:
-        """The end of the diamonds that can be made together with diamond d: in its row, not cut, on all samples."""
+        """The end of the diamonds that can be made together with diamond d: uncut, in its row, on all samples."""
         shape, row, s = self.terrain.grid.shape, int(rows[d]), int(diamonds.spacing(rows[d], cols[d]))
         last_row, last_col = (side - 1 for side in shape)
         if lattice(shape, s.bit_length() - 1, self.legs) or row < s or row + s > last_row:
@@ -177,7 +177,7 @@ class Maker:
         return end if good.all() else d + int(np.argmin(good))
 
     def _several(self, row: int, cols: Integers) -> tuple[NDArray[np.float64], Integers, Marks]:
-        """Diamonds in a row, in order: numbers, windows and vertices, as bits."""
+        """Make consecutive diamonds of a row: numbers, windows and vertices, as bits."""
         at = Place(self.terrain, row, int(cols[0]), self.legs)
         w, (_, i0, i1, _, _) = at.window, at.heights_at
         first = cols - w.s
@@ -198,7 +198,7 @@ class Maker:
         return numbers, windows, chosen
 
     def _one(self, row: int, col: int) -> tuple[tuple[float, ...], tuple[int, ...], Marks]:
-        """A diamond's numbers, its window, and its vertices there."""
+        """Make a diamond: its numbers, its window, and its vertices there."""
         terrain = self.terrain
         at = Place(terrain, row, col, self.legs)
         heights = at.read(terrain)
@@ -218,7 +218,7 @@ class Maker:
         return numbers, at.heights_at[1:], chosen.view(np.uint8)
 
     def _put_legs(self, at: Place, marks: Marks) -> None:
-        """Mark the vertices on a diamond's legs: of the hypotenuses of those below."""
+        """Mark the vertices on a diamond's legs, which are those on the hypotenuses below."""
         shape, kind = self.terrain.grid.shape, at.window.shape
         source = below(at.octave, kind, self.legs)
         if source is None:

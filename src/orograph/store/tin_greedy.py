@@ -1,9 +1,9 @@
-"""Which samples are the vertices of a diamond's TINs: greedy insertion (Garland & Heckbert 1995, algorithm III).
+"""Choosing the vertices of a diamond's TINs: greedy insertion (Garland & Heckbert 1995, algorithm III).
 
-The vertices on the legs are given and stay, those on the hypotenuse lie on it. Then the sample that is farthest off
-becomes a vertex, until there are as many triangles as are wanted. After an insertion only the triangles around the new
-vertex are looked at again. The farthest one of all is at the root of a tournament of the triangles. As the vertices
-have one triangulation only (``mesh``), the TINs are what ``triangulate`` makes of the marks, and their error is
+The vertices on the legs are given and stay; those on the hypotenuse lie on it. Then the sample with the largest error
+becomes a vertex, until the requested number of triangles is reached. After an insertion, only the triangles around the
+new vertex are examined again. A tournament tree of the triangles has the largest error at its root. The vertices have
+only one triangulation (``mesh``), so the TINs are what ``triangulate`` makes of the marks, and their error is
 measured at once. Heights are metres; columns and rows are samples from the window's first.
 """
 
@@ -38,10 +38,10 @@ def find_candidates(w, heights, candidates):
 
 @inlined
 def worst(w, shift, least, m, candidates, t):
-    """The candidate that is farthest from a triangle: how far, its row and column.
+    """The candidate with the largest error in a triangle: error, row and column.
 
     Args:
-        shift: of the lattice's step. least: twice the area of triangles that have no other samples than their corners.
+        shift: log2 of the lattice's step. least: twice the area of a triangle without samples besides its corners.
     """
     a, b, c = m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2]
     if m.y[b] < m.y[a] and m.y[b] <= m.y[c]:
@@ -54,7 +54,7 @@ def worst(w, shift, least, m, candidates, t):
     det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if det <= least:
         return largest, at_i, at_j
-    if det == 2 * least and least == 1 and shift == 0:  # one, in the middle of a side (Pick's theorem)
+    if det == 2 * least and least == 1 and shift == 0:  # one sample, in the middle of a side (Pick's theorem)
         if not ((x0 ^ x1) | (y0 ^ y1)) & 1:
             at_i, at_j, z = (y0 + y1) >> 1, (x0 + x1) >> 1, m.z[a] + m.z[b]
         elif not ((x1 ^ x2) | (y1 ^ y2)) & 1:
@@ -68,7 +68,7 @@ def worst(w, shift, least, m, candidates, t):
     z1, z2 = m.z[b] - z0, m.z[c] - z0
     right = (z1 * (y2 - y0) - z2 * (y1 - y0)) * part
     down = (z2 * (x1 - x0) - z1 * (x2 - x0)) * part
-    # sides as columns by rows: from a down to c on the left, to b on the right; then from the upper of these two
+    # sides as columns by rows: from a down to c on the left, to b on the right; below the upper of b and c, from b to c
     left_x, left_y, left = np.float64(x0), y0, (x2 - x0) / max(y2 - y0, one)
     right_x, right_y, slope = np.float64(x0), y0, (x1 - x0) / max(y1 - y0, one)
     turn, last = min(y1, y2), max(y1, y2) - (y1 != y2)  # a lone corner is left out
@@ -99,7 +99,7 @@ def worst(w, shift, least, m, candidates, t):
 
 @leaf
 def look_at(w, shift, least, work, candidates, count, leaves):
-    """Find the farthest candidate of each triangle in ``work.star``, and play the tournament again where it is new."""
+    """Find the worst candidate of each triangle in ``work.star``, and update the tournament where it has changed."""
     for k in range(count):
         t = work.star[k]
         off, i, j = worst(w, shift, least, work.mesh, candidates, t)
@@ -116,7 +116,7 @@ def look_at(w, shift, least, work, candidates, count, leaves):
 
 @inlined
 def winner(work, leaves):
-    """The triangle whose candidate is farthest off; the first one of several."""
+    """The triangle with the worst candidate; the first one of several."""
     at = np.int64(1)
     while at < leaves:
         at *= 2
@@ -127,7 +127,7 @@ def winner(work, leaves):
 
 @leaf
 def find_star(work, v):
-    """Put the triangles in patches around a vertex into ``work.star``: how many."""
+    """Put the triangles in patches around a vertex into ``work.star``; return their number."""
     m, count = work.mesh, 0
     h = np.int64(m.out[v])
     while True:
@@ -139,7 +139,7 @@ def find_star(work, v):
             return count
         if h < 0:
             break
-    h = np.int64(m.twin[m.out[v]])  # an outline's: the other way, too
+    h = np.int64(m.twin[m.out[v]])  # for a vertex on the outline: the other way, too
     while h >= 0:
         if m.live[h // 3]:
             work.star[count] = h // 3
@@ -150,13 +150,13 @@ def find_star(work, v):
 
 @kernel
 def simplify(w, work, heights, ends, marks, wanted, limit):
-    """Mark more samples until there are as many triangles as are wanted, or all samples are within the limit.
+    """Mark more samples until the requested number of triangles is reached, or all samples are within the limit.
 
     Args:
         w, work, heights, ends: as ``triangulate``. marks: uint8, the vertices on the legs; more are set here.
-        wanted: triangles of a diamond of which nothing is beyond the raster. limit: metres.
+        wanted: triangles of a diamond that lies wholly on the raster. limit: metres.
 
-    Returns: the number of triangles, −1 at a fault; and the largest deviation at candidates.
+    Returns: the number of triangles, −1 on failure; and the largest deviation at candidates.
     """
     rows, cols = heights.shape
     m, candidates = work.mesh, work.candidates[:rows, :cols]
@@ -199,7 +199,7 @@ def along(m, heights, h):
     a, b = m.corner[h], m.corner[after(h)]
     x, y, dx, dy = np.int64(m.x[a]), np.int64(m.y[a]), np.int64(m.x[b] - m.x[a]), np.int64(m.y[b] - m.y[a])
     long = max(abs(dx), abs(dy))
-    if long == 1 and (dx == 0 or dy == 0 or (x + y) & 1 == 0):  # the surface's own
+    if long == 1 and (dx == 0 or dy == 0 or (x + y) & 1 == 0):  # an edge of the surface itself
         return 0.0
     largest, z, dz = 0.0, m.z[a], m.z[b] - m.z[a]
     if dx == 0 or dy == 0 or abs(dx) == abs(dy):
@@ -214,8 +214,8 @@ def deviation(m, heights, known):
     """The largest deviation of the patches from the surface: at samples, and where edges cross the surface's edges.
 
     Args:
-        heights: float32 of all samples of the window, row by row. known: the largest one at samples between the edges
-            of the hierarchy; negative: not known.
+        heights: float32 of all samples of the window, row by row. known: the largest deviation at samples between the
+            edges of the hierarchy; negative: not known.
     """
     largest = known
     for t in range(m.counts[TRIANGLES]):
@@ -232,7 +232,7 @@ def deviation(m, heights, known):
 
 @kernel
 def sizes(m):
-    """The triangles of both patches, and those that full resolution has in their place."""
+    """The number of triangles of both patches, and of full resolution in their place."""
     first, second, area = 0, 0, np.int64(0)
     for t in range(m.counts[TRIANGLES]):
         if m.live[t]:
@@ -244,18 +244,18 @@ def sizes(m):
 
 @inlined
 def beside(w, axis, first_i, first_j):
-    """The window of another diamond of the level, which the raster does not cut either."""
+    """The window of another uncut diamond of the level."""
     return Window(w.cx, w.cy, w.s, w.shape, axis, w.width, w.height, w.step, w.sparse, first_i, first_j)
 
 
 @kernel
 def make_row(w, work, first_j, axes, heights, given, bit, wanted, limit):
-    """The TINs of some diamonds of a row, which the raster does not cut, on the lattice of all samples.
+    """Make the TINs of some uncut diamonds of a row, on the lattice of all samples.
 
     Args:
         w: ``Window`` of the first one. first_j, axes: (d,) int64, as in ``Window``, of all.
         heights, given: (rows, cols) float32 and uint8, of the samples from the first one's window to the last one's:
-            the marks below, of which ``bit`` is those on legs (0: all). wanted, limit: as ``simplify``.
+            heights, and the marks below, of which ``bit`` marks those on legs (0: all). wanted, limit: as ``simplify``.
 
     Returns: (d, 6) float64, as ``tin_diamonds.NUMBERS``, the error before rounding; (d, bytes) uint8, which samples are
         vertices, as bits.
@@ -263,7 +263,7 @@ def make_row(w, work, first_j, axes, heights, given, bit, wanted, limit):
     count, rows, cols = len(first_j), w.height + 1, w.width + 1
     numbers, chosen = np.zeros((count, 6)), np.zeros((count, (rows * cols + 7) // 8), np.uint8)
     own, marks = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.uint8)
-    ends = np.empty((5, 2), np.float32)  # of edges that are cut: none is
+    ends = np.empty((5, 2), np.float32)  # of cut edges: there are none
     for d in range(count):
         at = first_j[d] - first_j[0]
         for i in range(rows):
@@ -287,7 +287,7 @@ def make_row(w, work, first_j, axes, heights, given, bit, wanted, limit):
 
 @kernel
 def put_marks(marks, windows, chosen, bit):
-    """Set a bit where samples of windows are vertices: (d, 4) rows and columns, half-open; ``Made.chosen``."""
+    """Set a bit where samples of windows are vertices; windows: (d, 4) rows and columns, half-open; ``Made.chosen``."""
     begin = 0
     for d in range(len(windows)):
         i0, i1, j0, j1 = windows[d]

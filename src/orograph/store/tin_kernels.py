@@ -1,11 +1,11 @@
 """The TINs of one diamond: two patches of the hierarchy whose vertices are chosen among the samples of a lattice.
 
-Which samples of a diamond's window (``tin_windows``) are vertices is all that makes a TIN: they are triangulated in a
-fixed order, constrained Delaunay, so that whoever triangulates them gets the same triangles. The five
+A TIN is stored as the set of samples in a diamond's window (``tin_windows``) that are vertices. They are triangulated
+in a fixed order, constrained Delaunay, so the same vertices always give the same triangles. The five
 edges of a diamond are constraints: the four legs of its patches, and the hypotenuse that they share. Where one leaves
 the raster it ends in a vertex, on the lattice or not. (A square diamond's legs are the borders of its window.)
 
-``tin_greedy`` chooses them. Heights are metres; columns and rows are samples from the window's first.
+``tin_greedy`` chooses the vertices. Heights are metres; columns and rows are samples from the window's first.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from orograph.triangulation.mesh import (
 )
 
 EXTRAS = 16
-"""Room for ends of edges that are not on the lattice."""
+"""Room for ends of edges that lie off the lattice."""
 
 
 class Work(NamedTuple):
     """Arrays that one thread works in.
 
     Attributes:
-        mesh: of the triangulation. errors: (2c,) float64, of its triangles, and the larger of each two: entry i is that
-            of 2i and 2i + 1, the last c are the triangles'. sample: (t,) int32, the number of a triangle's worst one.
-        candidates: (rows, cols) float32, heights of samples that may become vertices, NaN: of others. ids: (rows, cols)
+        mesh: the triangulation. errors: (2c,) float64, a tournament tree: entry i is the larger of 2i and 2i + 1; the
+            last c are the triangles' errors. sample: (t,) int32, the number of each triangle's worst sample.
+        candidates: (rows, cols) float32, heights of samples that may become vertices, NaN for others. ids: (rows, cols)
             int32, the vertex at a sample of the window, −1: none. extras: (16, 3) int64, column, row and vertex of ends
-            beside the lattice. stack: of flips. star: (t,) int32, triangles that are to be looked at.
+            off the lattice. stack: for flips. star: (t,) int32, triangles to examine.
     """
 
     mesh: Mesh
@@ -57,7 +57,7 @@ class Work(NamedTuple):
 
 
 def new_work(vertices: int, side: int) -> Work:
-    """Room for so many vertices in windows of so many samples a side."""
+    """Allocate room for so many vertices in windows of so many samples a side."""
     slots = 2 * vertices
     nowhere = np.lib.stride_tricks.as_strided(np.zeros(1, np.int32), (1 << 14, 1 << 14), (0, 0))
     mesh = Mesh(
@@ -86,7 +86,7 @@ def find(w, work, x, y):
 
 @leaf
 def note(w, work, x, y, v):
-    """Remember the vertex at a sample."""
+    """Record the vertex at a sample."""
     i, j = line_at(y, w.step, w.height), line_at(x, w.step, w.width)
     if i >= 0 and j >= 0:
         work.ids[i, j] = v
@@ -102,7 +102,7 @@ def height_at(w, heights, ends, x, y):
     """The height of a sample of the lattice, or of the end of an edge.
 
     Args:
-        ends: (5, 2) float32, heights where edges begin and end on the raster.
+        ends: (5, 2) float32, heights of the ends of edges on the raster.
     """
     i, j = line_at(y, w.step, w.height), line_at(x, w.step, w.width)
     if i >= 0 and j >= 0:
@@ -113,12 +113,12 @@ def height_at(w, heights, ends, x, y):
             t = low if k == 0 else high
             if low <= high and ax + t * dx == x and ay + t * dy == y:
                 return np.float64(ends[edge, k])
-    return np.nan  # (a corner of the window, beside the region)
+    return np.nan  # (a corner of the window, outside the region)
 
 
 @leaf
 def add(w, work, heights, ends, x, y, t):
-    """Make a sample a vertex unless it is one; a triangle near by."""
+    """Make a sample a vertex unless it is one; return a triangle near by."""
     if find(w, work, x, y) >= 0:
         return t
     v = insert(work.mesh, locate(work.mesh, t, x, y), x, y, height_at(w, heights, ends, x, y), work.stack)
@@ -128,7 +128,7 @@ def add(w, work, heights, ends, x, y, t):
 
 @leaf
 def start(w, work, heights, ends):
-    """Two triangles over the window."""
+    """Begin with two triangles over the window."""
     m = work.mesh
     m.counts[0], m.counts[1], m.counts[2] = 0, 2, -1
     for k in range(4):
@@ -144,7 +144,7 @@ def start(w, work, heights, ends):
 
 @kernel
 def fix(w, work, edge):
-    """Make a diamond's edge edges of the triangulation, from vertex to vertex; whether that could be."""
+    """Force a diamond's edge into the triangulation, from vertex to vertex; return whether that was possible."""
     ax, ay, dx, dy, low, high = clipped(w, edge)
     if low >= high:
         return True
@@ -163,13 +163,13 @@ def fix(w, work, edge):
 
 @kernel
 def fixed(m, a, b):
-    """``fix_edge``, compiled by itself."""
+    """``fix_edge``, compiled separately."""
     return fix_edge(m, a, b)
 
 
 @leaf
 def next_on(w, marks, x, y, dx, dy, k, last):
-    """The next vertex of a leg that begins at a sample, in steps of the lattice along it; beyond the last: none."""
+    """The next vertex on a leg that begins at a sample, in steps of the lattice along it; beyond the last: none."""
     i, j = y // w.step, x // w.step
     k += 1
     while k < last and not marks[i + k * dy, j + k * dx]:
@@ -179,14 +179,14 @@ def next_on(w, marks, x, y, dx, dy, k, last):
 
 @leaf
 def vertex_on(w, m, heights, x, y, dx, dy, k):
-    """A new vertex so many steps along a leg."""
+    """Add a vertex ``k`` steps along a leg."""
     x, y = x + k * dx * w.step, y + k * dy * w.step
     return new_vertex(m, x, y, np.float64(heights[y // w.step, x // w.step]))
 
 
 @leaf
 def start_whole(w, work, heights, marks):
-    """Triangulate the vertices on the legs of a diamond that the raster does not cut.
+    """Triangulate the vertices on the legs of an uncut diamond.
 
     From each apex the legs are joined step by step, up to the hypotenuse; then edges are flipped.
     """
@@ -242,7 +242,7 @@ def start_whole(w, work, heights, marks):
 def start_cut(w, work, heights, ends, marks):
     """Triangulate the vertices on a diamond that the raster cuts, and the corners of its window.
 
-    Returns: whether its edges could be made edges.
+    Returns: whether its edges could be forced.
     """
     m = work.mesh
     rows, cols = heights.shape
@@ -278,7 +278,7 @@ def start_cut(w, work, heights, ends, marks):
 
 @inlined
 def coarsest(rows, cols):
-    """The step of the first vertices: coarse ones first, so that few triangles are passed and flipped on the way."""
+    """The step of the first vertices: coarse ones come first, so that few triangles are crossed and flipped."""
     step = 1
     while 2 * step < max(rows, cols):
         step *= 2
@@ -287,7 +287,7 @@ def coarsest(rows, cols):
 
 @leaf
 def add_inner(w, work, heights, marks):
-    """Make the marked samples of an uncut diamond vertices that are not on its legs."""
+    """Add the marked samples of an uncut diamond that are not on its legs."""
     m = work.mesh
     rows, cols = heights.shape
     t, step = np.int64(0), coarsest(rows, cols)
@@ -305,15 +305,15 @@ def add_inner(w, work, heights, marks):
 
 @kernel
 def triangulate(w, work, heights, ends, marks):
-    """The TINs whose vertices on the lattice are marked.
+    """Triangulate the marked samples.
 
-    In ``work.mesh.live`` triangles of the patch on one side of the hypotenuse are 1, of the other 2, beside them 0.
+    ``work.mesh.live`` is 1 for triangles on one side of the hypotenuse, 2 on the other, 0 outside the patches.
 
     Args:
         w, work: ``Window``, ``Work``. heights: (rows, cols) float32 of the window's samples. ends: see ``height_at``.
         marks: (rows, cols), not 0: a vertex.
 
-    Returns: the number of triangles, −1 if edges are in each other's way, which is a fault.
+    Returns: the number of triangles, −1 if edges conflict, which is a fault.
     """
     if is_whole(w):
         start_whole(w, work, heights, marks)

@@ -1,4 +1,4 @@
-"""TINs as a kind of derived data: what a store holds, and how they are opened or made."""
+"""TINs as a kind of derived data: what a store records, and how they are opened or made."""
 
 from __future__ import annotations
 

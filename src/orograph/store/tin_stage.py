@@ -1,8 +1,8 @@
-"""TINs made by tasks: a stage for each band of a level, whose tasks make some of its diamonds. Levels of a single task
-are made by the process that builds.
+"""TINs made by tasks: a stage for each band of a level, whose tasks make some of its diamonds. The building process
+makes levels of a single task itself.
 
-What tasks need of the levels below lies in ``parts/``: which diamonds there are to make, and the marks that their legs
-have. The process that builds leaves it there before a stage begins, and adds up marks, errors and spheres itself.
+What tasks need from the levels below lies in ``parts/``: which diamonds to make, and the marks on their legs. The
+building process writes it before a stage begins, and combines marks, errors and spheres itself.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from orograph.store.tins import marks_spec
 from orograph.store.writer import ShardWriter
 
 RUN = 1024
-"""Diamonds of a task."""
+"""Diamonds per task."""
 
 
 class Bands:
-    """Has bands made by an executor, one after the other.
+    """Makes bands by an executor, one after the other.
 
     Args:
-        terrain: what is written by now. writer: of the store. legs: of the finest patches. executor: of the tasks.
+        terrain: what is written so far. writer: writes the store. legs: of the finest patches. executor: runs tasks.
     """
 
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, legs: int, executor: Executor) -> None:
@@ -57,10 +57,10 @@ class Bands:
 
 
 class Given(NamedTuple):
-    """What the process that builds knows of a band.
+    """A band's input, as the building process has it.
 
     Attributes:
-        building: to which TINs are added. band: of a level. level: writes the marks below it, for other processes.
+        building: receives the TINs. band: of a level. level: writes the marks below it, for other processes.
     """
 
     building: Building
@@ -72,8 +72,8 @@ class TinStage(TerrainStage[Made]):
     """TINs of the diamonds of a band.
 
     Args:
-        legs: of the finest patches. number: of the band, counted over all levels.
-        given: what the process that builds knows of it; None in others, which read it.
+        legs: segments along a leg of the finest patches. number: the band's, counted over all levels.
+        given: the building process's input; None in other processes, which read it.
     """
 
     name, label = "tins", "Making TINs"
@@ -106,7 +106,7 @@ class TinStage(TerrainStage[Made]):
         self.writer.keep(self._key(), pack(arrays))
 
     def _read(self) -> tuple[Integers, Integers, MarksOf]:
-        """The diamonds, and what gives the marks below, as another process has handed them over."""
+        """Read the diamonds, and a reader of the marks below, as the building process has handed them over."""
         kept = unpack(self.writer.storage.get(self._key()) or b"")
         told = json.loads(kept["told"].tobytes())
         octave, kind = told["octave"], told["kind"]
@@ -120,7 +120,7 @@ class TinStage(TerrainStage[Made]):
         return f"{PARTS}/tins/{self.number}.given"
 
     def _spec(self, octave: int, kind: int) -> ArraySpec:
-        """The marks that diamonds of a kind have below, where other processes read them."""
+        """The array of marks below diamonds of a kind, which other processes read."""
         record = self.terrain.record
         spec = marks_spec(record.grid.shape, octave, self.legs, record.shard, record.chunk)
         return replace(spec, path=f"{PARTS}/tins/marks-{octave}-{kind}")

@@ -1,4 +1,4 @@
-"""Where a diamond is in a lattice of samples: its region, its edges cut by the raster, who is on a leg.
+"""The geometry of a diamond on a lattice of samples: its region, its edges cut by the raster, samples on its legs.
 
 A *window* is the part of a lattice of every ``step``-th sample that holds the diamond's region, cut by the raster's
 last row and column, which belong to every lattice. Columns and rows are samples from the window's first.
@@ -14,14 +14,14 @@ from orograph._numba import inlined, kernel, leaf
 
 
 class Window(NamedTuple):
-    """Where a diamond is.
+    """The position of a diamond.
 
     Attributes:
         cx, cy: its vertex. s: its extent along an axis. shape: 0 a square, 1 an edge (``hierarchy.diamonds.kind``).
-        axis: which way its hypotenuse runs (``hierarchy.triangles.axis``).
+        axis: the direction of its hypotenuse (``hierarchy.triangles.axis``).
         width, height: the window's last column and row. step: between samples of the lattice.
-        sparse: how many steps apart samples on the hypotenuse may be vertices. first_i, first_j: the lattice's row and
-            column, counted from the raster's, of the window's first.
+        sparse: the spacing, in steps, of samples on the hypotenuse that may be vertices. first_i, first_j: the
+            lattice's row and column, counted from the raster's, of the window's first sample.
     """
 
     cx: int
@@ -64,7 +64,7 @@ def region_corner(w, k):
 
 @leaf
 def clipped(w, edge):
-    """An edge of a diamond on the raster: column and row where it begins, its direction, first and last step.
+    """An edge of a diamond on the raster: its first column and row, its direction, first and last step.
 
     Edge 0 is the hypotenuse, 1 … 4 are the legs. The first step is after the last if none of it is on the raster.
     """
@@ -89,19 +89,19 @@ def clipped(w, edge):
 
 @leaf
 def is_whole(w):
-    """Whether the raster cuts nothing off a diamond."""
+    """Whether a diamond lies wholly on the raster."""
     return min(w.cx, w.cy) >= w.s and w.cx + w.s <= w.width and w.cy + w.s <= w.height
 
 
 @inlined
 def in_region(w, x, y):
-    """Whether a sample is in the closed region of a diamond (of a square one all of the window is)."""
+    """Whether a sample is in the closed region of a diamond (that of a square is the whole window)."""
     return w.shape == 0 or abs(x - w.cx) + abs(y - w.cy) <= w.s
 
 
 @leaf
 def across(w, x, y, times):
-    """On which side of the hypotenuse a place is, given so many times: negative on that of top triangle 0, 0 on it."""
+    """The side of the hypotenuse on which a place (scaled by ``times``) lies: negative for top triangle 0, 0 on it."""
     dx, dy = x - times * w.cx, y - times * w.cy
     if w.axis == 0:
         return dx
@@ -135,8 +135,8 @@ def legs_of(w, source, ratio, bit, marks):
     """Mark the vertices on a diamond's legs: those on the hypotenuses of its children.
 
     Args:
-        source: uint8, the marks of the children's lattice, all of the raster; ratio: steps of it along one of this one;
-            bit: of their kind, 0: all samples are vertices.
+        source: uint8, the marks of the children's lattice on the whole raster; ratio: its steps per step of this
+            lattice; bit: of the children's kind, 0: all samples are vertices.
     """
     rows, cols = marks.shape
     for i in range(rows):
@@ -158,7 +158,7 @@ def legs_of(w, source, ratio, bit, marks):
 
 @kernel
 def look(heights, row0, rows, cols, s, fill, metric):
-    """Samples that are there and that are missing in the regions of edge diamonds, and the squared radii around them.
+    """Count valid and missing samples in the regions of edge diamonds, and find the squared radii around them.
 
     Args:
         heights: (h, w) float32, rows of the raster from row0 on, all columns. rows, cols: (d,) of the diamonds. s:

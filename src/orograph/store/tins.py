@@ -1,9 +1,9 @@
 """TINs of the hierarchy's patches (BDAM): their vertices, errors and spheres.
 
-Every triangle of the hierarchy above the finest patches carries a TIN. It lies in a diamond with one other, across the
+Every triangle of the hierarchy above the finest patches carries a TIN. It shares a diamond with one other, across the
 hypotenuse, and both are made together (``tin_kernels``). All vertices are samples of a lattice of the terrain's nested
-levels, ``FINER`` times finer than a regular patch's would be, so that a diamond needs the same small window whatever
-its size, and a TIN is kept as marks on the lattice: which samples are vertices. Heights are the terrain's own; the
+levels, ``FINER`` times finer than that of a regular patch. So a diamond needs the same small window whatever
+its size, and a TIN is stored as marks on the lattice: which samples are vertices. Heights are the terrain's own; the
 triangles follow from the vertices.
 
 Cignoni et al. 2003 (*BDAM – Batched Dynamic Adaptive Meshes for high performance terrain visualization*).
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from orograph.store.stored import StoredTerrain
 
 LEGS = 16
-"""Segments along a finest patch's leg, whose square is the number of a patch's triangles, unless otherwise asked."""
+"""Default number of segments along a finest patch's leg; its square is the number of a patch's triangles."""
 
 ALL_LEGS = (4, 8, 16, 32)
-"""Its allowed values."""
+"""The allowed values."""
 
 FINER = 2
-"""The lattice has 2 to this power times as many samples along a leg as a regular patch has."""
+"""log2 of the samples of the lattice along a leg per sample of a regular patch."""
 
 MOST_OCTAVE = 11
-"""Diamonds of coarser octaves have no TINs: their windows would be of more than 4097 samples a side."""
+"""Diamonds of coarser octaves have no TINs: their windows would exceed 4097 samples a side."""
 
 SQUARE, EDGE = np.uint8(1), np.uint8(2)
 """Bits of marks, by the kind of diamond."""
@@ -79,8 +79,8 @@ class MemoryTins:
     """TINs in memory.
 
     Args:
-        legs: of the finest patches. marks: by octave. errors, radii: by level, in the layout of ``diamond_table``.
-        figures: of how they were made, by octave and kind (``tin_build.Figures``).
+        legs: segments along a leg of the finest patches. marks: by octave. errors, radii: by level, in the layout of
+            ``diamond_table``. figures: statistics by octave and kind (``tin_build.Figures``).
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class MemoryTins:
         self.figures = figures
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Heights]:
-        """Errors and radii of entries of a level, as ``DiamondTable.read``."""
+        """Errors and radii of the entries of a level, as for ``DiamondTable.read``."""
         return self.errors[level][row0:row1, col0:col1], self.radii[level][row0:row1, col0:col1]
 
     def marks(self, octave: int, row0: int, row1: int, col0: int, col1: int) -> Marks:

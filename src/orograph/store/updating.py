@@ -1,15 +1,15 @@
-"""Updating a store: only what changed inputs have a say in is made again, to the bytes of a new build.
+"""Updating a store: only what depends on changed inputs is rebuilt, to the bytes of a new build.
 
-A store that is built with ``update=True`` keeps what its tasks found (``parts/``). An update begins a new build beside
-the store, puts there whatever no changed input reaches (shards of full resolution and parts, as hard links where the
-file system has them), and goes on from that as from an interrupted build: what is there is proved by its digests, what
-is lacking is made, and all that follows of both is written. The store's readers keep the old files until the new store
-takes its place. In a bucket both lie below the same key (``bucket_updates``).
+A store that is built with ``update=True`` keeps the results of its tasks (``parts/``). An update begins a new build
+beside the store, puts there whatever no changed input affects (shards of full resolution and parts, as hard links where
+the file system has them), and resumes from that as from an interrupted build: existing objects are verified by their
+digests, missing ones are built, and everything that depends on them is written. Readers keep the old files until the
+new store takes its place. In a bucket both lie below the same key (``bucket_updates``).
 
-What reaches how far: heights of a shard depend on its own samples and a row and a column beyond. The errors of an area
+Dependencies: the heights of a shard depend on its own samples and a row and a column beyond. The errors of an area
 depend on samples within ``REACH``, on the lowest heights of tiles there, and, for octave k ≥ ``SMALL``, on the samples
-at multiples of 2^k within 2^(k+1) of it. (The codes depend on the terrain's height range: parts made with another one
-do not count, see ``survey``.) What is kept of a source lattice depends on the samples of the terrain that lie there.
+at multiples of 2^k within 2^(k+1) of it. (The codes depend on the terrain's height range: parts made with another range
+do not count, see ``survey``.) Results for a source lattice depend on the samples of the terrain that lie there.
 Units: samples.
 """
 
@@ -48,22 +48,22 @@ from orograph.store.survey import area_of, errors_key
 from orograph.store.terrain import TILE, Shape, exponent
 
 ALL_AGAIN = ("patches", "chunks", "tins", "quadtin", HANDED.removeprefix(f"{PARTS}/"))
-"""Stages of which an update can keep nothing: what they keep in ``parts/`` lies below these names, and what workers
-need."""
+"""Stages of which an update can reuse nothing: the names in ``parts/`` of their results, and of the data handed to
+workers."""
 
 Window = tuple[int, int, int, int]
 """Rows and columns, half-open."""
 
 
 def check_updatable(final: Storage, said: dict[str, bool]) -> None:
-    """Raise UsageError where an update is asked for together with what it excludes, or where there can be none.
+    """Raise UsageError if an update is combined with options that it excludes, or is not possible there.
 
     Args:
-        said: which other ways of building are asked for, by their names.
+        said: whether other kinds of builds are requested, by name.
     """
     if said.pop("part"):
         raise UsageError(
-            "`update` and `part` exclude each other: what there is to do follows from what one process takes over "
+            "`update` and `part` exclude each other: the remaining work depends on what one process takes over "
             "first.", remedy="Use `workers` or `dask`.",
         )  # fmt: skip
     for other, given in said.items():
@@ -77,10 +77,10 @@ def check_updatable(final: Storage, said: dict[str, bool]) -> None:
 
 
 class Begun(NamedTuple):
-    """How an update begins.
+    """The beginning of an update.
 
     Attributes:
-        plan: to go by. going_on: whether something of it is there. complete: whether there is nothing to do.
+        plan: the plan to use. going_on: whether parts of it exist. complete: whether there is nothing to do.
     """
 
     plan: dict[str, Any]
@@ -92,14 +92,14 @@ def begin(
     final: FolderStorage, storage: FolderStorage, plan: dict[str, Any], raster: HeightSource, coding: Coding | None,
     progress: Progress,
 ) -> Begun:  # fmt: skip
-    """Begin an update, or go on with one that was interrupted; where there is no store, begin a build.
+    """Begin an update, or resume an interrupted one; where there is no store, begin a build.
 
     Args:
-        final: the store. storage: where the new one is made.
-        plan: of the new one. raster, coding: its heights, and how they are kept.
+        final: the store. storage: where the new one is built.
+        plan: the plan of the new one. raster, coding: its heights, and how they are stored.
 
     Raises:
-        StoreError: something else lies there.
+        StoreError: something other than a store lies there.
     """
     there = is_store(final)
     if there and not differing(sized(plan, before := plan_of(read_record(final))), before):
@@ -108,7 +108,7 @@ def begin(
         return Begun(sized(plan, before), True)
     if not there and not begun(storage):
         compared(final, storage, plan, True)
-    storage.remove(ROOT)  # first, lest what is left look complete
+    storage.remove(ROOT)  # first, so that a half-removed store does not look complete
     storage.remove()
     found = None
     if there:
@@ -119,7 +119,7 @@ def begin(
 
 
 def read_plan(data: bytes) -> dict[str, Any]:
-    """A plan that was put somewhere; empty if it is damaged."""
+    """Parse a stored plan; empty if it is damaged."""
     try:
         found: dict[str, Any] = json.loads(data)
     except ValueError:
@@ -128,7 +128,7 @@ def read_plan(data: bytes) -> dict[str, Any]:
 
 
 def sized(plan: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
-    """A plan with the shards that there are: how large they are made follows from the memory allowed."""
+    """A plan with the shard size of an existing one: the size of new shards depends on the allowed memory."""
     return {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
 
 
@@ -136,19 +136,19 @@ def seeded(
     url: str, record: Record, parts: bool, take: Callable[[Iterable[str]], None], plan: dict[str, Any],
     raster: HeightSource, coding: Coding | None, progress: Progress,
 ) -> dict[str, Any] | None:  # fmt: skip
-    """Take over what has not changed of a store.
+    """Take over what has not changed in a store.
 
     Args:
-        url, record: of the store. parts: whether it keeps what its tasks found.
-        take: takes over objects, by their keys; some may not be there.
-        plan: of the new one. raster, coding: its heights, and how they are kept.
+        url, record: of the store. parts: whether it keeps the results of its tasks.
+        take: takes over objects, by their keys; some may not exist.
+        plan: the plan of the new one. raster, coding: its heights, and how they are stored.
 
     Returns:
-        The plan to go on by; None where everything is made again, and a note says why.
+        The plan to resume with; None if everything is rebuilt, with a note that says why.
     """
     if later := ", ".join([*LAYERS.of(record), *(["color errors"] if COLORS.of(record) else [])]):
         progress.warn(
-            f"{url}: what was added to the store later is not kept, for it is of the terrain as it was: {later}."
+            f"{url}: data added to the store later belong to the terrain as it was and are not kept: {later}."
         )
     before = {**plan_of(record), "source": None, "name": None}
     going_on = sized(plan, before)
@@ -161,7 +161,7 @@ def seeded(
         found = changed_windows(record.inputs or {}, inputs_of(raster) or {})
         why, changed = ("", found) if isinstance(found, list) else (found, [])
     if why:
-        progress.note(f"{url}: everything is made again: {why}")
+        progress.note(f"{url}: everything is rebuilt: {why}")
         return None
     shape = record.grid.shape
     every, sides = tasks(shape, record.shard), tasks(shape, area_of(record.shard))
@@ -174,29 +174,29 @@ def seeded(
     left = len(every) - len(heights)
     progress.note(
         f"{url}: {left:,} of {len(every):,} shards of heights and {len(sides) - len(errors):,} of "
-        f"{len(sides):,} of errors are made again"
+        f"{len(sides):,} of errors are rebuilt"
     )
     return going_on
 
 
 def _unlike(record: Record, parts: bool, raster: HeightSource, coding: Coding | None) -> str:
-    """Why nothing of a store with an equal plan can be kept; empty if something can."""
+    """Why nothing of a store with an equal plan can be reused; empty if something can."""
     if not parts:
         return "it was built without `update`, and keeps no parts"
     before = record.coding
     if (None if before is None else before.step) != (None if coding is None else coding.step):
-        return "the data have other steps now"
+        return "the steps of the data have changed"
     lattices = [LatticeRecord.of(lattice) for lattice in getattr(raster, "resampled_from", ())]
     if [each.to_json() for each in lattices] != [each.to_json() for each in record.lattices]:
-        return "its sources lie on other lattices, have numbers of another kind, or their samples are not kept"
+        return "its sources lie on other lattices, have another data type, or their samples are not kept"
     return ""
 
 
 def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window] | str:
-    """Where inputs were added, changed or removed; or why that cannot be told.
+    """Where inputs were added, changed or removed; or the reason why that is unknown.
 
     Args:
-        before, now: as of ``inputs.inputs_of``.
+        before, now: from ``inputs.inputs_of``.
     """
     if not before or not now or not before.get("windows") or not now["windows"]:
         return "it was not built from raster files, whose windows are known"
@@ -208,7 +208,7 @@ def changed_windows(before: dict[str, Any], now: dict[str, Any]) -> list[Window]
     if [path for path in old if path in new] != [path for path in new if path in old]:
         return "its files have another order"
     if any(state[0]["size"] is None for state in (*old.values(), *new.values())):
-        return "of files at URLs it is not known whether they changed (orograph manifest finds out)"
+        return "it is unknown whether files at URLs have changed (orograph manifest finds out)"
     same = {path for path in old.keys() & new.keys() if old[path] == new[path]}
     return [state[2] for states in (old, new) for path, state in states.items() if path not in same]
 
@@ -234,7 +234,7 @@ def _of_errors(shape: Shape, changed: Iterable[Window]) -> Iterator[Window]:
 
 
 def _multiples(first: int, end: int, step: int, size: int) -> tuple[int, int] | None:
-    """The first and the last multiple of a step in a span, for which the raster's last sample counts, too."""
+    """The first and the last multiple of a step in a span; the raster's last sample counts as one."""
     low, high = -(-first // step) * step, (end - 1) // step * step
     if end >= size:
         low, high = min(low, size - 1), size - 1
@@ -246,25 +246,25 @@ def _widened(window: Window, by: int) -> Window:
 
 
 def _grown(spot: Spot, side: int, beyond: int) -> Window:
-    """A task's samples, and some that follow."""
+    """A task's samples, extended by ``beyond``."""
     row, col = spot[0] * side, spot[1] * side
     return row, row + side + beyond, col, col + side + beyond
 
 
 class _Windows:
-    """Windows that others are compared with, of which there may be very many."""
+    """A possibly very large set of windows, for intersection tests."""
 
     def __init__(self, windows: Iterable[Window]) -> None:
         self._ends = np.array(list(windows), np.int64).reshape(-1, 4).T
 
     def meet(self, one: Window) -> bool:
-        """Whether any of them has a sample of another window."""
+        """Whether any of them shares a sample with another window."""
         row0, row1, col0, col1 = self._ends
         return bool(((row0 < one[1]) & (row1 > one[0]) & (col0 < one[3]) & (col1 > one[2])).any())
 
 
 def _keys(record: Record, heights: Iterable[Spot], errors: Iterable[Spot]) -> Iterator[str]:
-    """What tasks wrote and kept."""
+    """The keys of the objects that tasks wrote, and of their results."""
     shape, sizes = record.grid.shape, (record.shard, record.chunk)
     finest = heights_spec(shape, 0, *sizes, record.coding)
     for spot in heights:
@@ -280,7 +280,7 @@ def _keys(record: Record, heights: Iterable[Spot], errors: Iterable[Spot]) -> It
 
 
 def _keys_of_lattices(record: Record, changed: _Windows) -> Iterator[str]:
-    """What tasks wrote and kept of source lattices; their windows are looked for on the terrain, generously."""
+    """The same for source lattices; their windows are located on the terrain, with a margin."""
     from affine import Affine
 
     from orograph.dem.layers import box_of
@@ -298,7 +298,7 @@ def _keys_of_lattices(record: Record, changed: _Windows) -> Iterator[str]:
 
 
 def _link(final: FolderStorage, storage: FolderStorage, keys: Iterable[str]) -> None:
-    """Put files of one store where another is made; those that are not there are left out."""
+    """Link files of one store into another; missing ones are skipped."""
     made: set[Path] = set()
     for key in keys:
         source, target = final.path / key, storage.path / key

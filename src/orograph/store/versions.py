@@ -1,16 +1,16 @@
 """Versions of a store: STORE is the newest, ``STORE@2`` an older one.
 
-In a folder ``STORE@2`` is a complete store beside STORE.
+In a folder, ``STORE@2`` is a complete store beside STORE.
 
-Updates (``updating``) count them. The number lies in ``parts/version.json``, outside of what a build is compared by: an
-updated store has the bytes of a new one. What two versions have in common are hard links, where the file system has
-them.
+Updates (``updating``) number the versions. The number lies in ``parts/version.json``, outside of what builds are
+compared by, so an updated store equals a new one byte for byte. Files that two versions share are hard links where the
+file system supports them.
 
-The new version and the old one exchange their names in one step of the system (Linux, macOS): STORE is complete at
-every moment. Where the system cannot do that, STORE is moved aside first, and for a moment only ``STORE@2`` is there.
+The new version and the old one swap names in one system call (Linux, macOS), so STORE is complete at every moment.
+Where the system cannot do that, STORE is moved aside first, and for a moment only ``STORE@2`` exists.
 
-In a bucket all versions lie below STORE (``bucket_updates``): objects under keys that end with their digests, the root
-of an older version in ``versions/2.json``. Each root says which version it is of, and which others are kept.
+In a bucket all versions lie below STORE (``bucket_updates``): objects under keys that end with their digests, and the
+root of an older version in ``versions/2.json``. Each root gives its version and lists the others that are kept.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from orograph.store.places import publish as publish_alone
 from orograph.store.storage import FolderStorage, Storage
 
 KEEP = 2
-"""Versions that an update leaves unless told otherwise: the new one, and the one that readers may have open."""
+"""Default number of versions that an update leaves: the new one, and the one that readers may have open."""
 
 NUMBER = f"{PARTS}/version.json"
 
 
 class Edition(NamedTuple):
-    """Which version of a store in a bucket a root is of.
+    """The version of a store in a bucket, as recorded in its root.
 
     Attributes:
-        number: of the version.
-        kept: the older ones that are there, the newest first.
-        parts: below which name what its tasks found is kept (``BucketStorage.scope``).
+        number: the number of the version.
+        kept: the older versions that are kept, newest first.
+        parts: the scope of its parts (``BucketStorage.scope``).
     """
 
     number: int
@@ -54,7 +54,7 @@ class Edition(NamedTuple):
 
 
 def number(storage: Storage) -> int | None:
-    """Which version of a store in a folder this is, or at a URL which older one; None where nobody counts."""
+    """Return the version of a store in a folder, or of an older one at a URL; None if versions are not numbered."""
     if storage.remote or (data := storage.get(NUMBER)) is None:
         return storage.number
     try:
@@ -65,7 +65,7 @@ def number(storage: Storage) -> int | None:
 
 
 def folder_of(path: str) -> str:
-    """The folder that a path names: ``STORE@3`` is STORE itself if that is version 3."""
+    """Return the folder that a path means: ``STORE@3`` is STORE itself if that is version 3."""
     name = VERSION.fullmatch(path.rstrip("/\\"))
     if name is None or os.path.lexists(path):
         return path
@@ -73,8 +73,8 @@ def folder_of(path: str) -> str:
 
 
 def version_of(storage: BucketStorage) -> BucketStorage:
-    """What an address in a bucket means: ``STORE@3`` is STORE itself if that is version 3, or an older version of it.
-    A store of such a name, where there is one, comes first."""
+    """Return what an address in a bucket means: ``STORE@3`` is STORE itself if that is version 3, or an older version.
+    A store that really has this name takes precedence."""
     url, _ = storage.named()
     name = VERSION.fullmatch(url.rpartition("/")[2]) if storage.prefix else None
     if name is None or storage.exists(ROOT):
@@ -87,7 +87,7 @@ def version_of(storage: BucketStorage) -> BucketStorage:
 
 
 def older(storage: Storage) -> list[tuple[int, Storage]]:
-    """The older versions of a store that are kept, the newest of them first."""
+    """Return the older versions of a store that are kept, newest first."""
     if isinstance(storage, FolderStorage):
         return [(count, FolderStorage(path)) for count, path in kept(storage.home)]
     if not isinstance(storage, BucketStorage) or storage.number is not None:
@@ -97,7 +97,7 @@ def older(storage: Storage) -> list[tuple[int, Storage]]:
 
 
 def _edition(storage: BucketStorage) -> Edition | None:
-    """What the root says of its version, unproved; None if nobody counts."""
+    """Return the version that the root claims, unverified; None if versions are not numbered."""
     seen = storage.look(ROOT)
     try:
         return None if seen is None else Edition.from_json(json.loads(seen.data)["attributes"]["orograph"]["version"])
@@ -106,10 +106,10 @@ def _edition(storage: BucketStorage) -> Edition | None:
 
 
 def check_keep(keep: int | None, update: bool, final: Storage) -> int:
-    """How many versions an update keeps.
+    """Return how many versions an update keeps.
 
     Raises:
-        UsageError: it keeps none, nothing is updated, or what is updated is an older version.
+        UsageError: it keeps none, nothing is updated, or the store to update is an older version.
     """
     if keep is not None and not update:
         raise UsageError("`keep` says how many versions an update leaves.", remedy="Use `update=True` with it.")
@@ -118,14 +118,14 @@ def check_keep(keep: int | None, update: bool, final: Storage) -> int:
     name = VERSION.fullmatch(final.url) if final.number is not None or (update and not final.remote) else None
     if name is not None and (final.remote or is_store(FolderStorage(name[1]))):
         raise UsageError(
-            "This is an older version of a store, which stays what it is.", path=final.url,
+            "This is an older version of a store, which does not change.", path=final.url,
             remedy=f"Update {name[1].rpartition('/')[2]}.",
         )  # fmt: skip
     return KEEP if keep is None else keep
 
 
 def settle(final: FolderStorage) -> None:
-    """Finish what an update that was killed while it exchanged versions had left to do."""
+    """Finish the exchange of versions that a killed update left undone."""
     made = FolderStorage(partial(final.path))
     if made.exists(PLAN) or not is_store(made) or (its := number(made)) is None:
         return
@@ -136,14 +136,14 @@ def settle(final: FolderStorage) -> None:
 
 
 def publish(built: Path, final: Path, keep: int, progress: Progress) -> None:
-    """Let an updated store take the place of the version before, and keep that one.
+    """Put an updated store in the place of the previous version, and keep that one.
 
     Args:
         built: the new version, complete. final: the store.
-        keep: versions that are left, with the new one.
+        keep: how many versions stay, counting the new one.
 
     Raises:
-        StoreError: it could not take its place.
+        StoreError: the new version could not take its place.
     """
     before = FolderStorage(final)
     newest = max([number(before) or 0, *(count for count, _ in kept(final))])
@@ -154,7 +154,7 @@ def publish(built: Path, final: Path, keep: int, progress: Progress) -> None:
         return
     if (old := number(before)) is None:
         old = newest + 1
-        _count(before, old)  # which of the two is the older must be known, were the process killed between
+        _count(before, old)  # if the process is killed between the renames, this tells which version is older
     _count(FolderStorage(built), max(newest, old) + 1)
     try:
         if exchanged(built, final):
@@ -171,7 +171,7 @@ def publish(built: Path, final: Path, keep: int, progress: Progress) -> None:
 
 
 def prune(final: Path, keep: int, progress: Progress) -> None:
-    """Remove the oldest versions beyond so many. One that somebody writes to (a bake) stays for now."""
+    """Remove the oldest versions beyond ``keep``. A version that is being written to (a bake) stays for now."""
     from orograph.store.lock import alone
 
     aside = FolderStorage(replaced(final))
@@ -180,7 +180,7 @@ def prune(final: Path, keep: int, progress: Progress) -> None:
     for _, path in kept(final)[keep - 1 :]:
         try:
             with alone(FolderStorage(path), "removing this version"):
-                path.rename(aside.path)  # (first, lest half of it look like a version)
+                path.rename(aside.path)  # (first, so that a half-removed folder never looks like a version)
         except StoreError as error:
             progress.note(f"{path} is kept for now: {error.what}")
             continue
@@ -188,7 +188,7 @@ def prune(final: Path, keep: int, progress: Progress) -> None:
 
 
 def exchanged(one: Path, other: Path) -> bool:
-    """Let two folders take each other's place in one step; False where the system cannot do that."""
+    """Swap two folders in one step; return False if the system cannot do that."""
     names = os.fsencode(one.absolute()), os.fsencode(other.absolute())
     try:
         libc = ctypes.CDLL(None, use_errno=True)

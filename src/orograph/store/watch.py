@@ -1,11 +1,11 @@
-"""Whether the store that is read is still the one that was opened.
+"""Noticing when an open store has been replaced.
 
-A store may be replaced while a reader has it open. What the reader gets is always of the store that it opened: the
-digests in that store's record see to it (``digests``). The watch tells it soon: before a read, but not oftener than
-every ``EVERY`` seconds, it looks whether the root is still the same file, and reads it if not. Where an update has kept
-the version that was opened (``versions``), reading continues there. A bake that changes layers only is no replacement.
-At a URL the look is a request: there it is taken every ``EVERY_REMOTE`` seconds at most, and a shard that is not what
-it was tells sooner.
+A store may be replaced while a reader has it open. The reader always gets data of the store that it opened: the
+digests in that store's record ensure this (``digests``). The watch reports a replacement early: before a read, but at
+most every ``EVERY`` seconds, it checks whether the root is still the same file, and reads it if not. If an update has
+kept the version that was opened (``versions``), reading continues there. A bake that only changes layers does not
+count. At a URL each check is a request, made at most every ``EVERY_REMOTE`` seconds; a shard that has changed triggers
+one sooner.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from orograph.store.storage import FolderStorage, Storage
 from orograph.store.versions import older
 
 EVERY, EVERY_REMOTE = 0.02, 30.0
-"""Seconds between two looks."""
+"""Seconds between two checks."""
 
 
 class Watch:
     """Called before a read.
 
     Args:
-        storage: of the store.
+        storage: the store's storage.
         record: as it was when the store was opened.
-        stamp: of the root, from before the record was read.
+        stamp: the root's stamp, from before the record was read.
         read: reads the record.
 
     Attributes:
-        replaced: whether it was found that the store is another by now; where reading goes on, it is of a version that
+        replaced: whether the store is known to have been replaced; if reading continues, it is from a version that
             is kept.
     """
 
@@ -45,14 +45,14 @@ class Watch:
         self.replaced = False
 
     def __call__(self) -> None:
-        """Raise StoreReplacedError if the store is another by now, StoreError if it is gone.
+        """Raise StoreReplacedError if the store has been replaced, StoreError if it is gone.
 
-        A server that does not answer says nothing: what a reader holds already it may read on.
+        A server that does not answer is no reason to fail: the reader may use what it already holds.
         """
         now = time.monotonic()
         if now < self._due:
             return
-        self._due = now + (EVERY_REMOTE if self.storage.remote else EVERY)  # other threads do not wait for the look
+        self._due = now + (EVERY_REMOTE if self.storage.remote else EVERY)  # other threads do not wait for the check
         try:
             stamp = self.storage.stamp(ROOT)
             if stamp != self.stamp:
@@ -68,7 +68,7 @@ class Watch:
         if isinstance(self.storage, FolderStorage) and not self.storage.path.exists():
             if self._follows():
                 return
-            if self.replaced:  # nor is the version kept any more
+            if self.replaced:  # the kept version is gone, too
                 raise self._replaced()
             if left_over(self.storage.path):
                 raise missing(self.storage)
@@ -79,7 +79,7 @@ class Watch:
             raise self._replaced()
 
     def _follows(self) -> bool:
-        """Go on with the version that was opened, if it is kept."""
+        """Continue with the version that was opened, if it is kept."""
         for _, place in older(self.storage):
             try:
                 same = _ground(self._read(place)) == _ground(self.record)
@@ -92,7 +92,7 @@ class Watch:
         return False
 
     def explain(self, path: str) -> None:
-        """Raise StoreReplacedError if an array is not what it was because the store, or the layer, was replaced."""
+        """Raise StoreReplacedError if an array differs because the store, or the layer, was replaced."""
         try:
             now = self._read(self.storage)
         except StoreError as error:
@@ -113,7 +113,7 @@ class Watch:
 
 
 def _ground(record: Record) -> dict[str, Any]:
-    """What does not change as long as it is the same terrain."""
+    """The part of a record that stays the same as long as the terrain does."""
     said = record.to_json()
     groups = {kind.group for kind in KINDS.values() if kind.later}
     digests = {

@@ -18,7 +18,7 @@ class AtOnce(NamedTuple):
     """How much runs in parallel.
 
     Attributes:
-        jobs: threads of a process. memory: bytes of all processes together. base: of them, what a process takes without
+        jobs: threads of a process. memory: bytes of all processes together. base: what each process takes without
             a task. task: what a task takes.
     """
 
@@ -49,13 +49,13 @@ def executor_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at_once: AtOnce, going_on: bool, update: bool, workers: int | None, dask: Any,
 ) -> Iterator[Executor]:  # fmt: skip
-    """What runs the tasks of a build.
+    """Enter the executor for the tasks of a build.
 
     Args:
-        storage: where the store is made; its plan is there.
-        coding: how heights are kept.
-        going_on: whether anything may have been done before. update: whether later updates go on from what tasks find.
-        workers, dask: as of ``build``.
+        storage: where the store is built; its plan is there.
+        coding: how heights are encoded.
+        going_on: whether earlier work may exist. update: whether later updates reuse the results of tasks.
+        workers, dask: as for ``build``.
 
     Raises:
         UsageError: there is no such cluster, or this terrain cannot be built on one.
@@ -70,7 +70,7 @@ def executor_of(
     at = UPDATE if update and storage.remote else PLAN
     recipe = recipe_of(raster, storage, storage_options, plan, coding, at, at_once.task, at_once.base)
     with workforce(workers, dask, at_once.jobs, at_once.memory, at_once.base + at_once.task) as client:
-        if not update:  # (which takes over what tasks found of single shards)
+        if not update:  # (an update reuses the results of single shards)
             recipe = recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"]))
         with Cluster(client, recipe, recipe.levels) as cluster:
             yield cluster

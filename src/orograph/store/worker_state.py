@@ -1,10 +1,10 @@
 """The work of a cluster's worker: tasks, each given by its stage and place.
 
-All else a worker knows from a *recipe*, which each process gets once: it opens what the tasks need (``build_state`` has
-that of builds; light, films and pictures have theirs). Whatever a task finds done it leaves as it is.
+Everything else comes from a *recipe*, which each process gets once: it opens what the tasks need (``build_state`` has
+that of builds; light, films and pictures have theirs). A task that is already done is not repeated.
 
-Kernels are compiled once on a host: the first task of a kind that a host does is done alone there, and what it compiled
-is found in Numba's cache by the others. Tasks at once are as many as the worker's memory allows, if it has a limit.
+Kernels are compiled once per host: the first task of each kind runs alone there, and the others find what it compiled
+in Numba's cache. The number of concurrent tasks is limited by the worker's memory, if that has a limit.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Recipe(Protocol):
     """Everything that workers get once; it can be pickled.
 
     Attributes:
-        memory: bytes a task may take, besides ``base`` of the process.
+        memory: bytes a task may take, in addition to ``base`` for the process.
     """
 
     @property
@@ -54,7 +54,7 @@ class Done(NamedTuple):
     """A worker's report on a task.
 
     Attributes:
-        who: its host and process. seconds: that the task took; 0 if it was done before. remarks: of the stage.
+        who: its host and process. seconds: the task's; 0 if it was already done. remarks: of the stage.
     """
 
     who: str
@@ -92,18 +92,18 @@ def learn(ident: str, recipe: Recipe, limit: int = 0) -> None:
     """Register a recipe in this process.
 
     Args:
-        ident: what tasks call it. limit: bytes of memory that the process may take; 0: any.
+        ident: its name in tasks. limit: bytes of memory that the process may take; 0: unlimited.
     """
     _open[ident] = _Open(recipe, limit)
 
 
 def opened(ident: str) -> WorkerState:
-    """This process's state for registered work."""
+    """This process's state for a registered recipe."""
     return _open[ident].state()
 
 
 def forget(ident: str) -> None:
-    """Close the work."""
+    """Close the state and forget the recipe."""
     _open.pop(ident, None)
 
 
@@ -114,7 +114,7 @@ def do(ident: str, name: str, number: int, spot: Spot) -> Done:
         ident: of the recipe. name, number: of the stage. spot: of the task.
 
     Raises:
-        StoreError: the work is not what it was, or it cannot be written. ReadError: a source cannot be read.
+        StoreError: the work has been replaced, or it cannot be written. ReadError: a source cannot be read.
     """
     state = _open[ident]
     who = f"{host()}.{os.getpid()}"
@@ -128,7 +128,7 @@ def do(ident: str, name: str, number: int, spot: Spot) -> Done:
 
 
 def guarded(storage: Storage, at: str, plan: bytes) -> Storage:
-    """A storage that is only written to while this plan lies there under the key ``at``."""
+    """A storage that refuses writes unless this plan lies there under the key ``at``."""
     put = storage.put
     if isinstance(storage, FolderStorage):
         storage.many = True
@@ -158,7 +158,7 @@ def _first_alone(name: str) -> Iterator[None]:
     try:
         done.parent.mkdir(parents=True, exist_ok=True)
         file = done.open("a+b")
-    except OSError:  # each process compiles for itself, then
+    except OSError:  # then each process compiles for itself
         yield
         return
     with file:

@@ -1,4 +1,4 @@
-"""The workers of a Dask cluster: of one that is there, or processes of this machine that end with the work."""
+"""The workers of a Dask cluster: an existing one, or processes of this machine that end with the work."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ CALM = {
     "distributed.admin.system-monitor.disk": False,
     "distributed.scheduler.active-memory-manager.start": False,
 }
-"""How Dask watches itself in clusters of this machine. By default its processes wake up to a hundred times a second,
-whatever tasks do, which for two workers takes eight times the processor time of these."""
+"""Dask's self-monitoring in clusters of this machine. By default its processes wake up to a hundred times a second,
+whatever tasks do; with two workers, that takes eight times the processor time of these settings."""
 
 
 @contextlib.contextmanager
 def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed: int) -> Iterator[Any]:
-    """A client of a cluster: of one that is there, or of processes of this machine, which end with it.
+    """Enter a client of a cluster: an existing one, or processes of this machine, which end with it.
 
     Args:
         workers: processes to start. dask: instead, a client, or the address of a scheduler.
-        jobs: threads of each process. max_memory: bytes of all of them together. needed: bytes that one must have.
+        jobs: threads of each process. max_memory: bytes of all of them together. needed: bytes that each must have.
 
     Raises:
         UsageError: Dask is not installed, or the scheduler does not answer.
@@ -66,13 +66,13 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
         ) as cluster,
         made(cluster) as client,
     ):  # fmt: skip
-        cluster.adapt(minimum=workers, maximum=workers)  # what dies as it starts is not started again otherwise
+        cluster.adapt(minimum=workers, maximum=workers)  # otherwise workers that die at start-up are not restarted
         yield client
 
 
 @contextlib.contextmanager
 def _quiet_tracker() -> Iterator[None]:
-    """Python's tracker of semaphores, if it starts within: it tells nobody what a process that Ctrl-C ended left."""
+    """If Python's tracker of semaphores starts within, it does not report what a process ended by Ctrl-C leaves."""
     name = "PYTHONWARNINGS"
     before = os.environ.get(name)
     os.environ[name] = ",".join(filter(None, (before, "ignore:resource_tracker")))
@@ -90,15 +90,15 @@ def _quiet_tracker() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _loop_apart() -> Iterator[Any]:
-    """An event loop of Dask whose thread, and all threads and processes begun from there, do not hear Ctrl-C.
+    """A Dask event loop whose thread, and all threads and processes begun from there, ignore Ctrl-C.
 
-    A terminal sends it to all processes of a command. Workers would tell of it with a traceback each, above all those
+    A terminal sends it to all processes of a command. Workers would each print a traceback, above all those
     that are still starting; they end with this process instead.
     """
     from distributed.utils import LoopRunner
 
     runner: Any = LoopRunner(asynchronous=False)
-    masks = getattr(signal, "pthread_sigmask", None)  # threads and processes inherit what is blocked
+    masks = getattr(signal, "pthread_sigmask", None)  # threads and processes inherit blocked signals
     before = None if masks is None else masks(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         runner.start()

@@ -1,4 +1,4 @@
-"""How shards come into a store: encoded, put in their place, their digests kept for the root."""
+"""Writing the shards of a store: they are encoded and stored, and their digests kept for the root."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ class ShardWriter:
     """Writes shards, from any number of threads.
 
     Args:
-        storage: where they go.
+        storage: where they are stored.
         keyed: whether their keys end with their digests (``Digests.place``).
 
     Attributes:
-        digests: of all shards that were written, or taken over from an interrupted build (``take``).
+        digests: of all shards that were written, or reused from an interrupted build (``take``).
     """
 
     def __init__(self, storage: Storage, keyed: bool = False) -> None:
         self.storage, self.digests = storage, Digests(keyed=keyed)
 
     def shard(self, spec: ArraySpec, spot: Spot, block: NDArray[Any]) -> bytes:
-        """Write a shard of these samples; its digest."""
+        """Write a shard of these samples; return its digest."""
         parts, digest = spec.encode(spot, block)
         self.storage.put(self.digests.place(spec.key(spot), digest), parts)
         self.take(spec, spot, digest)
         return digest
 
     def take(self, spec: ArraySpec, spot: Spot, digest: bytes) -> None:
-        """Note the digest of a shard that is there."""
+        """Record the digest of an existing shard."""
         self.digests.put(spec.path, spec.shards, spot, digest)
 
     def array(self, spec: ArraySpec, values: NDArray[Any]) -> None:
@@ -49,16 +49,16 @@ class ShardWriter:
                 self.shard(spec, (i, j), values[i * size : (i + 1) * size, j * size : (j + 1) * size])
 
     def keep(self, key: str, data: bytes) -> None:
-        """Keep what a task found, until all is complete."""
+        """Keep a task's result until the store is complete."""
         self.storage.put(key, [data])
 
 
 class Canvas:
-    """A coarse array that is put together from parts, each of its shards written when it is complete.
+    """A coarse array that is assembled from parts; each shard is written when it is complete.
 
     Args:
         spec: the array.
-        writer: of its shards.
+        writer: writes its shards.
         spans: for each axis the half-open extents, in its samples, of the parts that will come.
     """
 
@@ -70,7 +70,7 @@ class Canvas:
         self._awaited: dict[Spot, int] = {}
 
     def add(self, row: int, col: int, part: NDArray[Any]) -> None:
-        """Put a part in its place, and write the shards it completes."""
+        """Add a part, and write the shards it completes."""
         size, shape = self.spec.shard, self.spec.shape
         for i in range(row // size, (row + part.shape[0] - 1) // size + 1):
             for j in range(col // size, (col + part.shape[1] - 1) // size + 1):
@@ -93,7 +93,7 @@ class Canvas:
                     self.writer.shard(self.spec, (i, j), block)
 
     def _parts_of(self, spot: Spot) -> int:
-        """How many parts a shard consists of."""
+        """The number of parts of a shard."""
         size = self.spec.shard
         rows, cols = (
             sum(a < (at + 1) * size and b > at * size for a, b in axis)

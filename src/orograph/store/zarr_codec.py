@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Own(ArrayBytesCodec):
-    """Chunks of two dimensions, of int32, as bytes."""
+    """Encodes two-dimensional chunks of int32."""
 
     is_fixed_size = False
     module: ClassVar[ModuleType]

@@ -1,4 +1,4 @@
-// Angles to float32 accuracy on every GPU. WGSL promises no more than 2⁻¹¹ of sin and cos and 4096 ULP of atan and acos,
+// Angles to float32 accuracy on every GPU. WGSL guarantees only 2⁻¹¹ for sin and cos and 4096 ULP for atan and acos,
 // and drivers use that freedom; here errors stay under 3e-7 (Cephes' sinf, cosf and atanf, Moshier 1989).
 
 const PI = 3.14159265358979;
@@ -13,10 +13,10 @@ fn _cosine(x: f32) -> f32 {
     return ((2.443315711809948e-5 * z - 1.388731625493765e-3) * z + 4.166664568298827e-2) * z * z - 0.5 * z + 1.0;
 }
 
-// Sine and cosine of an angle of up to some turns, radians.
+// Sine and cosine of an angle of up to a few turns, radians.
 fn sine_cosine(angle: f32) -> vec2f {
     let quarter = round(angle * (2.0 / PI));
-    // π/2 in two parts, the first of which quarters multiply without rounding.
+    // π/2 in two parts; products of the first with quarters are exact.
     let x = (angle - quarter * 1.5703125) - quarter * 4.83826794896619e-4;
     let s = _sine(x);
     let c = _cosine(x);
@@ -25,7 +25,7 @@ fn sine_cosine(angle: f32) -> vec2f {
     return vec2f(select(swapped.x, -swapped.x, turn >= 2), select(swapped.y, -swapped.y, turn == 1 || turn == 2));
 }
 
-// The angle of the direction (x, y), −π … π; 0 of (0, 0).
+// The angle of the direction (x, y), −π … π; 0 for (0, 0).
 fn angle_of(y: f32, x: f32) -> f32 {
     let a = abs(x);
     let b = abs(y);
@@ -34,7 +34,7 @@ fn angle_of(y: f32, x: f32) -> f32 {
         return 0.0;
     }
     let ratio = min(a, b) / most;
-    // tan(π/8): beyond it, of the angle less π/4.
+    // Beyond tan(π/8), use the angle minus π/4.
     let far = ratio > 0.4142135623730950;
     let t = select(ratio, (ratio - 1.0) / (ratio + 1.0), far);
     let z = t * t;
@@ -49,12 +49,12 @@ fn angle_of(y: f32, x: f32) -> f32 {
     return select(angle, -angle, y < 0.0);
 }
 
-// The angle whose cosine is c: as good as c allows, which near 1 is not much (use angle_between there).
+// The angle whose cosine is c, as accurate as c allows: near 1 that is not much (use angle_between there).
 fn angle_of_cosine(c: f32) -> f32 {
     return angle_of(sqrt(max((1.0 - c) * (1.0 + c), 0.0)), c);
 }
 
-// The same of 0 ≤ c ≤ 1 in a third of the time, within 1e-7 (Abramowitz & Stegun 1964, 4.4.46).
+// The same for 0 ≤ c ≤ 1 in a third of the time, within 1e-7 (Abramowitz & Stegun 1964, 4.4.46).
 fn acute_of_cosine(c: f32) -> f32 {
     let p = ((((((-0.0012624911 * c + 0.0066700901) * c - 0.0170881256) * c + 0.0308918810) * c - 0.0501743046) * c
         + 0.0889789874) * c - 0.2145988016) * c + 1.5707963050;
@@ -68,7 +68,7 @@ fn small_of_sine(x: f32) -> f32 {
         + 1.6666752422e-1) * z * x + x;
 }
 
-// The angle between unit vectors, also where it is small.
+// The angle between unit vectors, accurate even where it is small.
 fn angle_between(a: vec3f, b: vec3f) -> f32 {
     return angle_of(length(cross(a, b)), dot(a, b));
 }

@@ -21,7 +21,7 @@ struct Cap {
 struct Sun {
     direction: vec3f,
     radius: f32,
-    color: vec3f,  // irradiance of a surface square to it, all of it seen
+    color: vec3f,  // irradiance of a surface perpendicular to it that sees all of it
     cosine: f32,    // of the radius
     sine: f32,
     area: f32,      // solid angle
@@ -35,13 +35,13 @@ struct Lamp {
     pad2: f32,
 };
 
-// Solid angle of a cap, also of a small one.
+// Solid angle of a cap, accurate for small ones too.
 fn cap_area(radius: f32) -> f32 {
     let half = sine_cosine(0.5 * radius).x;
     return 4.0 * PI * half * half;
 }
 
-// What the chord of a lens cuts off a cap: a sector of half-angle `half` less the triangle in it.
+// The part of a cap that the chord of a lens cuts off: a sector of half-angle `half` minus the triangle in it.
 fn _segment(radius: f32, half: f32) -> f32 {
     let h = sine_cosine(0.5 * radius);
     let t = sine_cosine(2.0 * half);
@@ -50,7 +50,7 @@ fn _segment(radius: f32, half: f32) -> f32 {
 }
 
 // Solid angle that two caps of radii a, b ≤ π/2 share, their centres `distance` apart: the lens as its two segments, which
-// float32 bears better than the closed form of Tovchigrechko & Vakser 2001 (their difference of angles near π).
+// is more accurate in float32 than the closed form of Tovchigrechko & Vakser 2001 (a difference of angles near π).
 fn exact_overlap(distance: f32, a: f32, b: f32) -> f32 {
     let small = min(a, b);
     if (distance >= a + b) {
@@ -62,7 +62,7 @@ fn exact_overlap(distance: f32, a: f32, b: f32) -> f32 {
     if (small < POINT) {
         return select(0.0, cap_area(small), distance <= max(a, b));
     }
-    // The angles at the centres by their halves, which no difference of cosines blurs.
+    // The angles at the centres from their half angles, without inaccurate differences of cosines.
     let whole = sine_cosine(0.5 * (a + b + distance)).x;
     let less_a = sine_cosine(0.5 * (b + distance - a)).x;
     let less_b = sine_cosine(0.5 * (a + distance - b)).x;
@@ -91,7 +91,7 @@ fn smooth_overlap(distance: f32, a: f32, b: f32) -> f32 {
     return cap_area(min(a, b)) * smooth_share(distance, a, b);
 }
 
-// A cap out of an interpolated field: the open sky where there is none.
+// A cap from an interpolated field; the open sky where there is none.
 fn cap_of(field: vec4f) -> Cap {
     let size = length(field.xyz);
     if (!(size > 0.0)) {
@@ -100,25 +100,25 @@ fn cap_of(field: vec4f) -> Cap {
     return Cap(field.xyz / size, field.w);
 }
 
-// Irradiance by the sky through a cap, as a share of what level open ground receives, before suns cover any of it.
+// Irradiance by the sky through a cap, as a fraction of what level open ground receives, before suns cover part of it.
 fn sky_through(cap: Cap, normal: vec3f) -> f32 {
     return max(dot(normal, cap.axis), 0.0) * max(1.0 - cap.rim * cap.rim, 0.0);
 }
 
-// A sun: what its disc shares with the cap, times the cosine of incidence in the middle of what they share.
+// A sun: the area its disc shares with the cap, times the cosine of incidence in the middle of that area.
 fn sun_through(cap: Cap, normal: vec3f, sun: Sun, exact: bool) -> f32 {
     let cosine = dot(cap.axis, sun.direction);
     let bend = sqrt(max(1.0 - cap.rim * cap.rim, 0.0)) * sun.sine;
     var facing = dot(normal, sun.direction);
     var part = 1.0;
     if (cosine < cap.rim * sun.cosine + bend || cap.rim > sun.cosine) {
-        // A margin, since in float32 these cosines cannot tell 10⁻³ of a radius near the end: the overlap can.
+        // A margin: near the end these float32 cosines cannot resolve 10⁻³ of a radius, but the overlap can.
         if (cosine <= cap.rim * sun.cosine - bend - 1e-6) {
             return 0.0;
         }
         let width = sun.radius;
-        // Sine and cosine of the distance d by half the chord, which knows small ones, too; of a − d, how far the sun's
-        // middle lies inside the rim, by theirs: where the rim cuts the disc it is no more than the disc's radius.
+        // Sine and cosine of the distance d from half the chord, accurate for small ones too; from these those of a − d,
+        // how far the sun's centre lies inside the rim: where the rim cuts the disc, at most the disc's radius.
         let half = min(0.5 * length(cap.axis - sun.direction), 1.0);
         let across = 2.0 * half * sqrt(1.0 - half * half);
         let inside = small_of_sine(clamp(sqrt(max(1.0 - cap.rim * cap.rim, 0.0)) * cosine - cap.rim * across, -0.75, 0.75));
@@ -128,11 +128,11 @@ fn sun_through(cap: Cap, normal: vec3f, sun: Sun, exact: bool) -> f32 {
         } else if (exact) {
             part = exact_overlap(angle_between(cap.axis, sun.direction), angle_of_cosine(cap.rim), width) / sun.area;
         } else {
-            // The smaller one's share is a smoothstep of a + b − d over twice the smaller radius.
+            // The visible fraction of the smaller one is a smoothstep of a + b − d over twice the smaller radius.
             let x = clamp((inside + width) / (2.0 * min(width, max(acute_of_cosine(saturate(cap.rim)), 1e-6))), 0.0, 1.0);
             part = x * x * (3.0 - 2.0 * x) * min(2.0 * PI * (1.0 - cap.rim) / sun.area, 1.0);
         }
-        // The middle of the lens lies on the arc from the sun's centre to the cap's, so far from the sun's.
+        // The middle of the lens lies on the arc from the sun's centre to the cap's, at this distance from the sun's.
         let back = clamp(0.5 * (width - inside), 0.0, distance);
         let turn = _sine(back) / max(across, 1e-6);
         facing = turn * dot(normal, cap.axis) + (_cosine(back) - turn * cosine) * facing;
@@ -140,7 +140,7 @@ fn sun_through(cap: Cap, normal: vec3f, sun: Sun, exact: bool) -> f32 {
     return part * max(facing, 0.0);
 }
 
-// How much of the sky's light a sun's disc takes the place of, given what sun_through says.
+// The part of the sky's light that a sun's disc replaces, given the result of sun_through.
 fn covered(seen: f32, sun: Sun) -> f32 {
     return seen * sun.sine * sun.sine;
 }

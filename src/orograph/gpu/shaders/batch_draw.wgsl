@@ -1,4 +1,4 @@
-// Small meshes of their own that stay on the GPU (surface/batches.py): an instance draws some triangles that follow one another.
+// Small separate meshes that stay on the GPU (surface/batches.py): an instance draws some consecutive triangles.
 // include: camera.wgsl
 // include: drawn.wgsl
 
@@ -13,8 +13,8 @@ struct Sample { row: i32, col: i32, between: u32, height: f32, coarse: f32 };   
 // include: faces.wgsl
 
 struct Run {
-  @location(0) span: vec3<u32>,   // its first triangle, how many there are, the first vertex of the mesh
-  @location(1) share: f32,        // how far heights have grown out of the coarser ones
+  @location(0) span: vec3<u32>,   // its first triangle, their number, the first vertex of the mesh
+  @location(1) share: f32,        // how far heights have grown from the coarser ones
 };
 
 fn point(corner: u32, run: Run) -> Point {

@@ -1,4 +1,4 @@
-// A picture drawn over the whole viewport: what lies in a texture, filtered where the sizes differ.
+// Draw a texture over the whole viewport, filtered where the sizes differ.
 
 @group(0) @binding(0) var picture: texture_2d<f32>;
 @group(0) @binding(1) var filtering: sampler;

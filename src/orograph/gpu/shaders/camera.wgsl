@@ -1,4 +1,4 @@
-// The camera and the grid, differenced on the CPU in double precision: no shader ever sees a large coordinate.
+// The camera and the grid, differenced on the CPU in double precision: no shader ever receives a large coordinate.
 // Sample (col, row) lies (linear · ((col, row) − eye_cell − eye_frac)) metres east and north of the eye.
 
 struct Camera {
@@ -13,16 +13,16 @@ struct Camera {
   last: vec2<i32>,           // the raster's last column and row
   eye_height: vec2<f32>,     // metres, high and low part
   near: f32,                 // metres
-  far: f32,                  // metres: plan only
+  far: f32,                  // metres: in a plan only
   size: vec2<f32>,           // pixels
   plan: u32,                 // 1: parallel rays
-  pixel: f32,                // metres: a pixel at unit depth, or anywhere in a plan
-  shift: vec2<f32>,          // where in a pixel its sample lies, pixels from its centre
+  pixel: f32,                // metres: the size of a pixel at unit depth, or anywhere in a plan
+  shift: vec2<f32>,          // the position in its pixel of the sample, pixels from the centre
 };
 
 @group(0) @binding(0) var<uniform> camera: Camera;
 
-// Metres east and north of the eye; cells are counted from the eye's, so that near ground keeps all its digits.
+// Metres east and north of the eye; cells are counted from the eye's, so that near ground keeps full precision.
 fn from_eye(cell: vec2<f32>) -> vec2<f32> {
   let d = cell - camera.eye_frac;
   return vec2<f32>(dot(camera.linear.xy, d), dot(camera.linear.zw, d));
@@ -52,7 +52,7 @@ fn depth_of(stored: f32) -> f32 {
   return camera.near / stored;
 }
 
-// The ray through a pixel position: where it starts, relative to the eye (stretched), and its direction with unit
+// The ray through a pixel position: its origin relative to the eye (stretched), and its direction with unit
 // forward component.
 struct Ray {
   origin: vec3<f32>,

@@ -1,5 +1,5 @@
-// One update of a concurrent binary tree (lod/cbt/pool.py): judge, mark, plan, apply; then the bits are added up (cbt_sums.wgsl).
-// Thread i has the i-th triangle. A dispatch reads what those before it left, and writes to its own triangle, or marks.
+// One update of a concurrent binary tree (lod/cbt/pool.py): judge, mark, plan, apply; then the bits are summed (cbt_sums.wgsl).
+// Thread i handles the i-th triangle. A dispatch reads the results of earlier ones, and writes to its own triangle, or marks.
 // include: camera.wgsl
 // include: cbt_node.wgsl
 
@@ -7,22 +7,22 @@ struct Tuning {
   planes: array<vec4<f32>, 6>,    // of the frustum: stretched metres from the eye, positive inside
   focal: f32,                     // pixels; 0 in a plan
   tolerance: f32,                 // pixels
-  lean: f32,                      // the most that a metre of height at unit depth is long in view
-  stretch: f32,                   // of spheres
+  lean: f32,                      // largest length on the screen of a metre of height at unit depth
+  stretch: f32,                   // factor on spheres
   isotropic: u32,
   cull: u32,
   n: u32,                         // the square has 2^n cells a side
-  top: u32,                       // its coarsest level of pages
+  top: u32,                       // the coarsest level of its pages
   near: f32,
   slots: u32,
   pad: vec2<u32>,
-  levels: array<vec4<u32>, 32>,   // of pages: where they begin in the table, rows, columns
+  levels: array<vec4<u32>, 32>,   // of pages: offset in the table, rows, columns
 };
 
 @group(0) @binding(1) var<uniform> tuning: Tuning;
 @group(0) @binding(2) var<storage, read_write> nodes: array<Node>;
 @group(0) @binding(3) var<storage, read_write> after: array<Node>;
-@group(0) @binding(4) var<storage, read_write> state: array<atomic<u32>>;   // by slot; then slots asked for, and changes
+@group(0) @binding(4) var<storage, read_write> state: array<atomic<u32>>;   // by slot; then slots requested, and changes
 @group(0) @binding(5) var<storage, read_write> list: array<u32>;            // the slot of each triangle
 @group(0) @binding(6) var<storage, read_write> bits: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read> sums: array<u32>;
@@ -35,9 +35,9 @@ const PAGES_PER_SIDE: i32 = 4;
 const DROP: u32 = 0u;
 const LEAF: u32 = 1u;
 const INACCURATE: u32 = 2u;
-const ROUNDING: f32 = 2e-6;   // of what is computed from positions, over the distance from the eye: always towards a split
+const ROUNDING: f32 = 2e-6;   // of values from positions, relative to the distance from the eye: always towards a split
 
-// The place of the n-th set bit of a word.
+// The position of the n-th set bit of a word.
 fn nth(word: u32, n: u32) -> u32 {
   var left = n;
   var at = 0u;
@@ -51,7 +51,7 @@ fn nth(word: u32, n: u32) -> u32 {
   return at;
 }
 
-// The slot of the i-th set bit, or of the i-th clear one: from the top of the sums down.
+// The slot of the i-th set bit, or of the i-th clear one: descends from the top of the sums.
 fn decode(i: u32, clear: bool) -> u32 {
   let words = tuning.slots / 32u;
   var left = i;
@@ -121,7 +121,7 @@ fn slot_of(level: u32, page: vec2<i32>) -> i32 {
   return i32(pages[table.x + u32(page.y) * table.z + u32(page.x)]) - 1;
 }
 
-// What becomes of the triangles over a diamond (lod/criterion.py: judge); one whose page is absent passes for accurate.
+// What happens to the triangles over a diamond (lod/criterion.py: judge); one whose page is absent counts as accurate.
 fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   let level = min(octave, tuning.top);
   let at = l >> vec2<u32>(level);
@@ -130,7 +130,7 @@ fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   if (any(at > count * PAGE)) {
     return Verdict(DROP, MISSING_HEIGHT);   // beyond the raster
   }
-  // Pages share their border: any of those that meet there will do.
+  // Pages share their borders: any of those that meet there serves.
   let own = min(at / PAGE, count - 1);
   let other = max(select(own, own - 1, at == own * PAGE), vec2<i32>(0));
   var page = own;
@@ -200,7 +200,7 @@ fn mark(@builtin(global_invocation_id) id: vec3<u32>) {
   if ((atomicLoad(&state[t]) & SPLITS) == 0u) {
     return;
   }
-  for (var step = 0u; step < 64u; step++) {   // (each is a level coarser)
+  for (var step = 0u; step < 64u; step++) {   // (each step is a level coarser)
     let across = nodes[t].links.z;
     if (across == NONE || nodes[across].links.z == t) {
       atomicOr(&state[t], MARKED | KEPT);
@@ -214,7 +214,7 @@ fn mark(@builtin(global_invocation_id) id: vec3<u32>) {
   }
 }
 
-// Whether a triangle's diamond is merged: its halves are leaves of one level, none is kept, and it is not to be split.
+// Whether a triangle's diamond can merge: its halves are leaves of one level, none is kept, and it is not to be split.
 fn ready(slot: u32, level: u32) -> bool {
   return nodes[slot].shape >> 3u == level && (atomicLoad(&state[slot]) & (MERGES | KEPT)) == MERGES;
 }
@@ -230,7 +230,7 @@ fn plan(@builtin(global_invocation_id) id: vec3<u32>) {
   if ((marks & MARKED) != 0u) {
     let across = links.z;
     if (across != NONE && across < slot) {
-      return;   // the other one of the pair takes care of both
+      return;   // the other triangle of the pair handles both
     }
     let count = select(2u, 1u, across == NONE);
     let first = atomicAdd(&state[tuning.slots], count);
@@ -263,7 +263,7 @@ fn plan(@builtin(global_invocation_id) id: vec3<u32>) {
   }
 }
 
-// The slot of who lies across an edge of triangle t afterwards, where ``there`` lay.
+// The slot that lies across an edge of triangle t afterwards, where ``there`` was before.
 fn across_edge(t: u32, there: u32) -> u32 {
   if (there == NONE) {
     return NONE;
@@ -278,7 +278,7 @@ fn across_edge(t: u32, there: u32) -> u32 {
   return there;
 }
 
-// A half: its apex is where the parent is split.
+// A half: its apex is the parent's split point.
 fn half_of(node: Node, k: u32) -> Node {
   let omega = node.shape & 7u;
   let level = (node.shape >> 3u) + 1u;

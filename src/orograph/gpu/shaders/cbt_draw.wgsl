@@ -1,4 +1,4 @@
-// The triangles of a concurrent binary tree: thread 3 i + k of the draw has corner k of the i-th one, from the pool as it is.
+// The triangles of a concurrent binary tree: thread 3 i + k of the draw handles corner k of the i-th one, read from the pool.
 // include: camera.wgsl
 // include: drawn.wgsl
 // include: cbt_node.wgsl
@@ -22,7 +22,7 @@ fn point(node: Node, direction: u32, height: f32) -> Point {
 fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
   let slot = list[k / 3u];
   if ((state[slot] & SHOWN) == 0u) {
-    var nothing: Vertex;   // all three in one place
+    var nothing: Vertex;   // a degenerate triangle
     return nothing;
   }
   let node = nodes[slot];

@@ -1,19 +1,19 @@
 // A triangle of the pool (lod/cbt/pool.py) and the arithmetic of the hierarchy (hierarchy/triangles.py).
 
 const NONE: u32 = 0xffffffffu;
-const MISSING_HEIGHT: f32 = 1e30;   // of a vertex without one: shaders may not rely on NaN
+const MISSING_HEIGHT: f32 = 1e30;   // of a vertex without a height: shaders may not rely on NaN
 
 struct Node {
   l: vec2<i32>,          // (col, row) of the diamond point
   shape: u32,            // level, and ω in the low three bits
-  spare: u32,            // the slot that the right half goes to
+  spare: u32,            // the slot for the right half
   heights: vec4<f32>,    // left end, right end, apex, middle of the hypotenuse
   links: vec4<u32>,      // slots of the neighbours at the left leg, the right leg and the hypotenuse
 };
 
-// What is known of a slot's triangle in an update.
+// The state of a slot's triangle during an update.
 const SPLITS: u32 = 1u;      // its diamond is to be split
-const MERGES: u32 = 2u;      // its parent's is not to be
+const MERGES: u32 = 2u;      // its parent's diamond is not to be split
 const MARKED: u32 = 4u;      // it can be split, for itself or for others
 const KEPT: u32 = 8u;        // it is not merged
 const SHOWN: u32 = 16u;      // it is drawn

@@ -1,12 +1,12 @@
-// The sum reduction of a concurrent binary tree: a full binary tree of counts over the words of bits, by heap number, and
-// from the count of all the arguments of what is dispatched and drawn next.
+// The sum reduction of a concurrent binary tree: a full binary tree of counts over the words of bits, by heap number; and,
+// from the total count, the arguments of the next dispatches and draw.
 
 @group(0) @binding(0) var<storage, read> bits: array<u32>;
 @group(0) @binding(1) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(2) var<storage, read_write> arguments: array<u32>;   // of dispatches: 3, of the draw: 4
 
 const WORDS: u32 = {{WORDS}}u;
-const BLOCK: u32 = 512u;   // words that a workgroup adds up
+const BLOCK: u32 = 512u;   // words summed by a workgroup
 
 var<workgroup> part: array<u32, 256>;
 

@@ -1,4 +1,4 @@
-// Triangles of chunks that were decoded on the GPU (chunk_code.wgsl): an instance draws some that follow one another.
+// Triangles of chunks that were decoded on the GPU (chunk_code.wgsl): an instance draws some consecutive ones.
 // include: camera.wgsl
 // include: drawn.wgsl
 
@@ -10,12 +10,12 @@
 // include: field.wgsl
 // include: faces.wgsl
 
-const HUNG: u32 = 0x80000000u;     // of a corner: the skirt's lower end
+const HUNG: u32 = 0x80000000u;     // marks a corner as the skirt's lower end
 const PARTS: f32 = {{PARTS}}.0;
 
 struct Run {
-  @location(0) span: vec3<u32>,   // its first triangle, how many there are, the first vertex of the chunk
-  @location(1) how: vec2<f32>,    // metres of a step, how far vertices have left the coarser mesh
+  @location(0) span: vec3<u32>,   // its first triangle, their number, the first vertex of the chunk
+  @location(1) how: vec2<f32>,    // metres of a step, how far vertices have moved from the coarser mesh
 };
 
 fn point(corner: u32, run: Run) -> Point {

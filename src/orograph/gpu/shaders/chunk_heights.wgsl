@@ -1,4 +1,4 @@
-// Heights of chunks' vertices, foretold by those of the edge that they split (chunk_code.wgsl).
+// Heights of chunks' vertices, predicted from the ends of the edge that they split (chunk_code.wgsl).
 
 fn guess(a: i32, b: i32) -> i32 {
   if (a == MISSING) {
@@ -7,7 +7,7 @@ fn guess(a: i32, b: i32) -> i32 {
   return select((a + b) >> 1u, a, b == MISSING);
 }
 
-// The height of the line between two ends, one of them beyond the raster and so on its last sample.
+// The height of the line between two ends, one of which is beyond the raster and so lies on its last sample.
 fn along(a: i32, b: i32, left: i32, right: i32, own: i32, last: i32) -> i32 {
   let low = min(a, b);
   let under = select(right, left, a < b);

@@ -1,13 +1,13 @@
 // The rings of a clipmap (surface/clipmap.py): an instance draws a block of a ring's cells, whose heights lie in toroidal
-// textures, one layer a level (Asirvatham & Hoppe 2005). Triangles and transitions are those of lod/clipmap_mesh.py.
+// textures, one layer per level (Asirvatham & Hoppe 2005). Triangles and transitions are those of lod/clipmap_mesh.py.
 // include: camera.wgsl
 // include: drawn.wgsl
 
 struct Ring {            // in samples of its level: (row, row, column, column)
-  window: vec4<i32>,     // first and last of each
-  hole: vec4<i32>,       // the same of the next finer window; last before first: there is none
-  blend: vec4<f32>,      // where heights begin to become the coarser ring's, from the window's first row and column
-  width: f32,            // samples after which they have become so
+  window: vec4<i32>,     // first and last row and column
+  hole: vec4<i32>,       // the same for the next finer window; last before first: none
+  blend: vec4<f32>,      // where the transition to the coarser ring begins, from the window's first row and column
+  width: f32,            // width of the transition, samples
   level: u32,
   open: u32,             // sides beyond which there is a coarser ring: 1 north, 2 south, 4 west, 8 east
   pad: u32,
@@ -23,7 +23,7 @@ struct Ring {            // in samples of its level: (row, row, column, column)
 
 const BLOCK: i32 = {{BLOCK}};   // cells along a side
 
-// A triangle's corners (row, column) from its cell's first one; none where it is part of a neighbour's.
+// A triangle's corners (row, column) from its cell's first one; ``there`` is false if it is part of a neighbour's.
 struct Corners { there: bool, a: vec2<i32>, b: vec2<i32>, c: vec2<i32> };
 
 fn stored(ring: Ring, at: vec2<i32>) -> f32 {
@@ -31,7 +31,7 @@ fn stored(ring: Ring, at: vec2<i32>) -> f32 {
   return textureLoad(ring_heights, at.yx % side, i32(ring.level), 0).r;
 }
 
-// Height of a sample, on its way to the triangles of the coarser level.
+// Height of a sample, during its transition to the triangles of the coarser level.
 fn ring_height(ring: Ring, at: vec2<i32>) -> f32 {
   let own = stored(ring, at);
   let odd = at & vec2<i32>(1);
@@ -43,7 +43,7 @@ fn ring_height(ring: Ring, at: vec2<i32>) -> f32 {
   if (share == 0.0 || shared_with_finer || at_border || all(odd == vec2<i32>(0))) {
     return own;
   }
-  var along = odd;   // to the ends of the coarser triangles' side, or of their cell's diagonal
+  var along = odd;   // towards the ends of the coarser triangles' side, or of their cell's diagonal
   if (all(odd == vec2<i32>(1)) && (((at.x >> 1u) + (at.y >> 1u)) & 1) == 1) {
     along = vec2<i32>(1, -1);
   }
@@ -55,7 +55,7 @@ fn point(ring: Ring, at: vec2<i32>) -> Point {
   return Point(whole.yx, vec2<f32>(0.0), ring_height(ring, at));
 }
 
-// The first or second triangle of a cell. Beside a coarser ring the two on either side of an odd sample are one.
+// The first or second triangle of a cell. Beside a coarser ring, the two on either side of an odd sample merge into one.
 fn corners_of(ring: Ring, cell: vec2<i32>, second: bool) -> Corners {
   let falls = ((cell.x + cell.y) & 1) == 0;   // its diagonal, from upper left to lower right
   let even = (cell.y & 1) == 0;
@@ -100,7 +100,7 @@ fn vertex(@builtin(vertex_index) k: u32, @location(0) block: vec3<i32>) -> Verte
   let cell = block.xy * BLOCK + vec2<i32>(which / BLOCK, which % BLOCK);
   let corners = corners_of(ring, cell, k % 6u >= 3u);
   if (!corners.there || !drawn(ring, cell)) {
-    var nothing: Vertex;   // all three in one place
+    var nothing: Vertex;   // a degenerate triangle
     return nothing;
   }
   return face(

@@ -1,7 +1,7 @@
 // Ambient occlusion by tracing cones through voxels (orograph.lighting.gpu.cone_tracing has the idea, source and units).
 
 struct Level {
-    origin: vec4f,  // voxels, of the level's own size: columns, rows, layers; metres thick
+    origin: vec4f,  // voxels, of the level's own size: columns, rows, layers; thickness in metres
     size: vec4f,    // voxels
     place: vec4f,   // of its first voxel in the texture of all levels
 };
@@ -9,9 +9,9 @@ struct Level {
 struct Frame {
     linear: vec4f,   // metres east and north per column, per row
     inverse: vec4f,  // columns, rows per metre east; per metre north
-    run: vec4f,      // metres of a voxel of level 0, R, widths of a cone that a voxel is wide, first distance in voxels
+    run: vec4f,      // metres of a voxel of level 0, R, width of a voxel in widths of the cone, first distance in voxels
     tile: vec4i,     // first column and row, columns, rows
-    counts: vec4i,   // cones, levels, 1 for a step, samples around the tile that heights hold
+    counts: vec4i,   // cones, levels, 1 for a step, samples around the tile that heights include
     levels: array<Level, 12>,
 };
 
@@ -21,7 +21,7 @@ struct Cone {
 };
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> heights: array<f32>;  // tile and border, metres above where layers begin
+@group(0) @binding(1) var<storage, read> heights: array<f32>;  // tile and border, metres above the base of layers
 @group(0) @binding(2) var<storage, read> gradient: array<vec2f>;
 @group(0) @binding(3) var<storage, read> cones: array<Cone>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
@@ -32,15 +32,15 @@ struct Cone {
 // include: rho.wgsl
 
 const MISSING = -1e30;
-const NEAR = 0.5;  // cells: where the ground itself is looked at first
-const FARTHER = 1.3;  // how much farther away each time
-// What a voxel hides counts in place of the share of it that is filled where that share rises along the cone from one step
-// to the next: not if it rises by less than FLAT, wholly if it rises by FLAT + EDGE. Along a slope that the cone grazes the
-// share stays the same, and what lies highest in a voxel hides nothing; before a cliff it rises.
+const NEAR = 0.5;  // cells: first distance at which the ground itself is examined
+const FARTHER = 1.3;  // factor between these distances
+// Where the filled share of voxels rises along the cone from one step to the next, what a voxel hides counts instead of
+// its filled share: not if the share rises by less than FLAT, wholly if it rises by FLAT + EDGE. Along a slope that the
+// cone grazes the share stays the same, and the highest ground in a voxel hides nothing; before a cliff it rises.
 const FLAT = 0.03;
 const EDGE = 0.067;
 
-// What of a voxel of a level at a point (columns, rows, metres) is hidden along columns, along rows, and filled; trilinear.
+// For a level's voxel at a point (columns, rows, metres): the shares hidden along columns, along rows, and filled; trilinear.
 fn share_of(level: i32, p: vec3f) -> vec3f {
     let l = frame.levels[level];
     let wide = f32(1 << u32(level));
@@ -49,8 +49,8 @@ fn share_of(level: i32, p: vec3f) -> vec3f {
     return textureSampleLevel(voxels, linear_sampler, uvw, 0.0).xyz;
 }
 
-// The shares that the sample's own tangent plane would have of a filter of width d, a height s above it: normal law with
-// the variance of a box and a tent (d² / 12 + d² / 6) along each axis. Along the one that is looked along the box is as
+// The shares of the sample's own tangent plane in a filter of width d, at a height s above it: normal law with
+// the variance of a box and a tent (d² / 12 + d² / 6) along each axis. Along the viewing axis the box is as
 // high as its highest side; g: the plane's slopes, metres per metre along columns and rows.
 fn plane_share(s: f32, d: f32, g: vec2f) -> vec3f {
     let square = g * g;
@@ -68,7 +68,7 @@ fn height(col: i32, row: i32) -> f32 {
     return heights[at.y * wide + at.x];
 }
 
-// The height at a place in columns and rows of the tile, bilinear; MISSING where a corner is.
+// The height at a position in columns and rows of the tile, bilinear; MISSING if a corner is.
 fn ground(at: vec2f) -> f32 {
     let first = vec2i(floor(at));
     let f = at - floor(at);
@@ -96,7 +96,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     }
     let g = gradient[index];
     let normal = normalize(vec3f(-g, 1.0));
-    // A frame that turns with the normal and not about it: what a sample sees varies smoothly from one to the next.
+    // A frame that tilts with the normal without turning about it: visibility varies smoothly between samples.
     let east = normalize(vec3f(1.0, 0.0, g.x));
     let north = cross(normal, east);
     let cell = frame.run.x;
@@ -109,7 +109,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         let cone = cones[k];
         let way = cone.axis.x * east + cone.axis.y * north + cone.axis.z * normal;
         let run = vec3f(frame.inverse.xy * way.x + frame.inverse.zw * way.y, way.z);
-        // How much of a level direction goes along columns and rows.
+        // How much of a horizontal direction is along columns and along rows.
         let weight = run.xy * run.xy / max(dot(run.xy, run.xy), 1e-12);
         let low = sin(cone.band.x);
         let high = sin(cone.band.y);
@@ -117,7 +117,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         var t = frame.run.w * cell / (2.0 * cone.band.z);
         var dark = 0.0;
         var lost = 0.0;
-        // Nearer than voxels can tell the ground itself hides a patch up to its own elevation.
+        // Nearer than voxels can resolve, the ground itself hides a patch up to its own elevation.
         let across = cone.axis.x * east + cone.axis.y * north;
         let aside = normalize(across.xy + vec2f(1e-9, 0.0));
         let along = frame.inverse.xy * aside.x + frame.inverse.zw * aside.y;
@@ -146,17 +146,17 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             if (last > 0) {
                 share = mix(share, share_of(fine + 1, p), lod - f32(fine));
             }
-            // The ground's own plane is no occluder, though a filter as wide as the cone reaches into it.
+            // The ground's own plane is no occluder, although a filter as wide as the cone reaches into it.
             let own = plane_share(t * (way.z - dot(g, way.xy)), cell * exp2(lod), cellwise);
             let hides = clamp((share - own) / max(1.0 - own, vec3f(1e-3)), vec3f(0.0), vec3f(1.0));
             let rising = select(clamp((hides.z - before - FLAT) / EDGE, 0.0, 1.0), 0.0, before < 0.0);
             before = hides.z;
             let filled = mix(hides.z, max(hides.z, dot(hides.xy, weight)), rising);
-            // Ground fills a patch of the sky from below, where the cosine is least.
+            // Ground fills a patch of the sky from below, where the cosine is smallest.
             let edge = sin(mix(cone.band.x, cone.band.y, filled));
             let hidden = (edge * edge - low * low) / span;
             if (hidden > dark) {
-                // Of what is hidden now, what was free nearer by ends here.
+                // What is hidden now was free up to here.
                 lost += (hidden - dark) * (rho_free() - select(rho(t, radius), 0.0, step));
                 dark = hidden;
             }

@@ -1,20 +1,20 @@
-// Contour lines: how much of a pixel they cover (rendering/lines/contour_kernels.py), and the smooth surface through the samples
-// that they are of near by (rendering/lines/smooth.py).
+// Contour lines: how much of a pixel they cover (rendering/lines/contour_kernels.py), and the smooth surface through the
+// samples that near lines follow (rendering/lines/smooth.py).
 // Needs ``heights`` (texture_2d_array), ``height_pages``, and what slopes.wgsl needs; ``shade`` (uniform): contour.
 // include: place.wgsl
 
 const HEIGHTS_SIDE: i32 = 257;
-const MISSING: f32 = {{MISSING}}.0;   // added to heights that are missing
+const MISSING: f32 = {{MISSING}}.0;   // added to missing heights
 
-// A place so many cells farther.
+// A place moved by so many cells.
 fn moved(at: Place, by: vec2<f32>) -> Place {
   let part = at.part + by;
   let down = floor(part);
   return Place(at.whole + vec2<i32>(down), part - down);
 }
 
-// The smooth surface at a place: height, slope (as light has it, per sample along columns and rows), and 1 where all
-// four samples are there, else 0.
+// The smooth surface at a place: height, slope (in light's units, per sample along columns and rows), and 1 if all
+// four samples are present, else 0.
 fn smooth_surface(at: Place) -> vec4<f32> {
   let l = levels[0];
   let cell = clamp(at.whole, vec2<i32>(0), camera.last - 1);
@@ -60,7 +60,7 @@ fn smooth_surface(at: Place) -> vec4<f32> {
   return vec4<f32>(height, mix(mix(s00, s10, f.x), mix(s01, s11, f.x), f.y), 1.0);
 }
 
-// The height that lines are of: that of the smooth surface where a pixel covers little of a sample, else the ground's.
+// The height that lines follow: that of the smooth surface where a pixel covers little of a sample, else the ground's.
 // ``by_ray``: where the ray through the pixel meets that surface, else above or below the ground.
 fn smooth_height(at: Place, footprint: f32, direction: vec3<f32>, ground: f32, by_ray: bool) -> f32 {
   var found = smooth_surface(at);
@@ -83,14 +83,14 @@ fn smooth_height(at: Place, footprint: f32, direction: vec3<f32>, ground: f32, b
   return mix(height, ground, max(smoothstep(0.35, 0.7, footprint), select(1.0, 0.0, smooth_surface(at).w > 0.0)));
 }
 
-// Metres of height from pixel to pixel, the most on the screen: of ``slope`` on the tangent plane of slope ``drawn``.
+// The largest rate of height on the screen, metres per pixel: of ``slope`` on the tangent plane of slope ``drawn``.
 fn line_rate(depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32>) -> f32 {
   let normal = vec3<f32>(-drawn * camera.forward.w, 1.0);
   let facing = dot(normal, direction);
-  let size = camera.pixel * select(depth, 1.0, camera.plan == 1u);   // metres that a pixel's step goes at this depth
+  let size = camera.pixel * select(depth, 1.0, camera.plan == 1u);   // metres of a pixel's step at this depth
   let u = camera.right.xyz * size;
   let v = camera.up.xyz * size;
-  let over = u.xy - dot(normal, u) / facing * direction.xy;   // how far a pixel's step goes over the ground
+  let over = u.xy - dot(normal, u) / facing * direction.xy;   // how far a pixel's step moves over the ground
   let down = v.xy - dot(normal, v) / facing * direction.xy;
   return max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
 }
@@ -112,13 +112,13 @@ fn contours(
   let far = abs(n - round(n)) * shade.contour.x / rate;
   let index = shade.contour.y > 0.0 && abs(round(n) - shade.contour.y * round(n / max(shade.contour.y, 1.0))) < 0.25;
   let half = 0.5 * shade.contour.z * select(1.0, 2.0, index && round(n) != 0.0);   // a shore is a thin line
-  // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
+  // Where lines would be closer than a few pixels they fade: first the plain ones, then the index contours.
   let interval = shade.contour.x * select(1.0, shade.contour.y, index);
   // Ground too level has none: no line can be said to be its contour.
   let cased = select(0.0, half + shade.casing.z, with_casing);
   var cover = clamp(vec2<f32>(half, cased) - far + 0.5, vec2<f32>(0.0), vec2<f32>(1.0)) * smoothstep(3.0, 7.0, interval / rate);
   cover *= smoothstep(5e-5, 2e-4, length(slope_here));
-  var total = 0.0;   // nor is a line left on a ledge among those that have faded (thin_out)
+  var total = 0.0;   // a line alone on a ledge among faded ones fades, too (thin_out)
   for (var k = select(4, 0, max(cover.x, cover.y) > 0.0); k < 4; k++) {
     let side = select(6.0, -6.0, k > 1) * footprint;
     let s = slope(moved(at, select(vec2<f32>(side, 0.0), vec2<f32>(0.0, side), (k & 1) == 1)), 4.0 * footprint);

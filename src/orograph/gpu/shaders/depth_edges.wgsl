@@ -1,10 +1,10 @@
 // Where ground breaks off, or turns away and back, between a pixel and the next one to the right (r, b) and below (g, a): the weight of a line
-// there, and the logarithm (base 2) of the nearer side's depth. As rendering/lines/silhouette_kernels.py.
+// there, and the logarithm (base 2) of the nearer side's depth. Like rendering/lines/silhouette_kernels.py.
 // include: camera.wgsl
 
 @group(0) @binding(1) var depths: texture_depth_2d;
 @group(0) @binding(2) var<uniform> range: vec4<f32>;   // the nearest and the farthest depth in view, metres; step; weight of creases
-@group(0) @binding(3) var away: texture_2d<f32>;       // samples to where the terrain ends, every ``step`` samples
+@group(0) @binding(3) var away: texture_2d<f32>;       // samples to the end of the terrain, every ``step`` samples
 @group(0) @binding(4) var facing: texture_2d<f32>;     // n · v, 9 where there is no ground
 
 @vertex
@@ -12,7 +12,7 @@ fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 
-// The inverse of a pixel's depth, in units of the near plane's; 0: nothing there, or beyond the picture.
+// The inverse of a pixel's depth, in units of the near plane's; 0: nothing there, or outside the picture.
 fn inverse(at: vec2<i32>) -> f32 {
   if (any(at < vec2<i32>(0)) || any(at >= vec2<i32>(textureDimensions(depths)))) {
     return 0.0;
@@ -20,7 +20,7 @@ fn inverse(at: vec2<i32>) -> f32 {
   return textureLoad(depths, at, 0);
 }
 
-// Whether the terrain ends about a pixel's ground, which may reach as far as that of the one before it (inverse depth).
+// Whether the terrain ends near a pixel's ground, which may extend as far as that of the previous pixel (inverse depth).
 fn ends(at: vec2<i32>, w: f32, before: f32) -> bool {
   let ray = ray_of(vec2<f32>(at) + 0.5);
   let depth = depth_of(w);
@@ -36,7 +36,7 @@ fn ends(at: vec2<i32>, w: f32, before: f32) -> bool {
   return min(border, inner) < margin;
 }
 
-// Weight of the break between two pixels by what is hidden there; 1 beside nothing.
+// Weight of the break between two pixels by what it hides; 1 beside nothing.
 fn hides(at: vec2<i32>, step: vec2<i32>) -> f32 {
   let w0 = inverse(at - step);
   let w1 = inverse(at);
@@ -57,7 +57,7 @@ fn facing_at(at: vec2<i32>) -> f32 {
   return textureLoad(facing, at, 0).r;
 }
 
-// By how much n · v rises to both sides of a pixel before it falls below the pixel's; the lesser.
+// How much n · v rises on both sides of a pixel before it falls below the pixel's; the smaller of the two.
 fn prominence(at: vec2<i32>, step: vec2<i32>, low: f32) -> f32 {
   var least = 2.0;
   for (var side = -1; side <= 1; side += 2) {
@@ -74,8 +74,8 @@ fn prominence(at: vec2<i32>, step: vec2<i32>, low: f32) -> f32 {
   return least;
 }
 
-// Weight of a crease on the border between a pixel and the next, and its inverse depth: that of the valley of n · v whose
-// floor is one of them and whose lower neighbour the other.
+// Weight of a crease on the border between a pixel and the next, and its inverse depth: the crease is a valley of n · v;
+// one of the pixels is its floor, the other the floor's lower neighbour.
 fn creased(at: vec2<i32>, step: vec2<i32>) -> vec2<f32> {
   let g0 = facing_at(at - step);
   let g1 = facing_at(at);
@@ -100,8 +100,8 @@ fn creased(at: vec2<i32>, step: vec2<i32>) -> vec2<f32> {
   return found;
 }
 
-// Software renderers work through the bodies of conditions whether they are taken or not, but not through loops that no
-// pixel enters: what few pixels need stands in a loop of one round.
+// Software renderers execute the bodies of conditions whether they are taken or not, but not loops that no
+// pixel enters: so work for few pixels is in a loop of one iteration.
 fn broken(at: vec2<i32>, step: vec2<i32>) -> vec2<f32> {
   let w1 = inverse(at);
   let w2 = inverse(at + step);

@@ -1,4 +1,4 @@
-// The heaviest break in a square of 8 × 8 pixels: pixels that are near none need not look for any.
+// The heaviest break in each square of 8 × 8 pixels: pixels without one nearby need not search.
 
 @group(0) @binding(0) var breaks: texture_2d<f32>;
 

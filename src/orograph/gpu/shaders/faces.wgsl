@@ -1,19 +1,19 @@
-// A single triangle, of which every vertex knows all three: its slope and its edges.
+// A single triangle, whose vertices each know all three: its slope and its edges.
 // Needs camera.wgsl, drawn.wgsl and field.wgsl.
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
 
 struct Vertex {
   @builtin(position) position: vec4<f32>,
-  @location(0) part: vec3<f32>,                     // of each corner
+  @location(0) part: vec3<f32>,                     // barycentric: 1 at its own corner
   @location(1) @interpolate(flat) what: u32,
   @location(2) @interpolate(flat) slope: vec2<f32>,  // of the true triangle, metres per metre east and north
   @location(3) cell: vec2<f32>,                      // (col, row) from the eye's
 };
 
-struct Point { whole: vec2<i32>, part: vec2<f32>, height: f32 };   // (col, row): samples, and what is left of one; metres
+struct Point { whole: vec2<i32>, part: vec2<f32>, height: f32 };   // (col, row): whole samples, and the remainder; metres
 
-// (col, row) of a point from another cell: whole cells are subtracted in integers.
+// (col, row) of a point relative to a cell: whole cells are subtracted in integers.
 fn from_cell(p: Point, cell: vec2<i32>) -> vec2<f32> {
   return vec2<f32>(p.whole - cell) + p.part;
 }
@@ -30,7 +30,7 @@ fn face(k: u32, a: Point, b: Point, c: Point) -> Vertex {
   let here = vec3<f32>(from_eye(cell), own.height);
   let u = from_cell(b, a.whole) - from_cell(a, a.whole);
   let v = from_cell(c, a.whole) - from_cell(a, a.whole);
-  let area = u.x * v.y - u.y * v.x;   // in samples, twice: 4^s where the legs follow rows and columns, 2 · 4^s where not
+  let area = u.x * v.y - u.y * v.x;   // in samples, twice: 4^s if the legs follow rows and columns, else 2 · 4^s
   let rise = vec2<f32>(b.height - a.height, c.height - a.height);
   let across = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x)
     / select(area, 1.0, area == 0.0);   // (an upright triangle has no slope)
@@ -48,7 +48,7 @@ fn face(k: u32, a: Point, b: Point, c: Point) -> Vertex {
 fn edges(part: vec3<f32>) -> u32 {
   let width = max(fwidth(part), vec3<f32>(1e-6));
   let away = part / width;
-  let room = 1.0 / max(max(width.x, width.y), width.z);   // pixels from a corner to the side across
+  let room = 1.0 / max(max(width.x, width.y), width.z);   // pixels from a corner to the opposite side
   return u32(255.0 * edge_strength(room) * clamp(1.0 - min(min(away.x, away.y), away.z), 0.0, 1.0));
 }
 
@@ -73,7 +73,7 @@ fn with_slope(in: Vertex) -> WithSlope {
   return WithSlope(marked(in), in.slope);
 }
 
-// The same, and the terrain's own height there, which contour lines are of: that of the triangle is as coarse as it is.
+// The same, and the terrain's own height, which contour lines follow: the triangle's is as coarse as the triangle.
 @fragment
 fn with_field(in: Vertex) -> WithField {
   let marks = marked(in);

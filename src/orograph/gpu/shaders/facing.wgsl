@@ -1,5 +1,5 @@
 // How far the ground in every pixel faces the eye: n · v, with slopes averaged over some pixels; 9 where there is none.
-// As rendering/lines/silhouettes.py.
+// Like rendering/lines/silhouettes.py.
 // include: camera.wgsl
 
 @group(0) @binding(1) var depths: texture_depth_2d;

@@ -1,5 +1,5 @@
 // The terrain's own height at any place, whatever mesh is drawn there: nested samples, tiles of all levels in one atlas,
-// looked up through pages. The surface between samples is the one that all of Orograph means: two triangles a cell, cut
+// looked up through pages. The surface between samples is Orograph's usual one: two triangles a cell, cut
 // along the diagonal between its (even, even) and its (odd, odd) corner.
 // Needs ``heights`` (texture_2d_array), ``height_pages`` (storage) and ``levels`` (uniform, array of 32).
 // include: place.wgsl
@@ -7,7 +7,7 @@
 struct FieldLevel { offset: u32, tile_rows: u32, tile_cols: u32, rows: u32, cols: u32, count: u32, pad0: u32, pad1: u32 };
 const HEIGHT_SIDE: i32 = 257;
 const HEIGHTS_PER_SIDE: i32 = 4;
-const MISSING: f32 = {{MISSING}}.0;  // added to heights that are missing
+const MISSING: f32 = {{MISSING}}.0;  // added to missing heights
 
 // A sample of the tile in a slot, as it is stored.
 fn stored_height(slot: i32, at: vec2<i32>) -> f32 {
@@ -21,7 +21,7 @@ fn load_height(slot: i32, at: vec2<i32>) -> f32 {
   return select(height, height - MISSING, height >= 0.5 * MISSING);
 }
 
-// Height of the surface at a place within the raster, from the finest level that is there.
+// Height of the surface at a place within the raster, from the finest level present.
 fn field_height(at: Place) -> f32 {
   for (var level = 0u; level < levels[0].count; level++) {
     let l = levels[level];

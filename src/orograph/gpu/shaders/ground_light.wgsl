@@ -1,4 +1,4 @@
-// What maps tell of the light on a place: the sun over the skyline, shares of the sky, caps of open sky.
+// Light on a place from maps: the sun over the skyline, shares of the sky, caps of open sky.
 
 fn map_value(offset: i32, size: vec2<i32>, first: vec2<i32>, level: i32, at: Place) -> f32 {
   let p = in_blocks(at, u32(level));
@@ -12,13 +12,13 @@ fn map_value(offset: i32, size: vec2<i32>, first: vec2<i32>, level: i32, at: Pla
   return mix(top, low, f.y);
 }
 
-// The part of the sun's disc that stands above the horizon, given the horizon's height over the disc's centre in radii.
+// The part of the sun's disc above the horizon, given the horizon's height over the disc's centre in radii.
 fn disc_part(d: f32) -> f32 {
   let c = clamp(d, -1.0, 1.0);
   return (acos(c) - c * sqrt(1.0 - c * c)) / PI;
 }
 
-// How much of the sun is seen: by rays, or by the finest window of horizons that holds the place.
+// The visible part of the sun: by rays, or by the finest window of horizons that contains the place.
 fn sunlit(at: Place, footprint: f32) -> f32 {
   // when: RAYS
   if ((FLAGS & 262144u) != 0u) {
@@ -36,7 +36,7 @@ fn sunlit(at: Place, footprint: f32) -> f32 {
   return 1.0;
 }
 
-// The window of the field to look up, as lighting/field.py: of those that hold the place the one nearest in size to a pixel.
+// The window of the field to look up, like lighting/field.py: of those with the place, the one nearest in size to a pixel.
 fn field_window(at: Place, footprint: f32) -> u32 {
   let wanted = i32(floor(log2(max(footprint, 1.0)) + 0.5));
   for (var w = i32(shade.fields) - 1; w > 0; w--) {
@@ -65,7 +65,7 @@ fn field_at(window: Window, at: vec2<i32>) -> vec4<f32> {
 }
 
 fn field_value(at: Place, footprint: f32) -> vec4<f32> {
-  if (shade.fields == 0u) {   // not made yet: the open sky
+  if (shade.fields == 0u) {   // not ready yet: the open sky
     return select(vec4<f32>(1.0), vec4<f32>(0.0, 0.0, 1.0, 0.0), (FLAGS & 128u) != 0u);
   }
   let window = windows[shade.windows + field_window(at, footprint)];

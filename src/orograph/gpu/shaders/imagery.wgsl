@@ -1,11 +1,11 @@
-// Layers laid over the ground: a virtual texture (rendering/gpu/stream/imagery.py), filtered over a pixel's footprint as
-// geovis/mipmap.look_along does it: look-ups as wide as the footprint's minor axis, side by side along its major axis.
+// Layers laid over the ground: a virtual texture (rendering/gpu/stream/imagery.py), filtered over a pixel's footprint like
+// geovis/mipmap.look_along: look-ups as wide as the footprint's minor axis, side by side along its major axis.
 // Needs ``atlas``, ``atlas_sampler``, ``imagery``.
 
 const GRAZING: f32 = 0.02;         // rendering/cpu/kernels.py
 const LEAST: f32 = 0.7;
 const TILE_SIDE: i32 = 258;
-const IMAGE_LAYERS: u32 = 4u;      // words before the first head: layers, look-ups in a footprint at most
+const IMAGE_LAYERS: u32 = 4u;      // words before the first head: layers, maximum look-ups in a footprint
 const HEAD: u32 = 24u;
 
 fn word_f(at: u32) -> f32 { return bitcast<f32>(imagery[at]); }
@@ -13,7 +13,7 @@ fn word_i(at: u32) -> i32 { return bitcast<i32>(imagery[at]); }
 fn word2_f(at: u32) -> vec2<f32> { return vec2<f32>(word_f(at), word_f(at + 1u)); }
 fn word2_i(at: u32) -> vec2<i32> { return vec2<i32>(word_i(at), word_i(at + 1u)); }
 
-// Metres east and north (columns) that the ground moves by from a pixel to the next one right and below, and the least
+// Metres east and north (columns) by which the ground moves from a pixel to the next one right and below, and the least
 // metres of the minor axis: picture/kernels.footprints.
 struct Footprint { right: vec2<f32>, below: vec2<f32>, least: f32 };
 
@@ -32,7 +32,7 @@ fn footprint_of(pixel: vec2<f32>, position: vec3<f32>, depth: f32, slope: vec2<f
   return out;
 }
 
-// The mean (multiplied by opacity) of a level around a position: whole pixels and what is left of one.
+// The mean (multiplied by opacity) of a level around a position: whole pixels and the remainder.
 fn image_level(head: u32, whole: vec2<i32>, part: vec2<f32>, wanted: u32) -> vec4<f32> {
   let level = clamp(wanted, imagery[head + 12u], imagery[head + 13u]);
   let at = imagery[head + 14u] + (level - imagery[head + 12u]) * 8u;
@@ -46,7 +46,7 @@ fn image_level(head: u32, whole: vec2<i32>, part: vec2<f32>, wanted: u32) -> vec
   if (place < 0) {
     return vec4<f32>(0.0);
   }
-  // The tile that is there, of this level or a coarser one.
+  // The tile that is present, of this level or a coarser one.
   let there = (page >> 24u) & 31u;
   let base = (whole + down) >> vec2<u32>(there);
   let rest = (vec2<f32>(whole + down - (base << vec2<u32>(there))) + (part - vec2<f32>(down))) / f32(1u << there);
@@ -67,7 +67,7 @@ fn layer_mean(head: u32, position: vec2<f32>, footprint: Footprint) -> vec4<f32>
   let near = word2_f(head + 6u) + vec2<f32>(dot(across, position), dot(down, position));
   let k = clamp(cell + vec2<i32>(floor(near)), vec2<i32>(0), nodes - 2);
   let f = near - vec2<f32>(k - cell);
-  // The image positions of the cell's corners, from the first one's whole pixel.
+  // The image positions of the cell's corners, relative to the first one's whole pixel.
   let corner = imagery[head + 15u] + u32(k.y * nodes.x + k.x) * 4u;
   let wide = u32(nodes.x) * 4u;
   let whole = word2_i(corner);
@@ -114,7 +114,7 @@ fn layer_mean(head: u32, position: vec2<f32>, footprint: Footprint) -> vec4<f32>
     let down_to = floor(spot);
     let pixel = whole + vec2<i32>(down_to);
     let rest = spot - down_to;
-    // A thousandth of a pixel beyond the border is rounding.
+    // Less than a thousandth of a pixel beyond the border is rounding.
     let out_of = vec2<bool>((pixel.x < 0 && (pixel.x < -1 || rest.x < 0.999)) || (pixel.x >= size.x && (pixel.x > size.x || rest.x > 1e-3)),
                             (pixel.y < 0 && (pixel.y < -1 || rest.y < 0.999)) || (pixel.y >= size.y && (pixel.y > size.y || rest.y > 1e-3)));
     if (((bounded & 1u) != 0u && out_of.x) || ((bounded & 2u) != 0u && out_of.y)) {

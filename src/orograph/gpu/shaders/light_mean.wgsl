@@ -1,6 +1,6 @@
-// Light that was computed, to be blended with that of the frames before it.
+// Blend computed light with that of earlier frames.
 
-@group(0) @binding(0) var computed: texture_2d<f32>;   // alpha 0: the pixel is left as it is
+@group(0) @binding(0) var computed: texture_2d<f32>;   // alpha 0: the pixel stays unchanged
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {

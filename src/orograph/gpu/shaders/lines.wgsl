@@ -1,6 +1,6 @@
 // Silhouettes: how much of a pixel lines on breaks cover, and how far away they are (rendering/lines/silhouette_kernels.py).
 // Needs ``breaks``, ``breaks_near`` (textures) and ``shade`` (uniform): casing; edge: their color and opacity; edge_range: nearest and farthest
-// depth, width of the nearest lines in pixels, pixels to look around.
+// depth, width of the nearest lines in pixels, pixels to search around.
 
 struct Line { cover: vec2<f32>, depth: f32 };   // by the line, and by its casing
 
@@ -17,7 +17,7 @@ fn silhouette(pixel: vec2<i32>) -> Line {
       most = max(most, textureLoad(breaks_near, vec2<i32>(c, r), 0).r);
     }
   }
-  let reach = select(-1, wide, most > 0.0);   // no round of the loop where nothing is near
+  let reach = select(-1, wide, most > 0.0);   // no iteration of the loop if nothing is near
   let span = log2(shade.edge_range.y / shade.edge_range.x);
   for (var r = -reach; r <= reach; r++) {
     for (var c = -reach; c <= reach; c++) {
@@ -45,8 +45,8 @@ fn silhouette(pixel: vec2<i32>) -> Line {
   return found;
 }
 
-// A color with the silhouettes of a pixel over it; ``d``: the ray's unit direction, for the haze before them; ``cased``: whether
-// with their casing, 0 or 1.
+// A color with the silhouettes of a pixel over it; ``d``: the ray's unit direction, for the haze before them; ``cased``: 1 with
+// their casing, else 0.
 fn outlined(color: vec3<f32>, pixel: vec2<i32>, d: vec3<f32>, cased: f32) -> vec3<f32> {
   let line = silhouette(pixel);
   if (line.cover.y <= 0.0) {

@@ -1,5 +1,5 @@
-// A mesh that a method made. Most vertices are samples of the raster, as those of the patches are, and so equal to the bit
-// where meshes and patches share them; others lie between, in 65536ths. Corners are pulled by number, so that each triangle knows all three of its own.
+// A mesh that a method made. Most vertices are samples of the raster, like those of the patches, and so equal to the bit
+// where meshes and patches share them; others lie between, in 65536ths. Corners are pulled by number, so that each triangle knows all three.
 // include: camera.wgsl
 // include: drawn.wgsl
 

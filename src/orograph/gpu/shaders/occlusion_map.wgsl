@@ -1,7 +1,7 @@
 // Ambient occlusion by one shadow map per direction (orograph.lighting.gpu.occlusion_maps has the idea, source and units).
 //
-// Three stages per direction ω: the height field is rasterised along ω (vertex, fragment) into a map of layers, each
-// texel a sorted list of the depths of all faces that look away from the light; then every sample finds the first of
+// Three stages per direction ω: the height field is rasterised along ω (vertex, fragment) into a map of layers: each
+// texel is a sorted list of the depths of all faces that look away from the light; then every sample finds the first of
 // them in front of it, which is where its ray enters the ground, and adds ρ of the distance (gather).
 
 struct Direction {
@@ -18,7 +18,7 @@ struct Direction {
 struct Ring {
     origin: vec4i,  // its first column and row, in samples of the terrain from the tile's first; its level
     last: vec4i,    // the terrain's last column and row, likewise; its own columns and rows
-    hole: vec4i,    // in its own columns and rows: what lies between is drawn finer (left, top, right, bottom)
+    hole: vec4i,    // in its own columns and rows: the area that a finer ring draws (left, top, right, bottom)
     drop: vec4f,    // metres by which its surface falls within the hole; the height that heights are relative to
 };
 
@@ -28,7 +28,7 @@ struct Ring {
 @group(0) @binding(3) var<storage, read_write> sums: array<vec2f>;  // per receiver Σ w ρ, Σ w
 @group(0) @binding(4) var<storage, read> gradient: array<vec2f>;    // per receiver, rise per metre east and north
 @group(0) @binding(5) var<storage, read> table: array<f32>;
-@group(0) @binding(6) var<storage, read_write> lost: array<atomic<u32>>;  // faces for which there was no layer
+@group(0) @binding(6) var<storage, read_write> lost: array<atomic<u32>>;  // number of faces without a free layer
 @group(0) @binding(7) var<uniform> ring: Ring;
 
 // include: rho.wgsl
@@ -51,7 +51,7 @@ fn point(at: vec2i, z: f32) -> vec4f {
     return vec4f(vec2f(place), z - select(0.0, ring.drop.x, within), 1.0);
 }
 
-// Unsigned numbers in the order of floats of either sign, none of them 0; and back.
+// Unsigned numbers in the order of floats of either sign, none of them 0; and the inverse.
 fn ordered(x: f32) -> u32 {
     let bits = bitcast<u32>(x);
     return select(bits | 0x80000000u, ~bits, (bits >> 31u) == 1u);
@@ -67,8 +67,8 @@ struct Corner {
     @location(1) gone: f32,  // 1 if the sample is missing
 };
 
-// An instance is a block of 16 × 16 cells of the ring, of which those between its clips are drawn: what lies beyond
-// collapses. block: its first column and row; the clips, 8 bits each: first column and end, first row and end.
+// An instance is a block of 16 × 16 cells of the ring, of which those between its clips are drawn: the others
+// collapse. block: its first column and row; the clips, 8 bits each: first column and end, first row and end.
 @vertex
 fn vertex(@builtin(vertex_index) index: u32, @location(0) block: vec4i) -> Corner {
     let clip = (vec4u(u32(block.z)) >> vec4u(0u, 8u, 16u, 24u)) & vec4u(255u);
@@ -84,8 +84,8 @@ fn vertex(@builtin(vertex_index) index: u32, @location(0) block: vec4i) -> Corne
     return out;
 }
 
-// Keeps the depths of a texel sorted, the largest first, whatever the order in which faces arrive: each slot ends as
-// the largest of what is passed to it (Liu et al. 2009, multi-layer depth by atomic minima). 0 is empty. The last bit says
+// Keep the depths of a texel sorted, largest first, whatever the order in which faces arrive: each slot ends up with
+// the largest of those passed to it (Liu et al. 2009, multi-layer depth by atomic minima). 0 is empty. The last bit says
 // whether the face looks towards the light.
 @fragment
 fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
@@ -106,7 +106,7 @@ fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4
     return vec4f(0.0);
 }
 
-// Whether the ray begins under one of the facets that meet in its own sample: those are known without a map.
+// Whether the ray begins under one of the facets that meet in its own sample: these are known without a map.
 fn buried(col: i32, row: i32, z: f32) -> bool {
     let run = abs(d.run.xy);
     let sx = select(-1, 1, d.run.x >= 0.0);
@@ -159,7 +159,7 @@ fn gather(@builtin(global_invocation_id) id: vec3u) {
         let s = dot(d.s, p);
         let texel = clamp(vec2i(floor(vec2f(dot(d.u, p), dot(d.v, p)))), vec2i(0), vec2i(d.map.xy) - 1);
         let first = (u32(texel.y) * d.map.x + u32(texel.x)) * d.map.z;
-        // A ray through the texel's middle may begin under its own ground and come out of it at a grazing angle.
+        // A ray through the texel's middle may begin under its own ground and emerge at a grazing angle.
         let front = d.bias.y + d.bias.z / cosine;
         for (var k = 0u; k < d.map.z; k++) {
             let bits = atomicLoad(&layers[first + k]);

@@ -1,5 +1,5 @@
 // Patches of regularly bisected right triangles: vertices are cells of the raster, heights are pulled from the atlas.
-// One instance a patch; all patches share one index buffer.
+// One instance per patch; all patches share one index buffer.
 // include: camera.wgsl
 // include: drawn.wgsl
 
@@ -10,9 +10,9 @@
 // include: slopes.wgsl
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
-const STORED: u32 = {{STORED}}u; // 1: slopes are those of the vertices, else by derivatives or, with SAMPLED, by heights
+const STORED: u32 = {{STORED}}u; // 1: slopes come from the vertices, else from derivatives or, with SAMPLED, from heights
 const SIDE: i32 = 257;      // samples along a tile's side
-const MISSING: f32 = {{MISSING}}.0;  // added to heights that are missing
+const MISSING: f32 = {{MISSING}}.0;  // added to missing heights
 
 struct Instance {
   @location(1) apex: vec2<i32>,      // row, col on the padded grid
@@ -35,7 +35,7 @@ struct Vertex {
   // end: SAMPLED
 };
 
-// By the way the apex points (``lod/patches/shape.py``): e1 and e2 as (row, col).
+// By the direction of the apex (``lod/patches/shape.py``): e1 and e2 as (row, col).
 const STEPS = array<vec4<i32>, 8>(
   vec4<i32>(1, 1, -1, 1), vec4<i32>(1, 0, 0, 1), vec4<i32>(1, -1, 1, 1), vec4<i32>(0, -1, 1, 0),
   vec4<i32>(-1, -1, 1, -1), vec4<i32>(-1, 0, 0, -1), vec4<i32>(-1, 1, -1, -1), vec4<i32>(0, 1, -1, 0),
@@ -95,11 +95,11 @@ fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
   return out;
 }
 
-// What a pixel of ground is: bit 0 ground, bits 4–6 orientation, 8–15 exponent of the lattice step, 16–23 how much of the
-// pixel an edge of a triangle covers.
+// The marks of a pixel of ground: bit 0 ground, bits 4–6 orientation, 8–15 exponent of the lattice step, 16–23 how much of
+// the pixel an edge of a triangle covers.
 fn marked(in: Vertex) -> u32 {
-  // Seen edge on, a triangle's depth is extrapolated beyond its corners by some rasterisers: such slivers, a quarter of
-  // a pixel wide at most, are left to what is beside them.
+  // Seen edge on, a triangle's depth is extrapolated beyond its corners by some rasterisers: such slivers, at most a
+  // quarter of a pixel wide, are left to their neighbours.
   let sliver = camera.plan == 0u && fwidth(in.position.z) > 4.0 * in.position.z;
   if (in.gone > 1e-4 || sliver) {   // (zeros stay zero, however roughly hardware interpolates in a sliver)
     discard;
@@ -116,7 +116,7 @@ fn fragment(in: Vertex) -> @location(0) u32 {
 }
 
 // when: SAMPLED
-// A height between samples as a texture unit blends four of them: with weights of 8 bits.
+// A height between samples, interpolated as a texture unit does it: with weights of 8 bits.
 fn blended_height(slot: i32, at: vec2<f32>) -> f32 {
   let p = round(at * 256.0) / 256.0;
   let base = clamp(vec2<i32>(floor(p)), vec2<i32>(0), vec2<i32>(SIDE - 2));
@@ -131,8 +131,8 @@ fn blended_height(slot: i32, at: vec2<f32>) -> f32 {
   return mix(mix(z.x, z.y, f.x), mix(z.z, z.w, f.x), f.y);
 }
 
-// The slope, metres per metre, by heights half a pixel to every side: J g = Δh, the rows of J what a pixel's step right
-// and down goes over the tile. (A step is cut where the tile ends, J's row with it.)
+// The slope, metres per metre, from heights half a pixel to every side: J g = Δh; the rows of J are a pixel's step
+// right and down, in distance on the tile. (A step is cut where the tile ends, and J's row with it.)
 fn sampled_slope(tile: vec2<i32>, at: vec2<f32>, right: vec2<f32>, down: vec2<f32>) -> vec2<f32> {
   let most = vec2<f32>(f32(SIDE - 1));
   let a = clamp(at - 0.5 * right, vec2<f32>(0.0), most);
@@ -149,8 +149,8 @@ fn sampled_slope(tile: vec2<i32>, at: vec2<f32>, right: vec2<f32>, down: vec2<f3
 }
 // end: SAMPLED
 
-// The same, and a slope: that of the vertices, blended between them, which knows nothing of the ground between; or by
-// the derivatives of the position on the screen, which is that of the flat triangle; or by heights half a pixel away.
+// The same, and a slope: that of the vertices, interpolated, which ignores the ground between; or from
+// the derivatives of the position on the screen, which is that of the flat triangle; or from heights half a pixel away.
 @fragment
 fn with_slope(in: Vertex) -> WithSlope {
   let normal = cross(dpdx(in.place), dpdy(in.place));

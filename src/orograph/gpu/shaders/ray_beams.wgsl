@@ -1,27 +1,27 @@
-// Where rays may begin: of a beam of SIDE × SIDE pixels, how far it goes above all ground.
+// Where rays may begin: how far a beam of SIDE × SIDE pixels runs above all ground.
 //
-// From depth to depth, in steps that double while the way is free and halve where it is not: between two depths a beam is
-// the hull of its corners there. Of each window that rays are cast at there the maxima of the 2 × 2 nodes that hold the
-// hull's rectangle are above all heights under it, so if the hull's lowest corner is above those of all windows, none of
-// its rays meets anything, and they go on above the ground's upper side. (Where samples are missing the walk finds out
-// itself.) Only in perspective.
+// The depth advances in steps that double while the way is free and halve where it is not. Between two depths a beam is
+// the hull of its corners there. For each window that rays are cast at there, the maxima of the 2 × 2 nodes that contain the
+// hull's rectangle are above all heights under it. So if the hull's lowest corner is above those of all windows, none of
+// its rays hits anything, and they continue above the ground's upper side. (The walk itself handles missing
+// samples.) Only in perspective.
 // include: window_rays.wgsl
 
 const SIDE: u32 = {{SIDE}}u;
-const STEPS: i32 = 24;       // at most
-const FINE: f32 = 0.03;      // part of its depth below which a step is not halved again
-const ROOM: f32 = 1e-3;      // metres, and part of the height, by which it must be above
+const STEPS: i32 = 24;       // maximum
+const FINE: f32 = 0.03;      // fraction of its depth below which a step is not halved again
+const ROOM: f32 = 1e-3;      // metres, and fraction of the height, by which it must be above
 
 @group(1) @binding(2) var<storage, read_write> starts: array<f32>;   // by rows of beams: depth
 
-// Whether a window holds a rectangle.
+// Whether a window contains a rectangle.
 fn holds(w: i32, low: vec2<f32>, high: vec2<f32>) -> bool {
   let begin = vec2<f32>(stack.windows[w].first - camera.eye_cell);
   let end = vec2<f32>(stack.windows[w].last - camera.eye_cell);
   return all(low >= begin) && all(high <= end);
 }
 
-// Whether a beam (four ways) is above all ground between two depths.
+// Whether a beam (four directions) is above all ground between two depths.
 fn free(corners_of: array<vec3<f32>, 4>, o: vec3<f32>, t0: f32, t1: f32) -> bool {
   var beam = corners_of;
   var low = vec3<f32>(NEVER);
@@ -39,7 +39,7 @@ fn free(corners_of: array<vec3<f32>, 4>, o: vec3<f32>, t0: f32, t1: f32) -> bool
   let wide = 1e-3 + 1e-6 * max(abs(low.xy), abs(high));
   for (var w = 0; w < stack.count; w++) {
     if (w + 1 < stack.count && holds(w + 1, low.xy - wide, high + wide)) {
-      continue;   // rays are cast at the finer one
+      continue;   // rays are cast at the finer window
     }
     let window = stack.windows[w];
     let begin = vec2<f32>(window.first - camera.eye_cell);

@@ -1,14 +1,14 @@
-// Where what rays met breaks off beside a pixel, or turns sharply: there a pixel needs more rays than one. Reversed depth is
-// linear across a plane in perspective, so its second difference is 0 there; where ground ends is a break, too. So is where
-// light or colour breaks off: shores, lines, layers.
+// Where the hits of rays break off beside a pixel, or turn sharply: such a pixel needs more than one ray. Reversed depth is
+// linear across a plane in perspective, so its second difference is 0 there. The end of the ground is a break, too, and so
+// are breaks in light or colour: shores, lines, layers.
 
 @group(0) @binding(0) var depths: texture_depth_2d;
 @group(0) @binding(1) var marks: texture_2d<u32>;
 @group(0) @binding(2) var light: texture_2d<f32>;
-@group(0) @binding(3) var<storage, read_write> breaks: array<u32>;   // a number a pixel: 1 if so
+@group(0) @binding(3) var<storage, read_write> breaks: array<u32>;   // per pixel: 1 at a break
 
-const PART: f32 = {{PART}};   // of the depth
-const BRIGHT: f32 = {{BRIGHT}};   // of the brightest channel
+const PART: f32 = {{PART}};   // fraction of the depth
+const BRIGHT: f32 = {{BRIGHT}};   // fraction of the brightest channel
 const PLAN: u32 = {{PLAN}}u;  // 1: rays are parallel, and only where ground ends counts
 
 struct Seen { depth: f32, kind: u32, color: vec3<f32> };   // kind 0: nothing; 1: ground; 3: a patch over missing ground

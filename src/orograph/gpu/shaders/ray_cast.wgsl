@@ -1,10 +1,10 @@
-// Rays of any places and ways against the terrain (orograph.rendering.gpu.shade.ray_field.blocked): one invocation each.
+// Arbitrary rays against the terrain (orograph.rendering.gpu.shade.ray_field.blocked): one invocation each.
 
 // include: ray_field.wgsl
 
 struct Query {
   whole: vec2<i32>,   // sample (column, row)
-  part: vec2<f32>,    // what is left of one
+  part: vec2<f32>,    // remainder
   way: vec3<f32>,
   height: f32,        // metres
   skip: f32,          // metres

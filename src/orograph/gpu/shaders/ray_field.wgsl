@@ -1,10 +1,10 @@
-// Whether anything stands in a ray's way: a walk over nested windows of heights with pyramids of their maxima (Tevs,
-// Ihrke & Seidel 2008, §3), the twin of raycast/traverse.py for rays that only ask for yes or no. Where a ray stays above
-// a node's maximum it is free there; at the cells its passage is compared with both triangles, exactly. The walk is in
-// integers, so no cell is left out; places are counted from a window's first sample, so that float32 keeps its digits.
+// Whether anything blocks a ray: a walk over nested windows of heights with pyramids of their maxima (Tevs,
+// Ihrke & Seidel 2008, §3), the twin of raycast/traverse.py for rays that only need a yes or no. Where a ray stays above
+// a node's maximum it is free; at the cells its passage is compared with both triangles, exactly. The walk is in
+// integers, so no cell is left out; places are counted from a window's first sample, so that float32 keeps its precision.
 //
-// orograph.rendering.gpu.shade.ray_field makes the tables; who includes this puts them on group {{RAY_GROUP}}. Ways are unit vectors (east,
-// north, up) of stretched space, lengths stretched metres, heights true ones.
+// orograph.rendering.gpu.shade.ray_field makes the tables; including shaders have them in group {{RAY_GROUP}}. Directions are unit vectors
+// (east, north, up) of stretched space, lengths stretched metres, heights true ones.
 // include: place.wgsl
 
 struct RayFrame {
@@ -13,9 +13,9 @@ struct RayFrame {
   exaggeration: f32,
   top: f32,                  // metres: no sample is higher
   count: u32,                // windows; 0: nothing stands anywhere
-  first: u32, rays: u32,     // of a lattice of `total` rays to a light those that are traced now, and what every
-  total: u32,                //   ray's number is multiplied by, so that part of a lattice is spread over it
-  corner: vec2<f32>,         // the whole picture's pixel position of the target's left upper corner, and of its sample
+  first: u32, rays: u32,     // of a lattice of `total` rays to a light, those traced now; and the factor by which each
+  total: u32,                //   ray's number is multiplied, so that a part of a lattice is spread over it
+  corner: vec2<f32>,         // position in the whole picture of the target's upper left corner, and of its sample
   stride: u32,
   spacing: f32,              // metres between samples
   windows: array<vec4<i32>, 48>,  // three each: first column and row, cells across and down; offset, samples per row,
@@ -61,7 +61,7 @@ fn above_cell(z: vec4<f32>, p: vec3<f32>) -> f32 {
   return select(1.0, p.z - on_cell(z, p.xy), known);
 }
 
-// The corners a, b, c, d of the cell whose first sample is i, mirrored where its diagonal does not run from the first to
+// The corners a, b, c, d of the cell whose first sample is i, mirrored if its diagonal does not run from the first to
 // the last of them (odd cells): then the place in it is mirrored, too.
 fn corners(i: i32, stride: i32, even: bool) -> vec4<f32> {
   let z = vec4<f32>(ray_pool[i], ray_pool[i + 1], ray_pool[i + stride], ray_pool[i + stride + 1]);
@@ -72,7 +72,7 @@ fn mirrored(x: f32, even: bool) -> f32 {
   return select(1.0 - x, x, even);
 }
 
-// Whether a passage p → q through a cell comes below one of its triangles; i: its first sample.
+// Whether a passage p → q through a cell goes below one of its triangles; i: its first sample.
 fn cell_blocks(i: i32, stride: i32, even: bool, p0: vec3<f32>, q0: vec3<f32>) -> bool {
   let z = corners(i, stride, even);
   if (min(p0.z, q0.z) > max(max(z.x, z.y), max(z.z, z.w))) {
@@ -92,7 +92,7 @@ fn cell_blocks(i: i32, stride: i32, even: bool, p0: vec3<f32>, q0: vec3<f32>) ->
 
 struct Foot { height: f32, scale: f32 };
 
-// The surface at a place in the finest window that holds it: metres, and samples of the raster between its samples.
+// The surface at a place in the finest window that contains it: metres, and the spacing of its samples on the raster.
 fn foot_of(at: Place) -> Foot {
   var w = 0u;
   for (var k = 1u; k < ray.count; k++) {
@@ -111,7 +111,7 @@ fn foot_of(at: Place) -> Foot {
   return Foot(on_cell(z, vec2<f32>(mirrored(p.x, even), p.y)), exp2(f32(data.z)));
 }
 
-// Whether anything stands between `skip` and `far` on the way from a place on the raster at a height.
+// Whether anything blocks the way from a place on the raster at a height, between `skip` and `far`.
 fn blocked(at: Place, height: f32, way: vec3<f32>, skip: f32, far: f32) -> bool {
   if (ray.count == 0u) {
     return false;
@@ -137,7 +137,7 @@ fn blocked(at: Place, height: f32, way: vec3<f32>, skip: f32, far: f32) -> bool 
     let o = in_window(u32(w), at);
     let v = run * exp2(-f32(data.z));
     let inverse = 1.0 / v;
-    // As far as the window reaches, or to the finer one inside it.
+    // To the window's end, or to the finer one inside it.
     var t1 = window_span(u32(w), at, v, t, far).y;
     var next = w - 1;
     if (u32(w) + 1u < ray.count) {

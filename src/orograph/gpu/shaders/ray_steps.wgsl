@@ -1,4 +1,4 @@
-// What rays cost: of one pixel of every cell of SPACING pixels, how many steps its ray takes, and whether it meets ground.
+// The cost of rays: for one pixel of every cell of SPACING pixels, the steps its ray takes, and whether it hits ground.
 // include: window_rays.wgsl
 
 const SPACING: u32 = {{SPACING}}u;

@@ -1,11 +1,11 @@
-// Light by rays: the discs of suns and the sky by lattices of rays, lamps by a ray each; lighting/hit_rays.py and
-// rendering/cpu/lighting.py (Raytraced) on the GPU, with the same directions. Of every lattice `ray.rays` rays are traced from
-// `ray.first` on; what follows each other is spread over the lattice, so that a part of it already gives a fair mean.
+// Light by rays: the discs of suns and the sky by lattices of rays, lamps by one ray each; lighting/hit_rays.py and
+// rendering/cpu/lighting.py (Raytraced) on the GPU, with the same directions. Of every lattice, `ray.rays` rays are traced from
+// `ray.first` on; consecutive ones are spread over the lattice, so that a part of it already gives a fair mean.
 // include: ray_field.wgsl
 
 const GOLDEN: u32 = 2654435769u;   // 2³² / golden ratio
 const TURN: f32 = 6.283185307179586;
-const SMALL: f32 = 0.9990;         // cosine of a disc's radius from which on five rays tell whether it is seen whole
+const SMALL: f32 = 0.9990;         // cosine of a disc's radius above which five rays decide whether all of it is visible
 
 // 64-bit numbers as (low, high), for the hash that shifts a pixel's lattices (SplitMix64, as on the CPU).
 fn product32(a: u32, b: u32) -> vec2<u32> {
@@ -39,7 +39,7 @@ fn mixed(x: vec2<u32>) -> vec2<u32> {
   return folded(product64(folded(a, 27u), vec2<u32>(0x133111EBu, 0x94D049BBu)), 31u);
 }
 
-// Two numbers in [0, 1) that belong to a pixel.
+// Two numbers in [0, 1) for a pixel.
 fn shift_of(pixel: vec2<u32>, seed: u32) -> vec2<f32> {
   let odd = vec2<u32>(0x7F4A7C15u, 0x9E3779B9u);
   let key = sum64(vec2<u32>(pixel.y, pixel.x), product64(odd, vec2<u32>(seed + 1u, 0u)));
@@ -48,7 +48,7 @@ fn shift_of(pixel: vec2<u32>, seed: u32) -> vec2<f32> {
   return vec2<f32>(f32(a.y >> 8u), f32(b.y >> 8u)) / 16777216.0;
 }
 
-// Two unit vectors square to a unit vector and to each other (Duff et al. 2017), and it.
+// A unit vector with two others perpendicular to it and to each other (Duff et al. 2017).
 fn frame_about(n: vec3<f32>) -> mat3x3<f32> {
   let sign = select(-1.0, 1.0, n.z >= 0.0);
   let a = -1.0 / (sign + n.z);
@@ -72,7 +72,7 @@ fn sees(from_: From, way: vec3<f32>, far: f32) -> bool {
   return !blocked(from_.place, from_.height, way, from_.skip, far);
 }
 
-// The mean over a disc of its cosine to the normal where it is seen.
+// The mean over a disc of its cosine to the normal where it is visible.
 fn disc_by_rays(from_: From, normal: vec3<f32>, sun: Sun, shift: vec2<f32>) -> f32 {
   let facing = dot(normal, sun.direction);
   let small = sun.cosine >= SMALL;
@@ -81,7 +81,7 @@ fn disc_by_rays(from_: From, normal: vec3<f32>, sun: Sun, shift: vec2<f32>) -> f
   }
   let about = frame_about(sun.direction);
   if (small && ray.rays > 5u) {
-    // Asked in its middle and at four places on the rim: only where answers differ are there more.
+    // Five rays, in its middle and at four points on the rim: only where they disagree are there more.
     var seen = 0u;
     for (var m = 0u; m < 5u; m++) {
       let turn = sine_cosine(0.25 * TURN * (f32(m) + shift.y));
@@ -112,7 +112,7 @@ fn disc_by_rays(from_: From, normal: vec3<f32>, sun: Sun, shift: vec2<f32>) -> f
   return total / f32(ray.rays);
 }
 
-// The part of the sky that is seen, weighted by its cosine to the normal.
+// The visible part of the sky, weighted by its cosine to the normal.
 fn sky_by_rays(from_: From, normal: vec3<f32>, shift: vec2<f32>) -> f32 {
   let about = frame_about(normal);
   var free = 0u;
@@ -131,8 +131,8 @@ fn start_at(at: Place, footprint: f32) -> From {
   return From(at, foot.height, max(foot.scale, min(footprint, 4.0)) * ray.spacing);
 }
 
-// The part of the sun's disc above the skyline towards it. Of a height field's rays from one place all below a blocked
-// one are blocked, so bisection between the disc's limbs finds the skyline: to 1/32 of the disc's radius.
+// The part of the sun's disc above the skyline towards it. If a ray over a height field is blocked, so are all lower ones
+// from the same place, so bisection between the disc's limbs finds the skyline: to 1/32 of the disc's radius.
 fn sun_above_skyline(at: Place, footprint: f32) -> f32 {
   let start = start_at(at, footprint);
   let level = length(shade.sun.xy);
@@ -147,7 +147,7 @@ fn sun_above_skyline(at: Place, footprint: f32) -> f32 {
     let turn = sine_cosine(between * shade.sun.w);
     let free = sees(from_, turn.y * shade.sun.xyz + turn.x * upward, 1e9);
     if (k < 2u) {
-      if (free == (k == 0u)) {   // the lower limb is seen, or the upper one is not
+      if (free == (k == 0u)) {   // the lower limb is visible, or the upper one is not
         return f32(free);
       }
     } else if (free) {
@@ -160,7 +160,7 @@ fn sun_above_skyline(at: Place, footprint: f32) -> f32 {
 }
 
 // All light on a place: normals of the stretched ground and of what is shaded, the place relative to the eye, the
-// pixel position it is seen at.
+// pixel position where it appears.
 fn light_by_rays(
   at: Place, footprint: f32, normal: vec3<f32>, shaded: vec3<f32>, position: vec3<f32>, pixel: vec2<f32>
 ) -> vec3<f32> {

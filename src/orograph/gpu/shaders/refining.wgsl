@@ -1,10 +1,10 @@
 // A doubling of detail beyond the data: the 4-point rule, and what is added to the new samples (Losasso & Hoppe 2004, and by example).
-// In integers, as synthesis/refining.py and synthesis/steered.py do it: all make the same heights.
+// In integers, like synthesis/refining.py and synthesis/steered.py: all make the same heights.
 // include: synthesis_plane.wgsl
 
 @group(0) @binding(0) var<uniform> run: Run;
 @group(0) @binding(1) var<storage, read> coarse: array<i32>;
-@group(0) @binding(2) var<storage, read> scale: array<i32>;          // of the noise, or of what the exemplar has
+@group(0) @binding(2) var<storage, read> scale: array<i32>;          // of the noise, or of the exemplar's residuals
 @group(0) @binding(3) var<storage, read_write> heights: array<i32>;
 // when: STEERED
 @group(0) @binding(4) var<storage, read> chosen: array<vec2<i32>>;
@@ -13,7 +13,7 @@
 
 const MISSING: i32 = -2147483647 - 1;
 
-// The sample between b and c, as a and d lie beyond them; next to a missing one in a straight line.
+// The sample between b and c, with a and d beyond them; linear beside a missing one.
 fn middle(a: i32, b: i32, c: i32, d: i32) -> i32 {
   if (b == MISSING || c == MISSING) {
     return MISSING;
@@ -43,7 +43,7 @@ fn doubled(r: i32, c: i32) -> i32 {
   return middle(along(p - 1, c), along(p, c), along(p + 1, c), along(p + 2, c));
 }
 
-// A scale between those of the coarser lattice's samples, first along rows, then along columns.
+// A scale interpolated between those of the coarser lattice's samples, first along rows, then along columns.
 fn spread(r: i32, c: i32) -> i32 {
   let n = u32(run.doublings);
   let whole = 1 << n;
@@ -60,7 +60,7 @@ fn spread(r: i32, c: i32) -> i32 {
 }
 
 // when: FRACTAL
-// Four bytes of a hash: nearly a normal distribution.
+// The sum of four bytes of a hash: nearly a normal distribution.
 fn residual(here: i32, r: i32, c: i32) -> i32 {
   let h = hashed(c, r, run.seed);
   let noise = i32((h & 255u) + ((h >> 8u) & 255u) + ((h >> 16u) & 255u) + (h >> 24u)) - 510;
@@ -73,7 +73,7 @@ fn tap(at: vec2<i32>, dx: i32, dy: i32) -> i32 {
   return fine[placed(at + run.step * vec2<i32>(dx, dy))];
 }
 
-// Sixteen times the exemplar's row dy steps off, by the 4-point rule where the place lies between samples.
+// Sixteen times the exemplar's row dy steps away, by the 4-point rule if the place lies between samples.
 fn between(at: vec2<i32>, odd: bool, dy: i32) -> i32 {
   if (!odd) {
     return 16 * tap(at, 0, dy);
@@ -81,7 +81,7 @@ fn between(at: vec2<i32>, odd: bool, dy: i32) -> i32 {
   return 9 * (tap(at, -1, dy) + tap(at, 1, dy)) - tap(at, -3, dy) - tap(at, 3, dy);
 }
 
-// What the exemplar has beyond its own doubling.
+// The exemplar's heights minus its own doubling.
 fn residual(here: i32, r: i32, c: i32) -> i32 {
   let at = chosen[here];
   let odd = (c & 1) == 1;

@@ -1,10 +1,10 @@
-// Linear light to the display: the mean over accumulated frames, then sRGB.
+// From linear light to the display: the mean over accumulated frames, then sRGB.
 
 struct Resolve { pad: u32, frames: f32, encode: u32, occlusion: f32 };   // strength of what darkens corners
 
 @group(0) @binding(0) var<uniform> resolve: Resolve;
 @group(0) @binding(1) var light: texture_2d<f32>;
-@group(0) @binding(2) var open: texture_2d<f32>;   // how open the surroundings of a pixel are, 1: all
+@group(0) @binding(2) var open: texture_2d<f32>;   // how open a pixel's surroundings are, 1: wholly
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {

@@ -1,5 +1,5 @@
-// What an occluder at a distance lets through (orograph.lighting.rho): a table of ρ over [0, R), and ρ(R) apart.
-// The table lies in `table`: its last value is ρ(R) of a ray that meets nothing, those before equal parts of [0, R].
+// What an occluder at a distance lets through (orograph.lighting.rho): a table of ρ over [0, R), and ρ(R) separately.
+// In `table`, the last value is ρ(R) for a ray that hits nothing; the others cover equal parts of [0, R].
 
 fn rho(length: f32, radius: f32) -> f32 {
     let last = arrayLength(&table) - 2u;

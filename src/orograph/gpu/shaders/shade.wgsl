@@ -1,4 +1,4 @@
-// From the depth of a pixel to its color: rendering/cpu/shading.py and rendering/cpu/kernels.py on the GPU, in the same order and
+// From a pixel's depth to its color: rendering/cpu/shading.py and rendering/cpu/kernels.py on the GPU, in the same order and
 // with the same constants. Light is linear; slopes are means over the pixel, from the atlas of slope tiles.
 // include: camera.wgsl
 // include: place.wgsl
@@ -7,16 +7,16 @@ struct Shade {
   sun: vec4<f32>,           // towards the sun (east, north, up); w: the disc's radius, radians
   sunlight: vec4<f32>,      // w: strength, the factor on slopes
   skylight: vec4<f32>,      // w: bounce
-  water: vec4<f32>,         // color; w: what the shore's field is half the width of
+  water: vec4<f32>,         // color; w: half the width of the shore's field
   paper: vec4<f32>,         // background; w: metres between samples
   extinction: vec4<f32>,    // per metre; w: depth where the air begins
   mist: vec4<f32>,          // w: how fast it fades
   disc: vec4<f32>,          // radiance of the sun's disc; w: 1 if there is a sky
-  tint: vec4<f32>,          // low, high, floor (metres); w: up to where all ground is water (metres; far below all of it: found instead)
-  contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
+  tint: vec4<f32>,          // low, high, floor (metres); w: ground below is water (metres; far below all ground: look it up)
+  contour: vec4<f32>,       // interval (metres, 0: none), lines per index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
   edge: vec4<f32>,          // of silhouettes: color, opacity
-  edge_range: vec4<f32>,    // depths in view (metres), width of lines in pixels, pixels that they reach
+  edge_range: vec4<f32>,    // depths in view (metres), width of lines in pixels, pixels to search
   casing: vec4<f32>,        // of contour lines and of silhouettes: opacity; width in pixels
   side: vec2<f32>,          // horizontal direction towards the sun
   sky_at: u32, sky_rows: u32,
@@ -24,7 +24,7 @@ struct Shade {
   land_at: u32, land_count: u32,
   sea_at: u32, sea_count: u32,
   levels: u32, flags: u32,
-  searched: vec4<i32>,      // the samples (from column, row, to column, row) where the map of water is
+  searched: vec4<i32>,      // the samples (from column, row, to column, row) that the map of water covers
   light: vec4<i32>,         // the map of light: offset, rows, cols, level
   light_first: vec2<i32>,   // its first block (row, col)
   windows: u32, hatch: u32,
@@ -48,8 +48,8 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(11) var<storage, read> imagery: array<u32>;
 @group(1) @binding(12) var<storage, read> suns: array<Sun>;
 @group(1) @binding(13) var<storage, read> lamps: array<Lamp>;
-@group(1) @binding(14) var given: texture_2d<f32>;    // slopes of what was drawn, metres per metre
-@group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines are left out around it
+@group(1) @binding(14) var given: texture_2d<f32>;    // slopes of the drawn surface, metres per metre
+@group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines around it are left out
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 @group(1) @binding(17) var breaks_near: texture_2d<f32>;   // the heaviest of 8 × 8 pixels
 @group(1) @binding(18) var field: texture_2d<f32>;    // the terrain's own heights, metres
@@ -62,12 +62,12 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 // include: sky.wgsl
 // include: imagery.wgsl
 
-// What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
+// What is drawn, known when the shader is compiled, because software renderers execute branches whether they are taken or
 // not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colors of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
 // 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes, 16384 lines of ``field``,
 // 32768 of the smooth surface where samples are large.
 const FLAGS: u32 = {{FLAGS}}u;
-// Lights, too: 131072 lamps; 262144 the sun's shadows by rays; discs of light from the bit of 2²⁰ up, 7: as many as there are.
+// For lights: 131072 lamps; 262144 the sun's shadows by rays; three bits from 2²⁰ up: discs of light, 7: any number.
 const SUNS: u32 = (FLAGS >> 20u) & 7u;
 // include: lines.wgsl
 // include: slopes.wgsl
@@ -95,12 +95,12 @@ struct Ground {
   wet: f32,             // how much of it is water
 };
 
-// Whether water is all ground up to a height, and not what is level.
+// Whether all ground up to a height is water, instead of level ground.
 fn is_flooded() -> bool {
   return shade.tint.w > -1e30;
 }
 
-// Whether a place lies beyond the map of water.
+// Whether a place lies outside the map of water.
 fn beyond(at: Place) -> bool {
   return any(at.whole < shade.searched.xy) || any(at.whole >= shade.searched.zw);
 }
@@ -138,7 +138,7 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
     }
   }
   // when: RAYS
-  if ((FLAGS & 65536u) != 0u) {   // (with 32) rays are all the light there is
+  if ((FLAGS & 65536u) != 0u) {   // (with 32) all light is by rays
     let steep = g * camera.forward.w;
     let tilt = inverseSqrt(1.0 + dot(steep, steep));
     light = light_by_rays(at, footprint, vec3<f32>(-steep * tilt, tilt), vec3<f32>(-stretched * up, up), position,
@@ -163,7 +163,7 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
   return Ground(shoulder(albedo * light), g, wet);
 }
 
-// What a pixel of ground shows: where it is relative to the eye, on the raster, and how much of it a pixel covers.
+// The ground in a pixel: its position relative to the eye, its place on the raster, and the pixel's footprint there.
 struct Hit { depth: f32, position: vec3<f32>, place: Place, height: f32, footprint: f32 };
 
 fn hit_at(stored: f32, ray: Ray) -> Hit {
@@ -184,12 +184,12 @@ fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 
-// A pixel's place in the whole picture, of which the target may be a tile.
+// A pixel's position in the whole picture, of which the target may be a tile.
 fn in_picture(at: vec2<f32>) -> vec2<u32> {
   return vec2<u32>(at) + vec2<u32>(shade.corner & 0xffffu, shade.corner >> 16u);
 }
 
-// What is seen where the depth buffer is empty.
+// The background, where the depth buffer is empty.
 fn behind(at: vec2<f32>) -> vec4<f32> {
   let d = normalize(ray_of(at).direction);
   var color = shade.paper.rgb;
@@ -202,7 +202,7 @@ fn behind(at: vec2<f32>) -> vec4<f32> {
   return vec4<f32>(color, 1.0);
 }
 
-// The sign for what is not known, at a depth.
+// The hatching for missing ground, at a depth.
 fn hatched(at: vec2<f32>, d: vec3<f32>, depth: f32) -> vec4<f32> {
   let place = in_picture(at);
   let across = f32(place.x + place.y) + 1.0 + camera.shift.x + camera.shift.y;
@@ -217,7 +217,7 @@ fn hatched(at: vec2<f32>, d: vec3<f32>, depth: f32) -> vec4<f32> {
   return vec4<f32>(color, 1.0);
 }
 
-// What is seen of the ground; 0 where a pixel is left as it is.
+// The color of the ground; 0 if a pixel stays unchanged.
 fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
   let pixel = vec2<i32>(at);
   let mark = textureLoad(marks, pixel, 0).r;
@@ -248,7 +248,7 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
     var height = hit.height;
     var own = seen.slope;
     var drawn = seen.slope;
-    if ((FLAGS & 16384u) != 0u) {   // a mesh is drawn, but lines are those of the terrain
+    if ((FLAGS & 16384u) != 0u) {   // a mesh is drawn, but lines follow the terrain
       height = textureLoad(field, pixel, 0).r;
       drawn = textureLoad(given, pixel, 0).rg;
       if ((FLAGS & 2048u) != 0u) {
@@ -272,7 +272,7 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
   if ((FLAGS & 256u) != 0u) {
     color = haze(color, d, depth);
   }
-  if (hit.footprint < 0.5) {   // where samples are large colors change by less than a byte tells over many pixels
+  if (hit.footprint < 0.5) {   // where samples are large, colors change by less than a byte's step over many pixels
     color = dithered(color, in_picture(at));
   }
   if ((FLAGS & 8192u) != 0u) {
@@ -324,7 +324,7 @@ fn compute(@builtin(global_invocation_id) k: vec3<u32>) {
 }
 // end: COMPUTED
 
-// A color for the spacing of a patch's lattice and whether its legs are diagonal.
+// A color for the spacing of a patch's lattice, and for diagonal legs.
 fn level_colour(step: u32, diagonal: u32) -> vec3<f32> {
   let hue = f32(step) * 0.381966 + f32(diagonal) * 0.08;
   let h = abs(fract(vec3<f32>(hue, hue + 0.3333, hue + 0.6667)) * 6.0 - 3.0) - 1.0;
@@ -333,7 +333,7 @@ fn level_colour(step: u32, diagonal: u32) -> vec3<f32> {
 
 struct Surface { @location(0) depth: f32, @location(1) normal: vec4<f32> };
 
-// Depth along the axis (0: no ground) and the true ground's normal in view space, for what works on the screen.
+// Depth along the axis (0: no ground) and the true ground's normal in view space, for screen-space effects.
 @fragment
 fn surface(@builtin(position) at: vec4<f32>) -> Surface {
   let pixel = vec2<i32>(at.xy);

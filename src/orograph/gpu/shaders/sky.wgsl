@@ -50,7 +50,7 @@ fn sky(d: vec3<f32>) -> vec3<f32> {
   return mix(out, shade.mist.xyz, 1.0 - exp(down * shade.mist.w));
 }
 
-// A color moved by up to half a step of a byte of sRGB: a sky has no bands then (ordered dither, as rendering/sky.py).
+// Move a color by up to half a step of a byte of sRGB, against banding of skies (ordered dither, like rendering/sky.py).
 fn dithered(color: vec3<f32>, pixel: vec2<u32>) -> vec3<f32> {
   var rank = 0u;
   for (var k = 0u; k < 3u; k++) {
@@ -68,7 +68,7 @@ fn horizon(d: vec3<f32>) -> vec3<f32> {
   return mix(rgb(at), rgb(at + 3u), t - f32(k));
 }
 
-// What is left of the color of ground at a depth, and the air's light before it.
+// The color of ground at a depth, dimmed by the air, plus the air's own light.
 fn haze(color: vec3<f32>, d: vec3<f32>, depth: f32) -> vec3<f32> {
   let left = exp(-max(depth - shade.extinction.w, 0.0) * shade.extinction.xyz);
   let air = horizon(d);

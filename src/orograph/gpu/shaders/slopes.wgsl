@@ -3,7 +3,7 @@
 // include: place.wgsl
 
 struct Level { offset: u32, tile_rows: u32, tile_cols: u32, rows: u32, cols: u32, count: u32, pad0: u32, pad1: u32 };
-const LEVELS = 32u;   // of which levels[0].count are there
+const LEVELS = 32u;   // of which levels[0].count exist
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
 
@@ -23,7 +23,7 @@ fn load_slope(slot: i32, at: vec2<i32>) -> vec2<f32> {
   return textureLoad(slopes, origin + at, slot / (PER_SIDE * PER_SIDE), 0).rg;
 }
 
-// Slope (per sample, along columns and rows) of a level's means; xy and 1, or 0 where the tile is not there.
+// Slope (per sample, along columns and rows) of a level's means; xy and 1, or 0 if the tile is absent.
 fn slope_of(at: Place, level: u32) -> vec3<f32> {
   let l = levels[level];
   var p = in_blocks(at, level);
@@ -42,7 +42,7 @@ fn slope_of(at: Place, level: u32) -> vec3<f32> {
   return vec3<f32>(mix(a, b, f.y), 1.0);
 }
 
-// The finest level from ``wanted`` on that is there.
+// The slope of the finest level present, from ``wanted`` on.
 fn resident_slope(at: Place, wanted: u32) -> vec2<f32> {
   for (var level = min(wanted, levels[0].count - 1u); level < levels[0].count; level++) {
     let found = slope_of(at, level);

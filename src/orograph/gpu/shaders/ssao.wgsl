@@ -1,7 +1,7 @@
 // Ground-truth ambient occlusion in screen space (Jimenez, Wu, Pesce & Jarabo 2016, "Practical Realtime Strategies for
 // Accurate Indirect Occlusion"), for any renderer: depth and normals in, ambient occlusion out (orograph.rendering.gpu.shade.ssao).
 //
-// In slices through the view vector the horizon is searched for on both sides along the pixels of a line; the integral of
+// In slices through the view vector the horizon is searched for on both sides along a line of pixels; the integral of
 // the visible arc, weighted by the cosine to the normal projected into the slice, is in closed form. View space here: x
 // right, y up, z the depth along the view axis (metres, positive into the picture). A depth ≤ 0 is sky.
 
@@ -9,7 +9,7 @@ struct Frame {
     size: vec2f,      // pixels
     slope: vec2f,     // of a pixel: metres right and up at depth 1, per pixel (perspective); or metres (orthographic)
     radius: f32,      // R, metres
-    falloff: f32,     // share of R at whose end occluders fade out
+    falloff: f32,     // fraction of R over which occluders fade out
     slices: u32,
     steps: u32,       // per side of a slice
     perspective: f32, // 1, or 0 for an orthographic view
@@ -36,7 +36,7 @@ fn point_of(pixel: vec2f, z: f32) -> vec3f {
     return vec3f(centre * select(1.0, z, frame.perspective > 0.0), z);
 }
 
-// Depth between pixels: the plane through neighbours stays one (1 / z is linear on the screen, in perspective). 0: sky.
+// Depth between pixels: interpolation keeps planes planar (1 / z is linear on the screen, in perspective). 0: sky.
 fn depth_between(at: vec2f) -> f32 {
     let first = vec2i(floor(at));
     let f = at - vec2f(first);
@@ -49,7 +49,7 @@ fn depth_between(at: vec2f) -> f32 {
     return select(between, 1.0 / between, frame.perspective > 0.0);
 }
 
-// Interleaved gradient noise (Jimenez 2014): slices and steps differ between neighbours, which the blur evens out.
+// Interleaved gradient noise (Jimenez 2014): slices and steps differ between neighbours, and the blur evens this out.
 fn noise(pixel: vec2f) -> f32 {
     return fract(52.9829189 * fract(dot(pixel + 5.588238 * frame.seed, vec2f(0.06711056, 0.00583715))));
 }
@@ -101,11 +101,11 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         var horizons = vec2f(-1.0);  // cosines
         for (var k = 0; k < 2; k++) {
             let sign = select(-1.0, 1.0, k == 1);
-            // The lowest horizon there can be is the pixel's own plane.
+            // The lowest possible horizon is the pixel's own plane.
             let low = sine_cosine(gamma + sign * 0.5 * PI).y;
             var horizon = low;
             for (var j = 0u; j < frame.steps; j++) {
-                // Steps grow outward: near occluders matter most.
+                // Steps grow outward, because near occluders matter most.
                 let share = (f32(j) + stagger) / f32(frame.steps);
                 let offset = max(share * share * reach, f32(j) + 1.0);
                 if (offset > reach + 1.0) {
@@ -130,13 +130,13 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         let first = max(-angle_of_cosine(clamp(horizons.x, -1.0, 1.0)), gamma - 0.5 * PI);
         let second = min(angle_of_cosine(clamp(horizons.y, -1.0, 1.0)), gamma + 0.5 * PI);
         seen += size * (arc(first, gamma) + arc(second, gamma));
-        // Of open ground this is what the same slices would sum to: without it few slices make slopes uneven.
+        // The sum of the same slices over open ground: without it, a small number of slices makes slopes uneven.
         full += size * (arc(gamma - 0.5 * PI, gamma) + arc(gamma + 0.5 * PI, gamma));
     }
     textureStore(out, pixel, vec4f(select(1.0, clamp(seen / full, 0.0, 1.0), full > 0.0)));
 }
 
-// A 5 × 5 blur that keeps to one surface: weights fall with the distance from the pixel's own plane.
+// A 5 × 5 blur within one surface: weights fall with the distance from the pixel's own plane.
 @compute @workgroup_size(8, 8)
 fn blur(@builtin(global_invocation_id) id: vec3u) {
     let pixel = vec2i(id.xy);

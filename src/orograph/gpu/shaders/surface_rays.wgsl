@@ -1,4 +1,4 @@
-// The ground by rays: of every pixel, or of those of some blocks of the screen, the first hit with nested windows.
+// The ground by rays: for every pixel, or those of some blocks of the screen, the first hit with nested windows.
 // include: window_rays.wgsl
 // include: drawn.wgsl
 
@@ -8,14 +8,14 @@ const BEAM: u32 = {{BEAM}}u;
 @group(1) @binding(3) var<storage, read> breaks: array<u32>;   // ray_breaks.wgsl
 
 const BREAKS: u32 = {{BREAKS}}u;   // 1: rays are cast at breaks only
-const LEFT_OUT: u32 = 8u;            // of marks: no ray was cast here
+const LEFT_OUT: u32 = 8u;            // a mark: no ray was cast here
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 
-// A block of the screen, SIDE pixels a side, as two triangles nearer than all else.
+// A block of the screen, SIDE pixels a side, as two triangles nearer than everything else.
 const SIDE: f32 = {{SIDE}}.0;
 
 @vertex
@@ -35,7 +35,7 @@ fn hit_of(pixel: vec2<f32>, way: Way) -> Found {
   return first_hit(way, start, select(NEVER, camera.far, camera.plan == 1u), start > camera.near);
 }
 
-// As to_clip has it; 0 where there is no hit.
+// The value of to_clip; 0 if there is no hit.
 fn stored_depth(t: f32) -> f32 {
   if (t >= NEVER) {
     return 0.0;
@@ -46,7 +46,7 @@ fn stored_depth(t: f32) -> f32 {
   return camera.near / t;
 }
 
-// Bit 0 ground, bit 2 by a ray, bits 8–15 the level of the window; 0 where there is no hit.
+// Bit 0 ground, bit 2 by a ray, bits 8–15 the level of the window; 0 if there is no hit.
 fn marked(hit: Found) -> u32 {
   return select((stack.windows[hit.window].level << 8u) | 5u, 0u, hit.t >= NEVER);
 }
@@ -80,7 +80,7 @@ fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
 // end: COMPUTED
 
 // when: COMPUTED
-// A compute shader casts the rays, and fragments copy what it found.
+// A compute shader casts the rays, and fragments copy its hits.
 @group(1) @binding(4) var<storage, read_write> hits: array<vec4<u32>>;   // by rows of pixels: depth, marks, slope
 @group(1) @binding(5) var<storage, read> blocks: array<vec2<u32>>;       // column and row of each
 
@@ -131,7 +131,7 @@ fn with_slope(@builtin(position) at: vec4<f32>) -> Sloped {
 }
 // end: COMPUTED
 
-// Nothing but the depth of the block, which keeps out all that lies behind it.
+// Only the depth of the block, which keeps out everything behind it.
 @fragment
 fn kept_free() -> @location(0) u32 {
   return 0u;

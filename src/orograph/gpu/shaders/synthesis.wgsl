@@ -1,5 +1,5 @@
 // Coordinates by example: a level's from the coarser one's, and one sub-pass of correction (Lefebvre & Hoppe 2005, §3.1 to §3.3).
-// In integers, as synthesis/kernels.py does it: both choose the same places.
+// In integers, like synthesis/kernels.py: both choose the same places.
 // include: synthesis_plane.wgsl
 
 @group(0) @binding(0) var<uniform> run: Run;
@@ -8,11 +8,11 @@
 @group(0) @binding(3) var<storage, read> features: array<i32>;
 @group(0) @binding(4) var<storage, read> similar: array<vec2<i32>>;
 // when: STEERED
-// What the terrain is like at places, and the exemplar: slopes along columns and rows, and a curvature.
+// Features of the terrain at places, and of the exemplar: slopes along columns and rows, and a curvature.
 @group(0) @binding(5) var<storage, read> guide: array<i32>;
 @group(0) @binding(6) var<storage, read> guides: array<i32>;
 
-// How far a place is from being like a coordinate of the exemplar, whose mirror images have mirrored slopes.
+// The difference between a place and a coordinate of the exemplar, whose mirror images have mirrored slopes.
 fn unlike(here: i32, at: vec2<i32>) -> u32 {
   let there = 3 * placed(at);
   let x = guide[3 * here] - select(guides[there], -guides[there], at.x >= run.cols);
@@ -45,7 +45,7 @@ fn upsample(@builtin(global_invocation_id) id: vec3<u32>) {
 // when: STEERED
 const TRIES = {{TRIES}};
 
-// Of some random places of the exemplar's plane the one that is most like the terrain.
+// Of some random places of the exemplar's plane, the one most like the terrain.
 @compute @workgroup_size(8, 8)
 fn begin(@builtin(global_invocation_id) id: vec3<u32>) {
   let j = i32(id.x);

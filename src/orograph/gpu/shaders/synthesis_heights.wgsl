@@ -1,4 +1,4 @@
-// Heights by example: a level's from the coarser one's, doubled, and the exemplar's own beyond its doubled coarser level.
+// Heights by example: a level's from the coarser one's, doubled, plus the exemplar's minus its doubled coarser level.
 // include: synthesis_plane.wgsl
 
 @group(0) @binding(0) var<uniform> run: Run;
@@ -8,7 +8,7 @@
 @group(0) @binding(4) var<storage, read> coarser: array<i32>;
 @group(0) @binding(5) var<storage, read_write> heights: array<i32>;
 
-// The B-spline's 1 4 6 4 1.
+// The B-spline's weights 1 4 6 4 1.
 fn tap(d: i32) -> i32 {
   return select(select(1, 4, abs(d) == 1), 6, d == 0);
 }

@@ -1,9 +1,9 @@
-// An exemplar's plane: the exemplar beside its mirror images, (2 rows, 2 cols), for ever. See synthesis/kernels.py.
+// An exemplar's plane: the exemplar beside its mirror images, (2 rows, 2 cols), repeated. See synthesis/kernels.py.
 // Needs ``run``: the constants of a step.
 
 struct Run {
-  top: i32, left: i32, height: i32, width: i32,        // the window that is made
-  row0: i32, col0: i32, from_width: i32, rows: i32,    // the coarser window it is made of; the exemplar
+  top: i32, left: i32, height: i32, width: i32,        // the window to make
+  row0: i32, col0: i32, from_width: i32, rows: i32,    // the coarser window it is made from; the exemplar
   cols: i32, step: i32, reach: i32, seed: i32,
   kappa: i32, even_row: i32, even_col: i32, inset: i32,
   doublings: i32, shift: i32, own_row0: i32, own_col0: i32,   // what is spread between samples of a coarser lattice
@@ -20,7 +20,7 @@ fn folded(x: i32, size: i32) -> i32 {
   return select(2 * size - 1 - r, r, r < size);
 }
 
-// Where in a table of the exemplar a coordinate lies.
+// The index of a coordinate in a table of the exemplar.
 fn placed(at: vec2<i32>) -> i32 {
   return folded(at.y, run.rows) * run.cols + folded(at.x, run.cols);
 }

@@ -1,15 +1,15 @@
-// A frame and the ones before it, each drawn with samples elsewhere in its pixels: where the ground in a pixel was in the
-// last frame is known, so what was gathered there goes on (see rendering/gpu/temporal/antialiasing.py).
+// A frame and earlier ones, each with samples elsewhere in its pixels: the place in the last frame of the ground in a pixel
+// is known, so the mean gathered there continues (see rendering/gpu/temporal/antialiasing.py).
 // include: camera.wgsl
 
 struct Temporal {
   right: vec4<f32>,      // the last frame's axes and focal lengths, as the camera has them
   up: vec4<f32>,
   forward: vec4<f32>,    // w: 1 if there is a last frame, 2 if what it showed has changed since
-  moved: vec4<f32>,      // how far the eye has moved since, stretched metres; w: the least part of this frame in the mean
-  centre: vec2<f32>,     // clip offset of the last frame's optical axis, samples in the middle of pixels
-  shift: vec2<f32>,      // where in its pixel this frame's sample lies, pixels from the middle
-  fresh: vec4<u32>,      // x: how many areas of the ground look otherwise than in the last frame
+  moved: vec4<f32>,      // the eye's movement since, stretched metres; w: the least weight of this frame in the mean
+  centre: vec2<f32>,     // clip offset of the last frame's optical axis, with samples in the middle of pixels
+  shift: vec2<f32>,      // the position in its pixel of this frame's sample, pixels from the middle
+  fresh: vec4<u32>,      // x: the number of areas of the ground that look different from the last frame
   areas: array<vec4<f32>, 64>,   // columns and rows from the eye: west, north, east, south
 };
 
@@ -22,14 +22,14 @@ struct Temporal {
 
 const SKY: f32 = 1e30;
 const FULL: f32 = 65504.0;  // the largest number of a half float
-const SAME: f32 = 0.02;   // depths that differ by less, as parts of them, may be those of one surface
-const SCALE: f32 = 2.0;   // how much of a mean is given up for a change of scale, times that change
+const SAME: f32 = 0.02;   // relative difference below which two depths may be those of one surface
+const SCALE: f32 = 2.0;   // how much of a mean is discarded for a change of scale, times that change
 
-const ANEW: f32 = 3.0;    // frames that a mean counts as, at most, where new tiles came: it is to forget what was there
+const ANEW: f32 = 3.0;    // most frames that a mean counts as where new tiles arrived, so that it forgets the old ones
 
-const FAST: f32 = 0.0625; // a frame's least part in the mean of what moves by a pixel or more: each look-up blurs it
+const FAST: f32 = 0.0625; // a frame's least weight in the mean of what moves by a pixel or more: each look-up blurs it
 
-// The mean, and the depth that the next frame looks for (its own sample's).
+// The mean, and the depth that the next frame searches for (that of its own sample).
 struct Mean { @location(0) light: vec4<f32>, @location(1) far: f32 };
 
 @vertex
@@ -37,8 +37,8 @@ fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 
-// (Alpha counts the frames that are in a pixel's mean.)
-// The mean so far at a position in pixels, by Catmull and Rom's cubic in five bilinear looks: a linear one again and again
+// (Alpha counts the frames in a pixel's mean.)
+// The mean so far at a position in pixels, by Catmull and Rom's cubic in five bilinear look-ups: repeated linear ones
 // would blur what stands still.
 fn gathered(at: vec2<f32>) -> vec3<f32> {
   let middle = floor(at - 0.5) + 0.5;
@@ -61,7 +61,7 @@ fn gathered(at: vec2<f32>) -> vec3<f32> {
   return sum / weight;
 }
 
-// Whether a surface at a depth was seen around a pixel of the last frame: what was not, was hidden there.
+// Whether a surface at a depth was visible around a pixel of the last frame; if not, it was hidden there.
 fn seen_before(nearest: vec2<i32>, last: vec2<i32>, z: f32) -> bool {
   var near = textureLoad(far_before, nearest, 0).r;
   var far = near;
@@ -73,7 +73,7 @@ fn seen_before(nearest: vec2<i32>, last: vec2<i32>, z: f32) -> bool {
   return z >= near * (1.0 - SAME) && z <= far * (1.0 + SAME);
 }
 
-// Whether ground, metres east and north of the eye, looks otherwise than in the last frame.
+// Whether ground, metres east and north of the eye, looks different from the last frame.
 fn changed(p: vec2<f32>) -> bool {
   let at = vec2<f32>(dot(camera.inverse.xy, p), dot(camera.inverse.zw, p));
   for (var k = 0u; k < temporal.fresh.x; k++) {
@@ -95,7 +95,7 @@ fn mean_of(position: vec2<f32>) -> Mean {
   if (temporal.forward.w == 0.0 || temporal.moved.w >= 1.0) {
     return alone;
   }
-  // Where this pixel's ground was.
+  // The place of this pixel's ground in the last frame.
   let ray = ray_of(position - temporal.shift);
   var p = ray.direction;
   var scaled = 0.0;
@@ -117,16 +117,16 @@ fn mean_of(position: vec2<f32>) -> Mean {
   clip += temporal.centre;
   let at = vec2<f32>(0.5 + 0.5 * clip.x, 0.5 - 0.5 * clip.y) * camera.size;
   if (any(at < vec2<f32>(-1.0)) || any(at > camera.size + 1.0)) {
-    return alone;   // it came into the picture
+    return alone;   // it has just come into the picture
   }
   let last = vec2<i32>(camera.size) - 1;
   let nearest = clamp(vec2<i32>(floor(at)), vec2<i32>(0), last);
   var mean = gathered(at);
-  // (Of what is sky now, the ground that was there.)
+  // (For what is sky now, the ground that was there.)
   let then = select(textureLoad(far_before, nearest, 0).r, depth_now, ground);
   let anew = then < SKY && temporal.fresh.x > 0u && changed((ray.origin + ray.direction * then).xy);
-  // It was hidden, or is drawn or lit otherwise now: what is nothing like what lies around the pixel is left. (Software
-  // renderers work through a condition's body whether it is taken or not, but not through a loop that no pixel enters.)
+  // It was hidden, or is drawn or lit differently now: clamp the mean to what lies around the pixel. (Software
+  // renderers execute a condition's body whether it is taken or not, but not a loop that no pixel enters.)
   let strange = anew || temporal.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground));
   var low = select(vec3<f32>(0.0), now, strange);
   var high = select(vec3<f32>(FULL), now, strange);

@@ -8,7 +8,7 @@ fn vertex(@location(0) at: vec2<i32>, @location(1) height: f32) -> @builtin(posi
   return out;
 }
 
-// Bit 0 something is there, bit 1 it is no ground.
+// Bit 0: something is there; bit 1: it is not ground.
 @fragment
 fn fragment() -> @location(0) u32 {
   return 3u;

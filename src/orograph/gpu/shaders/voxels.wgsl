@@ -1,10 +1,10 @@
-// Voxels out of a height field: the share of each voxel that lies under the ground (orograph.lighting.gpu.cone_tracing).
+// Voxels from a height field: the share of each voxel that lies under the ground (orograph.lighting.gpu.cone_tracing).
 
 struct Level {
     origin: vec4i,  // of the level's voxels in its own units: columns, rows, layers; level
     size: vec4u,    // voxels along columns, rows, layers; the level of the samples
     ground: vec4i,  // of the samples: first column and row, columns, rows
-    height: vec4f,  // of a voxel of level 0, metres; what layers count from
+    height: vec4f,  // of a voxel of level 0, metres; the base of layers
     last: vec4i,    // the terrain's last column and row at full resolution
     place: vec4i,   // of the level's first voxel in the texture of all levels
 };
@@ -23,8 +23,8 @@ fn height(at: vec2i) -> f32 {
     return heights[k.y * level.ground.z + k.x];
 }
 
-// The height in the middle of one of the four quarters of what a sample stands for, from the samples around that are
-// there. Sample i of level m stands for 2^m columns from i 2^m − 1/2 on.
+// The height in the middle of one of the four quarters of a sample's area, from the surrounding samples that
+// exist. Sample i of level m stands for 2^m columns from i 2^m − 1/2 on.
 fn between(at: vec2i, side: vec2i) -> f32 {
     let offset = vec2f(side) * 0.25 + 0.5 - exp2(-1.0 - f32(level.size.w));
     let base = at + vec2i(floor(offset));
@@ -34,7 +34,7 @@ fn between(at: vec2i, side: vec2i) -> f32 {
     let c = height(base + vec2i(0, 1));
     let d = height(base + vec2i(1, 1));
     if (min(min(a, b), min(c, d)) < 0.5 * MISSING) {
-        // Beyond the terrain's border there is none, though its last coarse sample may stand there.
+        // Beyond the terrain's border there is none, although its last coarse sample may lie there.
         let place = (vec2f(at) + offset) * exp2(f32(level.size.w));
         let own = select(height(at), MISSING, any(place > vec2f(level.last.xy) + 0.5));
         return select(own - level.height.y, MISSING, own < 0.5 * MISSING);
@@ -42,14 +42,14 @@ fn between(at: vec2i, side: vec2i) -> f32 {
     return mix(mix(a, b, f.x), mix(c, d, f.x), f.y) - level.height.y;
 }
 
-// How much of four layers above each other lies under a height, in layers above the bottom of the first.
+// How much of four consecutive layers lies under a height, in layers above the bottom of the first.
 fn under(h: f32) -> vec4f {
     return clamp(vec4f(h) - vec4f(0.0, 1.0, 2.0, 3.0), vec4f(0.0), vec4f(1.0));
 }
 
-// One invocation per column of voxels: each of the samples under it is four quarters, whose heights fill layers. Seen along
-// columns (or rows) what hides is the highest of the quarters that lie one behind the other: the mean of those. Layers below
-// all of the samples are full and those above them empty; quarters are looked at for the few in between.
+// One invocation per column of voxels: each of the samples under it is four quarters, whose heights fill layers. Along
+// columns (or rows), the highest of the quarters one behind the other hides: the mean of those counts. Layers below
+// all of the samples are full and those above them empty; quarters are examined for the few in between.
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= level.size.x || id.y >= level.size.y) {
@@ -59,7 +59,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let first = (vec2i(id.xy) + level.origin.xy) * wide;
     let thick = level.height.x * exp2(f32(level.origin.w));
     let layers = f32(level.size.z);
-    // In layers above the first: what lies between two samples does so in height, too.
+    // In layers above the first: interpolated between two samples, also in height.
     let bottom = f32(level.origin.z) + level.height.y / thick;
     var lowest = 1e30;
     var highest = MISSING;

@@ -1,10 +1,10 @@
 // Rays at nested windows of heights: the first hit (Tevs, Ihrke & Seidel 2008, §3; Dick,
 // Krüger & Westermann 2009), the twin of raycast/kernels.py and raycast/traverse.py. A ray is cut by the windows' borders
-// into stretches, each on the finest window that holds it, and walks over pyramids of maxima and minima in integers, so
-// no cell is left out; cells are both their triangles, exactly. It carries the side of the surface on which it runs: a
+// into stretches, each on the finest window that contains it, and walks over pyramids of maxima and minima in integers, so
+// no cell is left out; cells are their two triangles, exactly. It keeps track of its side of the surface: a
 // change of side is a hit, so nothing leaks through an edge, or the step between two windows.
 //
-// Whatever float32 sees is counted from the eye: borders of cells are whole samples from the eye's cell, heights metres
+// All float32 values are relative to the eye: borders of cells are whole samples from the eye's cell, heights metres
 // from the eye's. So a place is as exact as it is near, however large the raster; t is depth in metres.
 // include: camera.wgsl
 
@@ -12,9 +12,9 @@ struct Window {
   first: vec2<i32>, last: vec2<i32>,   // (column, row) of the raster where it begins and ends
   cells: vec2<i32>,                    // across and down
   offset: i32, stride: i32,            // of its heights
-  level: u32,                          // its samples lie 2^level of the raster's apart
-  node: i32, top: i32,                 // where its levels of nodes begin, and the coarsest
-  allowed: f32,                        // pixels by which another surface than the exact one may be off
+  level: u32,                          // its samples are 2^level samples of the raster apart
+  node: i32, top: i32,                 // offset of its levels of nodes, and the coarsest
+  allowed: f32,                        // pixels by which a surface other than the exact one may be off
 };
 
 struct Stack {
@@ -27,7 +27,7 @@ struct Stack {
 @group(1) @binding(0) var<uniform> stack: Stack;
 @group(1) @binding(1) var<storage, read> pool: array<f32>;
 // when: COUNTED
-var<private> steps: u32 = 0u;   // nodes and cells that a ray has looked at
+var<private> steps: u32 = 0u;   // nodes and cells that a ray has examined
 // end: COUNTED
 
 const GONE: f32 = -1e29;     // below it: a missing sample
@@ -35,8 +35,8 @@ const STILL: f32 = 1e-15;    // samples per metre below which a ray does not mov
 const NEVER: f32 = 1e30;
 const BEGIN: i32 = 4;        // level of nodes on which rays begin
 
-// o + t·v: columns and rows from the eye's cell, metres above the eye. reach: how many pixels a metre of height moves a
-// point at unit depth, at most (v the vertical and P the point, |v × P| ≤ |P|).
+// o + t·v: columns and rows from the eye's cell, metres above the eye. reach: the most pixels by which a metre of height
+// moves a point at unit depth (v the vertical and P the point, |v × P| ≤ |P|).
 struct Way { o: vec3<f32>, v: vec3<f32>, inverse: vec2<f32>, still: vec2<bool>, right: vec2<i32>, reach: f32 };
 
 // t of a hit (NEVER: none), the window and the cell hit, and the side of the surface at the end: 1 above, -1 below, 0 unknown.
@@ -71,7 +71,7 @@ fn over(w: i32, way: Way, span: vec2<f32>) -> vec2<f32> {
   return vec2<f32>(max(span.x, max(low.x, low.y)), min(span.y, min(high.x, high.y)));
 }
 
-struct Cut { s: f32, side: i32 };   // the part of a passage at its hit, or -1; the side after it
+struct Cut { s: f32, side: i32 };   // the fraction of a passage at its hit, or -1; the side after it
 
 // Height of a place over one of a cell's two triangles (upper: that of z.y); the diagonal runs from z.x to z.w.
 fn over_plane(z: vec4<f32>, p: vec3<f32>, upper: bool) -> f32 {
@@ -79,7 +79,7 @@ fn over_plane(z: vec4<f32>, p: vec3<f32>, upper: bool) -> f32 {
   return select(p.z - z.x - p.x * (z.w - z.x) + w * (z.z - z.x), p.z - z.x - p.y * (z.w - z.x) - w * (z.y - z.x), upper);
 }
 
-// A passage p → q (places in the cell, metres above the eye) through the cell whose corners' heights are z.
+// A passage p → q (positions in the cell, metres above the eye) through the cell whose corners' heights are z.
 fn cell_hit(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, before: i32) -> Cut {
   var side = before;
   let w0 = p.x - p.y;
@@ -115,14 +115,14 @@ fn cell_hit(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, before: i32) -> Cut {
   return Cut(-1.0, side);
 }
 
-// Whether heights that are off by e metres at depth t or behind it are off by no more pixels than that. From straight above
-// they never are, but they have colours.
+// Whether heights that are off by e metres at depth t or beyond are off by no more than allowed pixels. Never in a plan:
+// seen from straight above, heights do not matter, but their colours do.
 fn within(e: f32, t: f32, way: Way, allowed: f32) -> bool {
   return camera.plan == 0u && way.reach * e <= allowed * (t - e * camera.forward.w);
 }
 
 // when: CONSTANT
-// A passage through a cell or a node, from za down or up to zb above the eye, where the ground is level.
+// A passage through a cell or a node, from za down or up to zb above the eye, over level ground.
 fn level_hit(ground: f32, za: f32, zb: f32, before: i32) -> Cut {
   let f0 = za - ground;
   let f1 = zb - ground;
@@ -166,13 +166,13 @@ fn bilinear_hit(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, before: i32) -> Cut {
 }
 // end: BILINEAR
 
-// Corners of the cell whose first sample is i, metres above the eye, mirrored where the diagonal does not begin there.
+// Corners of the cell whose first sample is i, metres above the eye, mirrored if the diagonal does not begin there.
 fn corners(i: i32, stride: i32, even: bool) -> vec4<f32> {
   let z = vec4<f32>(above(pool[i]), above(pool[i + 1]), above(pool[i + stride]), above(pool[i + stride + 1]));
   return select(z.yxwz, z, even);
 }
 
-// What a passage meets: of the surface that is asked for where it is within what is allowed, else of the exact one.
+// The hit of a passage: with the requested surface where it is within what is allowed, else with the exact one.
 fn passed(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, side: i32, t: f32, way: Way, allowed: f32) -> Cut {
   // when: CONSTANT
   let low = min(min(z.x, z.y), min(z.z, z.w));
@@ -189,7 +189,7 @@ fn passed(z: vec4<f32>, p: vec3<f32>, q: vec3<f32>, side: i32, t: f32, way: Way,
   return cell_hit(z, p, q, side);
 }
 
-// The place in a cell of a window, mirrored as its corners are.
+// The position in a cell of a window, mirrored like its corners.
 fn in_cell(way: Way, t: f32, corner: vec2<f32>, step: f32, even: bool) -> vec3<f32> {
   let p = ((way.o.xy - corner) + t * way.v.xy) * step;
   return vec3<f32>(select(1.0 - p.x, p.x, even), p.y, way.o.z + t * way.v.z);
@@ -283,10 +283,10 @@ fn cast_at(w: i32, way: Way, begin: f32, t1: f32, before: i32) -> Found {
   return Found(NEVER, side, w, cell);
 }
 
-// The first hit of a ray on [near, far]; free: it has come to near above all ground.
+// The first hit of a ray on [near, far]; free: it has reached near above all ground.
 fn first_hit(way: Way, near: f32, far: f32, free: bool) -> Found {
   var found = Found(NEVER, 0, 0, vec2<i32>(0));
-  // The slab of all heights, opened by what float32 may be off there.
+  // The slab of all heights, widened by the rounding of float32.
   let low = above(stack.low);
   let high = above(stack.high);
   var slab = vec2<f32>(near, far);
@@ -297,7 +297,7 @@ fn first_hit(way: Way, near: f32, far: f32, free: bool) -> Found {
   } else if (way.o.z < low || way.o.z > high) {
     return found;
   }
-  if (slab.x > near) {   // from above all heights, or from below them
+  if (slab.x > near) {   // enters from above all heights, or from below them
     found.side = select(-1, 1, way.v.z < 0.0);
   } else if (free) {
     found.side = 1;
@@ -314,7 +314,7 @@ fn first_hit(way: Way, near: f32, far: f32, free: bool) -> Found {
   var t = slab.x;
   if (inner > 0) {
     t = over(0, way, slab).x;
-    if (t > slab.x) {   // it comes in through a side wall
+    if (t > slab.x) {   // enters through a side wall
       found.side = 0;
     }
   }

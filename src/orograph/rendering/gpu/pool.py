@@ -1,6 +1,6 @@
 """Nested windows of heights with their pyramids in one array, as shaders look them up.
 
-Of each window the pool holds its heights, row by row, its maxima from level 1 up, and, if they are wanted, its minima
+For each window the pool holds its heights, row by row, its maxima from level 1 up, and, if requested, its minima
 from level 2 up (``raycast.mips``). Heights are metres, float32; a missing one lies far below any other (``MISSING``),
 as does the maximum of a node without any, whose minimum lies far above. Places are samples of the raster.
 """
@@ -167,5 +167,5 @@ class Pool:
 
 
 def samples_in(most: int) -> int:
-    """How many samples fit into a number of bytes: heights, and a third of that for maxima, 4 bytes each."""
+    """The number of samples that fit into ``most`` bytes: heights, and a third of that for maxima, 4 bytes each."""
     return most // 16 * 3

@@ -15,8 +15,8 @@ NEARER = {"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greate
 
 
 class Targets:
-    """What a frame is drawn into: depth, marks, linear light, and where it is asked for the slopes of what was drawn
-    (metres per metre east and north) and the terrain's own heights there, of one size in pixels."""
+    """The textures that a frame is drawn into, of one size in pixels: depth, marks, linear light, and on request the
+    slopes of what was drawn (metres per metre east and north) and the terrain's own heights there."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         self.width, self.height = width, height
@@ -40,7 +40,7 @@ class Targets:
         return found
 
     def newest_view(self, device: Device) -> Any:
-        """The view of a frame's own light, where it is computed, before it is blended with the frames' before it."""
+        """The view of a frame's own computed light, before it is blended with that of earlier frames."""
         if self._newest is None:
             usage = "STORAGE_BINDING|TEXTURE_BINDING"
             self._newest = device.texture((self.width, self.height), LIGHT, usage, label="newest light").create_view()
@@ -48,7 +48,7 @@ class Targets:
 
     @property
     def has_field(self) -> bool:
-        """Whether heights were requested; as ``has_given``."""
+        """Whether heights were requested; see ``has_given``."""
         return self._field is not None
 
     def field_view(self, device: Device) -> Any:

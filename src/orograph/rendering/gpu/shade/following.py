@@ -1,8 +1,8 @@
-"""Maps of light and membranes over holes that follow the camera: made at once for pictures, or in their own thread for
-frames that must not wait; old ones are used until new ones are ready.
+"""Maps of light, and membranes over holes, that follow the camera: made at once for pictures, or in their own thread
+for frames that must not wait; old ones are used until new ones are ready.
 
-A window's first maps are quick ones: water, and coarse shadows under an open sky, in a tenth of the time. Until these
-are ready, level ground that may be water is hatched, and so are the holes that the coarsest level shows. When the
+The first maps of a window are quick ones: water, and coarse shadows under an open sky, in a tenth of the time. Until
+they are ready, level ground that may be water is hatched, and so are the holes that the coarsest level shows. When the
 camera comes to rest, maps are made for what it sees; while it keeps moving they are renewed occasionally, so rarely
 that the thread leaves three quarters of the time to others.
 """
@@ -35,9 +35,9 @@ RENEWED = 1.0
 SHARE = 4.0
 """Maps are used at least this many times as long as they took to make."""
 QUICK = "quick"
-"""In place of a camera's place: temporary maps, until there are others."""
+"""Replaces the camera's place in the key of temporary maps, which serve until there are others."""
 DETAIL = 1.5
-"""Pixels per sample of the sun's finest window, at most; for quick maps: ``COARSE``."""
+"""Maximum pixels per sample of the sun's finest window; for quick maps: ``COARSE``."""
 COARSE = 12.0
 
 

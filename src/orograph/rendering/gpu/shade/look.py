@@ -51,7 +51,7 @@ class Look:
 
     Attributes:
         lights: sources that shine through apertures or by rays. uniform: of ``SHADE``.
-        tables: float32, colours one after the other. tint: how heights become colours.
+        tables: float32, all colours in sequence. tint: how heights become colours.
     """
 
     def __init__(

@@ -70,7 +70,7 @@ class Looks:
         return scene.annotations.contours and scene.annotations.contours.fitted(self.terrain, scene.view, self.memo)
 
     def beyond_samples(self, scene: Scene) -> bool:
-        """Whether there are contour lines, and some pixels so small that they follow the smooth surface."""
+        """Whether there are contour lines, and some pixels so small that these follow the smooth surface."""
         view = scene.view
         pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * self.light.range[0]
         return scene.annotations.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)

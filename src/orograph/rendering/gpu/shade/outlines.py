@@ -1,5 +1,5 @@
-"""Silhouettes on the GPU: passes between geometry and light find how ground faces the eye (``shaders/facing.wgsl``),
-and where it breaks off or turns away and back (``shaders/depth_edges.wgsl``).
+"""Silhouettes on the GPU: passes between geometry and light find how far ground faces the eye
+(``shaders/facing.wgsl``), and where it breaks off or turns away and back (``shaders/depth_edges.wgsl``).
 
 The shading pass draws the lines (``shaders/lines.wgsl``), as ``rendering.lines.silhouettes`` does.
 """

@@ -25,10 +25,10 @@ FRAGMENTS, COMPUTED = ("fragment", "background"), ("compute",)
 
 _WEIGHED = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
 MEAN: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": _WEIGHED, "alpha": _WEIGHED}}]
-"""The target of what has a weight in the mean."""
+"""The target of light that has a weight in the mean."""
 
 Part = tuple[int, int, int, int]
-"""Of a target: x, y, width and height."""
+"""A rectangle of a target: x, y, width and height."""
 
 
 class ShadePass:
@@ -167,7 +167,7 @@ class ShadePass:
             pass_.set_bind_group(k, bound)
 
     def _compute(self, encoder: Any, targets: Targets, group: Any, flags: int, frame: int, part: Part) -> None:
-        """As ``draw``: a first frame's light goes to the target, that of others aside and is then blended."""
+        """Like ``draw``: a first frame's light is written to the target, that of others to a texture, then blended."""
         view = targets.newest_view(self.device) if frame else targets.light_view
         write(self.device, self._part, np.array(part, np.uint32))
         pass_ = begin_compute(encoder)

@@ -64,8 +64,8 @@ class RayField:
     """Windows in the shader's form.
 
     Attributes:
-        pool: float32: of each window its heights, then its maxima from level 1 up.
-        frame: ``FRAME`` with what is the same for all rays.
+        pool: float32: for each window its heights, then its maxima from level 1 up.
+        frame: ``FRAME`` with the constants of all rays.
         turn: maximum angle by which coarse levels turn the edge of a shadow, radians; 0 if everything is exact.
     """
 
@@ -76,7 +76,7 @@ class RayField:
     @classmethod
     def of(cls, windows: list[HeightWindow], shape: tuple[int, int], linear: ArrayLike, exaggeration: float = 1.0,
            turn: float = 0.0, jobs: int | None = None) -> RayField:  # fmt: skip
-        """Of windows, outermost first.
+        """Create the field of some windows, outermost first.
 
         Args:
             shape: (rows, cols) of the raster. linear: (2, 2) metres east and north per column and per row.

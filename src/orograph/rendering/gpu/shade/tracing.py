@@ -43,13 +43,14 @@ def work_of(device: Device) -> int:
 
 
 class Around:
-    """The terrain around the camera that rays meet: made at once for a picture, aside for frames that may not wait.
+    """The terrain around the camera that rays meet: made at once for a picture, in the background for frames that may
+    not wait.
 
     Args:
-        most: bytes that there are for it.
+        most: bytes available for it.
 
     Attributes:
-        field: what to draw with.
+        field: the terrain to draw with.
     """
 
     def __init__(self, terrain: Terrain, most: int) -> None:
@@ -58,22 +59,22 @@ class Around:
         self._aside = BackgroundTask()
         self._made: Any = None
         self._wish: Any = None
-        self._mesh: Tessellation | None = None  # held, so that no other has its identity
+        self._mesh: Tessellation | None = None  # kept alive, so that its id stays unique
 
     @property
     def busy(self) -> bool:
-        """Whether what the last scene wants is not there yet."""
+        """Whether the terrain that the last scene needs is still being made."""
         return self._wish is not None and (self._aside.busy or self._wish != self._made)
 
     def at_once(self, scene: Scene, mesh: Tessellation | None = None) -> None:
-        """Have what a scene's rays meet, if it has rays: the terrain, or a mesh that is drawn in its place."""
+        """Provide what a scene's rays meet, if it has rays: the terrain, or a mesh that is drawn instead."""
         key = self._key(scene) if casts(scene) else None
         self._wish = key if key is None or mesh is None else (*key, id(mesh))
         if self._wish is not None and self._wish != self._made:
             self.field, self._made, self._mesh = self._make(scene, mesh), self._wish, mesh
 
     def aside(self, scene: Scene) -> None:
-        """Take what was made meanwhile, and request other terrain if the scene wants it."""
+        """Take over terrain that is ready, and request other terrain if the scene needs it."""
         done = self._aside.take()
         if done is not None:
             self._made, self.field = done
@@ -97,7 +98,7 @@ class Around:
         return made[1]()  # type: ignore[no-any-return]
 
     def _key(self, scene: Scene) -> Any:
-        """What the choice of windows depends on. Where the camera is counts by steps."""
+        """What the choice of windows depends on. The camera's place counts in steps."""
         rows, cols = self.terrain.grid.shape
         if rows * cols <= min(EXACT, samples_in(self.most)):
             return (scene.surface.exaggeration,)
@@ -114,12 +115,12 @@ def casts(scene: Scene) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """What of its light a frame of a scene traces.
+    """The part of its light that a frame of a scene traces.
 
     Attributes:
-        first, rays, total: ``rays`` of every pixel's lattices of ``total`` rays, from the ``first`` on.
-        frames: how many frames make the whole. lights: to how many lights rays go.
-        corner: the position in the whole picture of the target's left upper corner.
+        first, rays, total: ``rays`` rays of every pixel's lattices of ``total`` rays, from ``first`` on.
+        frames: the number of frames that make the whole. lights: the number of lights that rays go to.
+        corner: the position of the target's upper left corner in the whole picture.
     """
 
     first: int
@@ -134,8 +135,8 @@ class Share:
         cls, device: Device, scene: Scene, frame: int, frames: int, *, samples: int | None = None,
         shift: tuple[float, float] = (0.0, 0.0),
     ) -> Share:  # fmt: skip
-        """Of a scene's ``frame``: each of so many ``samples`` of a pixel has lattices of its own, ``shift``-ed, as the
-        CPU's pictures have; or (None) frames share one, in ``frames`` of them or as many more as a frame's work allows.
+        """The share of a scene's ``frame``: each of ``samples`` samples per pixel has its own, ``shift``-ed lattices,
+        as in the CPU's pictures; or (None) frames share one, in ``frames`` of them or as many more as the work needs.
         """
         view = scene.view
         left, top, _, _ = view.frame
@@ -152,7 +153,7 @@ class Share:
 
 
 def parts_of(device: Device, size: tuple[int, int], rays: int) -> list[tuple[int, int, int, int]]:
-    """Rectangles (x, y, width, height) of a target whose pixels trace so many rays each: a submission's work each."""
+    """Divide a target into rectangles (x, y, width, height), each a submission's work, with ``rays`` rays per pixel."""
     width, height = size
     pixels = max(work_of(device) // max(rays, 1), 64)
     wide = min(width, pixels)

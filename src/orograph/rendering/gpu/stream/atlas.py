@@ -46,8 +46,8 @@ class TileAtlas:
         self.texture = device.texture(
             (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=label
         )
-        # In a thread, as software drivers clear when they are told to; whoever comes first has a layer cleared. Never
-        # both at once: within wgpu a submission and a write that want the same texture cleared wait for each other.
+        # In a thread, because software drivers clear at once; whoever comes first has a layer cleared. Never
+        # both at once: within wgpu, a submission and a write that need the same texture cleared wait for each other.
         self._clearing = threading.Lock()
         threading.Thread(target=self._clear, args=(layers,), name="clear", daemon=True).start()
         self._slots: Slots[Any] = Slots(self.capacity)
@@ -57,7 +57,7 @@ class TileAtlas:
 
         wgpu clears a layer before its first use, such as copying a texel out of it.
         """
-        with contextlib.suppress(Exception):  # what is wrong is told by the next that uses the device
+        with contextlib.suppress(Exception):  # the next use of the device reports what is wrong
             out = self.device.buffer(256, "COPY_SRC", "cleared")
             encoder = self.device.handle.create_command_encoder()
             for layer in range(layers):

@@ -1,4 +1,4 @@
-"""Pages of diamonds on the GPU: what a tree that lives there asks of a vertex, in an atlas filled by threads.
+"""Pages of diamonds on the GPU: what a tree that lives there needs of a vertex, in an atlas filled by threads.
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
 height, an error, the radius of its sphere, and whether its sample is missing, in 8 bytes (``packed``). Wanted are the
@@ -48,9 +48,9 @@ class DiamondPages:
         vertices: the terrain's. budget: bytes of the atlas. jobs: threads that read.
 
     Attributes:
-        atlas: the pages. levels: uint32 (32, 4), where each level's pages begin, and how many rows and columns.
-        bound: pixels of the largest error that a page of the last view takes away and that is not there yet, or 0.
-        moved: bytes brought to the GPU so far.
+        atlas: the pages. levels: uint32 (32, 4), the offset of each level's pages, and their rows and columns.
+        bound: the largest error, in pixels, that a missing page of the last view would remove, or 0.
+        moved: bytes uploaded to the GPU so far.
     """
 
     def __init__(self, device: Device, vertices: Vertices, budget: int, jobs: int | None = None) -> None:
@@ -109,14 +109,14 @@ class DiamondPages:
         Raises:
             StoreError, DamagedChunkError: a page cannot be read.
         """
-        self._frame += 2  # (a picture may take the place of the one before)
+        self._frame += 2  # (a picture may evict the pages of the one before)
         keys, _ = self._lacking_of(view, patches, tolerance, exaggeration)
         self._load(keys[: self.atlas.room])
         self._lacking_of(view, patches, tolerance, exaggeration)
         self._lacking, self._asked = [], None
 
     def take_asked(self, bits: NDArray[np.uint32]) -> int:
-        """Upload the pages that a tree looked for in vain; return how many fitted.
+        """Upload the pages that a tree reported missing; return how many fitted.
 
         Args:
             bits: one for each place in the page table.
@@ -126,7 +126,7 @@ class DiamondPages:
 
     @property
     def waiting(self) -> int:
-        """The number of pages on their way."""
+        """The number of pages being loaded."""
         return self._streamer.waiting
 
     @property
@@ -218,8 +218,8 @@ def packed(page: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 
 def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:
-    """The pages of all levels, coarsest first, too coarse where ground and missing ground share one and its samples are
-    too far apart; their places in the table. None where nothing is missing."""
+    """The pages of all levels, coarsest first, that are too coarse where ground and missing ground share one, because
+    their samples are too far apart; and their places in the table. None where nothing is missing."""
     terrain, parts = vertices.terrain, list[tuple[Any, ...]]()
     if not any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
         return None

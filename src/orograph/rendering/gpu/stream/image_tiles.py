@@ -1,12 +1,12 @@
 """A layer as tiles of a quadtree over its file: what the GPU streams of imagery, as ``tiles`` are of heights.
 
-Level k has texels of 2^k × 2^k pixels of the file, in register with its upper left corner, as overviews are: texel
+Level k has texels of 2^k × 2^k pixels of the file, aligned with its upper left corner, as overviews are: texel
 (i, j) is the mean of the pixels [i·2^k, (i+1)·2^k) × [j·2^k, (j+1)·2^k) that exist, of linear light weighted by
-opacity (``geovis.texels``). A tile is 256 × 256 of them with a border of one all around, so that blending never leaves
+opacity (``geovis.texels``). A tile is 256 × 256 texels with a border of one all around, so that filtering never leaves
 it. Levels so coarse that the whole area is at most ``BASE`` texels are held in memory, read once when the layer is
-opened; finer tiles are read when they are wanted. Of a large file without overviews nothing is read when it is opened:
-its coarse levels are made by a thread of the sheet's own as soon as one is wanted (``geovis.coarse``), tiles show what
-there is of them, and are read again when there is more. Units: pixels of the file, metres on the ground.
+opened; finer tiles are read on demand. A large file without overviews is not read when it is opened:
+a thread of its own makes its coarse levels as soon as one is wanted (``geovis.coarse``). Tiles show what
+is ready, and are read again when there is more. Units: pixels of the file, metres on the ground.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ SIDE = TILE + 2
 """Texels along the side of a tile, its border included."""
 
 BASE = 1 << 21
-"""Texels of the finest level that is held in memory."""
+"""Texels of the finest level held in memory."""
 
 MOST_TILES = 1 << 20
-"""Tiles of a layer, at most: what is finer is left out."""
+"""Maximum tiles of a layer: finer levels are left out."""
 
 NEAR = 4
-"""Coarse levels up to this one are made, where they are lacking, by who wants a tile: it takes a block or two."""
+"""Missing coarse levels up to this one are made by the thread that wants a tile: it takes a block or two."""
 
 NOTHING: Bytes = np.empty((0, 0, 4), np.uint8)
-"""A tile on which nothing is to be seen."""
+"""A tile that shows nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """The tiles of a level: the place of the first among all, and rows and columns of tiles [from, to)."""
+    """The tiles of a level: the place of its first tile among all, and its rows and columns of tiles [from, to)."""
 
     first: int
     row0: int
@@ -72,14 +72,14 @@ class ImageTiles:
     """A layer over a terrain, as tiles.
 
     Attributes:
-        laid: where it lies. finest, coarsest: levels. levels: by level − finest.
-        tree: says which tiles a view wants. warnings: what a user should know.
-        kept: coarse levels that the file lacks, or None. failure: why they could not be made; "" if they could.
-        pinned: how many tiles, from the first, are never to leave.
+        laid: its placement. finest, coarsest: levels. levels: by level − finest.
+        tree: finds the tiles that a view wants. warnings: for the user.
+        kept: coarse levels that the file lacks, or None. failure: why they could not be made, or "".
+        pinned: the number of tiles, from the first, that never leave.
     """
 
     def __init__(self, layer: Layer, terrain: Terrain) -> None:
-        """Open a layer: finds its place and reads its coarse levels, which may take its time.
+        """Open a layer: find its place and read its coarse levels, which may take a while.
 
         Raises:
             ReadError, UsageError: as ``Laid.open``; the file shows nothing over the terrain.
@@ -162,24 +162,24 @@ class ImageTiles:
 
     @property
     def making(self) -> float | None:
-        """How much of the coarse levels is there, 0 to 1; None if none are being made."""
+        """The part of the coarse levels that is ready, 0 to 1; None if none are being made."""
         if self.kept is None or self._maker is None or not self._maker.is_alive():
             return None
         return self.kept.made / len(self.kept.blocks)
 
     def complete(self, progress: Progress, jobs: int | None = None) -> None:
-        """Have all coarse levels that the file lacks.
+        """Make all coarse levels that the file lacks.
 
         Raises:
-            ReadError: the file cannot be read. StoreError: they cannot be kept.
+            ReadError: the file cannot be read. StoreError: they cannot be stored.
         """
         if self.kept is not None:
             self.kept.make(self.kept.blocks, progress, jobs)
             self.texels.hold()
 
     def outdated(self, patience: float) -> list[int]:
-        """Tiles that were read before all there is of them was there, and now there is more; ``patience``: seconds
-        since, at least, unless all is there."""
+        """Tiles that were read when incomplete and of which more is ready now; unless everything is ready, only if at
+        least ``patience`` seconds have passed since."""
         kept, now = self.kept, time.monotonic()
         if kept is None or not self._partial:
             return []
@@ -188,11 +188,11 @@ class ImageTiles:
         return [place for place, (when, had) in every if made > had and (enough or now - when > patience)]
 
     def close(self) -> None:
-        """Let the making of coarse levels end: what is there is kept."""
+        """Stop making coarse levels; what is ready is kept."""
         self._stop.set()
 
     def _there(self, kept: CoarseLevels, place: int, k: int, area: tuple[int, int, int, int]) -> tuple[Bytes, bool]:
-        """What there is of a tile of a coarse level, and whether that is all; what takes little time is made."""
+        """The part of a coarse level's tile that is ready, and whether that is all; quick parts are made now."""
         r0, r1, c0, c1 = area
         had = kept.made
         if k <= NEAR:
@@ -208,7 +208,7 @@ class ImageTiles:
         return block, whole
 
     def _begin(self, kept: CoarseLevels) -> None:
-        """Have all blocks made, aside."""
+        """Start making all blocks in the background."""
 
         def make() -> None:
             try:
@@ -225,7 +225,7 @@ class ImageTiles:
             self._maker.start()
 
     def opacity_at(self, x: Array, y: Array) -> Array:
-        """The image's own opacity (n,) at places in the terrain's CRS, as its coarse levels tell."""
+        """The image's own opacity (n,) at places in the terrain's CRS, from its coarse levels."""
         if not self.texels.held:  # coarse levels are being made
             return np.zeros(len(x))
         placement, scale = self.laid.placement, float(1 << self.base)
@@ -243,7 +243,7 @@ class ImageTiles:
     # ---- places --------------------------------------------------------------------------------------------------
 
     def _tree(self, terrain: Terrain) -> Tree:
-        """Where tiles lie on the ground, how high it is there, how large their texels are."""
+        """The tree of tiles: their areas on the ground, heights there, and the size of their texels."""
         boxes, sizes = _ground(self.laid, self.levels[0], self.finest, terrain)
         all_boxes, all_sizes, parents = [boxes], [sizes], []
         for k, level in enumerate(self.levels):
@@ -273,7 +273,7 @@ class ImageTiles:
 
 
 def laid_cols(placement: Placement, u: Array) -> NDArray[np.bool_]:
-    """Which columns (pixels) lie within an image, or anywhere if it goes around the body."""
+    """Which columns (pixels) lie within an image; all if it goes around the body."""
     if placement.cyclic:
         return np.isfinite(u)
     return np.asarray((u >= 0) & (u <= placement.image.cols))
@@ -298,7 +298,7 @@ def _tiles(area: ImageWindow, k: int) -> int:
 
 
 def _ground(laid: Laid, level: Level, k: int, terrain: Terrain) -> tuple[Array, Array]:
-    """Of a level's tiles: boxes (n, 4) in sample coordinates, and metres (n,) that a texel is wide at most."""
+    """For a level's tiles: boxes (n, 4) in sample coordinates, and the largest width of a texel (n,), metres."""
     area, side = laid.area, TILE << k
     u = np.clip(np.arange(level.col0, level.col1 + 1) * float(side), area.col0, area.col1)
     v = np.clip(np.arange(level.row0, level.row1 + 1) * float(side), area.row0, area.row1)
@@ -314,7 +314,7 @@ def _ground(laid: Laid, level: Level, k: int, terrain: Terrain) -> tuple[Array, 
     )
     bend = 0.0 if laid.placement.same else _bend(laid, u, v, col, row, terrain)
     box += np.array([-1.0, 1.0, -1.0, 1.0]) * (bend + 0.5)
-    # The greatest stretch of a tile's map from pixels to metres, by its corners.
+    # The greatest stretch of a tile's map from pixels to metres, from its corners.
     wide, high = np.diff(u)[None, :], np.diff(v)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         steps = [np.diff(a, axis=1)[:-1] / wide for a in (x, y)] + [np.diff(a, axis=0)[:, :-1] / high for a in (x, y)]
@@ -324,8 +324,8 @@ def _ground(laid: Laid, level: Level, k: int, terrain: Terrain) -> tuple[Array, 
 
 
 def _bend(laid: Laid, u: Array, v: Array, col: Array, row: Array, terrain: Terrain) -> float:
-    """Samples by which the middles of tiles and of their edges lie off the straight lines between corners, twice the
-    most that is found among some."""
+    """The distance in samples of the middles of tiles and of their edges from the straight lines between corners: twice
+    the largest that is found among some tiles."""
     j = np.unique(np.linspace(0, len(u) - 2, 17).astype(int))
     i = np.unique(np.linspace(0, len(v) - 2, 17).astype(int))
     worst = 0.0
@@ -341,7 +341,7 @@ def _bend(laid: Laid, u: Array, v: Array, col: Array, row: Array, terrain: Terra
 
 
 def _heights(terrain: Terrain, boxes: Array) -> Array:
-    """The lowest and highest ground (n, 2) in boxes (n, 4), NaN where there is none, from the tables of tiles."""
+    """The lowest and highest ground (n, 2) in boxes (n, 4), NaN if there is none, from the tables of tiles."""
     shapes, low, high = [], [], []
     for k in range(terrain.levels):
         table = terrain.tiles(k)

@@ -1,7 +1,7 @@
 """The data of layers for ``shaders/imagery.wgsl``, as words of one buffer.
 
-Heads (a layer each, in the order they are drawn), then for every layer its levels, its lattice of image positions
-(whole pixels apart from what is left of them: single precision is enough for both) and its pages (``imagery``). Units:
+Heads (one per layer, in drawing order), then for every layer its levels, its lattice of image positions
+(whole pixels and remainders separately, so that single precision is enough) and its pages (``imagery``). Units:
 pixels of the file, metres.
 """
 
@@ -19,7 +19,7 @@ from orograph.viewpoint import View
 Words = NDArray[np.uint32]
 
 HEAD, HEADS = 24, 4
-"""Words of a head, and where the first one is."""
+"""Words of a head, and the offset of the first one."""
 
 STATIC = HEADS + MOST * HEAD
 LEVEL = 8
@@ -32,8 +32,8 @@ HEAD_DTYPE = np.dtype(
         ("pages_at", "<u4"), ("opacity", "<f4"), ("multiply", "<u4"), ("bounded", "<u4"), ("pad", "<u4", 4),
     ]
 )  # fmt: skip
-"""A head of ``shaders/imagery.wgsl``. across, down: the lattice's nodes per metre east and north; cell, part: where the
-eye is in it; nodes: how many; size: the image's columns and rows; bounded: 1 if columns end, and 2 if rows do."""
+"""A head of ``shaders/imagery.wgsl``. across, down: the lattice's nodes per metre east and north; cell, part: the eye's
+place in it; nodes: their number; size: the image's columns and rows; bounded: 1 if columns end, and 2 if rows do."""
 
 
 def fixed(sheet: ImageTiles) -> int:
@@ -42,7 +42,7 @@ def fixed(sheet: ImageTiles) -> int:
 
 
 def level_words(sheet: ImageTiles) -> Words:
-    """Of every level: the place of its first tile, its first row and column of tiles, and how many there are."""
+    """For every level: the place of its first tile, its first row and column of tiles, and their numbers."""
     out = np.zeros((len(sheet.levels), LEVEL), np.int32)
     for k, level in enumerate(sheet.levels):
         out[k, :5] = level.first, level.row0, level.col0, *level.shape
@@ -50,7 +50,7 @@ def level_words(sheet: ImageTiles) -> Words:
 
 
 def node_words(sheet: ImageTiles) -> Words:
-    """Positions of the lattice's nodes: whole columns and rows of pixels, and what is left of them; the least integer
+    """Positions of the lattice's nodes: whole columns and rows of pixels, and the remainders; the least integer
     where there is none."""
     lattice = sheet.laid.lattice
     out = np.empty((lattice.u.size, 4), np.uint32)
@@ -63,7 +63,7 @@ def node_words(sheet: ImageTiles) -> Words:
 
 
 def aim(head: Any, sheet: ImageTiles, at: int, view: View) -> None:
-    """Write a head: where a layer's words are (from ``at`` on), and where the eye is in its lattice, differenced in
+    """Write a head: the offset ``at`` of a layer's words, and the eye's place in its lattice, differenced in
     double precision."""
     laid = sheet.laid
     a, b, c, d, e, f = laid.lattice.index[:6]

@@ -1,13 +1,13 @@
 """Layers on the GPU: a virtual texture. One atlas holds the tiles that views want of all layers, streamed like heights.
 
-Every frame says which tiles of which layers it wants (``sheets``, ``wanted``): those whose texels are about as large as
-a pixel, and all above them. They are read by threads of their own (``streamer``) into one atlas (``slots``) of a fixed
-size, which is made when there is a first layer. Each layer has a page table: for every tile the slot of the finest tile
-that is there for its place, itself or one above, so that shaders look up once and there is never a hole; the coarsest
-tiles never leave. A layer is opened, and its coarse levels are read, by the same threads: frames do not wait for it.
-Data that are painted anew (another priority, another time) are a new layer: until it is there, the one before is drawn.
+Every frame determines the tiles it wants of each layer (``image_tiles``, ``wanted``): those whose texels are about
+as large as a pixel, and all above them. Separate threads read them (``streamer``) into one atlas (``atlas``) of a fixed
+size, created with the first layer. Each layer has a page table: for every tile, the slot of the finest tile
+present at its place, itself or one above it. So shaders look up once and there is never a hole; the coarsest
+tiles never leave. The same threads open layers and read their coarse levels: frames do not wait for that.
+Data that are painted anew (another priority, another time) are a new layer: the old one is drawn until that is ready.
 
-One buffer holds all that ``shaders/imagery.wgsl`` asks for (``image_words``).
+One buffer holds everything that ``shaders/imagery.wgsl`` needs (``image_words``).
 """
 
 from __future__ import annotations
@@ -40,30 +40,30 @@ Words = NDArray[np.uint32]
 Places = NDArray[np.int64]
 
 FEW = 4
-"""Look-ups in a footprint, at most, of a frame that a software driver draws and nothing waits for."""
+"""Maximum look-ups in a footprint, in a frame that a software driver draws and nothing waits for."""
 
 UPLOAD = 16
-"""Tiles brought to the GPU in a frame, at most."""
+"""Maximum tiles uploaded to the GPU in a frame."""
 
 MORE = 2.0
-"""Seconds after which a tile of which there is more now is read again."""
+"""Seconds after which a tile of which more is ready is read again."""
 
 PATIENCE = 1.0
-"""Seconds after which painted data replace those before, if only their coarsest tiles are there."""
+"""Seconds after which painted data replace the previous ones, even if only their coarsest tiles are ready."""
 
 OPENING = -1
-"""The place of a layer's tile that stands for opening it."""
+"""The place in a tile's key that requests opening the layer."""
 
 THERE = np.uint32(1 << 31)
-"""A page's bit that says: this is known (perhaps that nothing is to be seen). Bits 24–28 are the level, those below 24
-the slot + 1, 0 where nothing is to be seen."""
+"""A page's bit that says: this is known (perhaps that nothing shows). Bits 24–28 are the level, those below 24
+the slot + 1, 0 if nothing shows."""
 
 SLOT = np.uint32((1 << 24) - 1)
 
 
 @kernel
 def _inherit(own: Words, parents: NDArray[np.int64], out: Words) -> tuple[int, int]:
-    """Pages of all tiles from those that are there; the span [from, to) of ``out`` that changed."""
+    """Derive the pages of all tiles from those present; return the span [from, to) of ``out`` that changed."""
     first, last = len(out), 0
     for i in range(len(own)):
         page = own[i]
@@ -80,9 +80,9 @@ class Held:
     """An open layer.
 
     Attributes:
-        sheet: its tiles. own: pages of the tiles that are there; pages: of all places. stale: whether ``own`` is newer.
-        at: where its words begin in the buffer. since: when it was opened, on ``time.monotonic``'s clock.
-        there: whether all tiles that a frame wanted were there once.
+        sheet: its tiles. own: pages of the tiles present; pages: of all places. stale: whether ``own`` is newer.
+        at: the offset of its words in the buffer. since: when it was opened, on ``time.monotonic``'s clock.
+        there: whether all tiles that some frame wanted were present.
     """
 
     sheet: ImageTiles
@@ -101,9 +101,9 @@ class Imagery:
         gpu_memory: bytes of the atlas. jobs: threads that read.
 
     Attributes:
-        missing: tiles and layers that would make the last frame better. loaded: tiles that came for it.
-        warnings: what a user should know of the layers that are open; each is told once (``told``).
-        progress: hears of what is made while a frame waits.
+        missing: tiles and layers that would improve the last frame. loaded: tiles that arrived for it.
+        warnings: messages for the user about the open layers; each is reported once (``told``).
+        progress: receives the progress of work that a frame waits for.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, jobs: int | None = None) -> None:
@@ -127,14 +127,14 @@ class Imagery:
     def prepare(
         self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False
     ) -> int:  # fmt: skip
-        """Have layers ready to be drawn as well as they can be.
+        """Prepare layers for drawing, as well as possible.
 
         Args:
-            layers: of the scene, bottom to top. view: what is drawn.
-            wait: until all tiles that the view wants are there, or the atlas holds no more.
+            layers: the scene's, bottom to top. view: what is drawn.
+            wait: until all tiles that the view wants are present, or the atlas is full.
 
         Returns:
-            how many layers there are to draw.
+            the number of layers to draw.
 
         Raises:
             ReadError: with ``wait``, a layer or one of its tiles cannot be read.
@@ -148,7 +148,7 @@ class Imagery:
         self._drop()
         if self._streamer is None:
             self._streamer = Streamer(self._make, self.jobs or 2)
-        if wait:  # what failed before is tried again
+        if wait:  # retry what failed before
             self._streamer.failed.clear()
         self._upload(1 << 16 if wait else UPLOAD)
         wanted = self._want(seen, view, exaggeration, wait=wait)
@@ -166,7 +166,7 @@ class Imagery:
         return len(ready)
 
     def _ready(self, seen: Sequence[Layer], data: Sequence[Layer]) -> list[Layer]:
-        """The layers to draw: those that are open; for painted data that are not there yet, ``data``, those before."""
+        """The layers to draw: the open ones; if painted data are not ready yet, the previous ones, ``data``."""
         assert self._streamer is not None
         before = dict(zip((layer for layer in seen if layer.key is not None), data))
         drawn = {}
@@ -195,12 +195,12 @@ class Imagery:
 
     @property
     def waiting(self) -> int:
-        """How many tiles are on their way."""
+        """The number of tiles being loaded."""
         return 0 if self._streamer is None else self._streamer.waiting
 
     @property
     def count(self) -> int:
-        """How many tiles are there."""
+        """The number of tiles present."""
         return 0 if self._atlas is None else self._atlas.count
 
     @property
@@ -210,7 +210,7 @@ class Imagery:
 
     @property
     def failure(self) -> str:
-        """What could not be read, and why; "" if there is nothing."""
+        """What could not be read, and why; "" if nothing."""
         if self._streamer is None:
             return ""
         for (layer, place), (_, why) in list(self._streamer.failed.items()):
@@ -219,18 +219,18 @@ class Imagery:
         return next((held.sheet.failure for held in list(self._held.values()) if held.sheet.failure), "")
 
     def told(self) -> list[str]:
-        """Warnings that have not been told yet."""
+        """Warnings that have not been reported yet."""
         new, self.warnings = self.warnings, []
         return new
 
     @property
     def areas(self) -> Array:
-        """West, north, east, south (n, 4) of the ground under the tiles that came, sample coordinates."""
+        """West, north, east, south (n, 4) of the ground under the new tiles, sample coordinates."""
         return np.array(self._came).reshape(-1, 4)
 
     @property
     def making(self) -> str:
-        """What is being made aside, and how far it is; "" if there is nothing."""
+        """What is being made in the background, with its progress; "" if nothing."""
         for layer, held in list(self._held.items()):
             done = held.sheet.making
             if done is not None:
@@ -238,7 +238,7 @@ class Imagery:
         return ""
 
     def covered(self, layers: Sequence[Layer], x: Array, y: Array) -> Array:
-        """How much (n,) of the ground's own colours layers hide at places in the terrain's CRS, about."""
+        """The approximate part (n,) of the ground's own colours that layers hide at places in the terrain's CRS."""
         clear = np.ones(len(x))
         for layer in drawn(layers):
             held = self._held.get(layer.content)
@@ -270,9 +270,9 @@ class Imagery:
         return ReadError(f"A tile cannot be read: {failure}", path=layer.path)
 
     def _want(self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False) -> int:
-        """Ask for what a view lacks; how much that is, but for what cannot be read."""
+        """Request what a view lacks; return how many of these tiles are readable."""
         assert self._streamer is not None
-        self._frame += 1  # what was wanted before may leave, if it is not wanted any more
+        self._frame += 1  # tiles that are no longer wanted may leave
         wanted: list[tuple[float, Layer, int]] = []
         tiles: list[tuple[Layer, Held, Places, Array, NDArray[np.int32]]] = []
         for content in dict.fromkeys(layer.content for layer in layers):
@@ -284,14 +284,14 @@ class Imagery:
                 held.sheet.complete(self.progress, self.jobs)
             self._refresh(held)
             which, priority = held.sheet.tree.of(view, exaggeration, pixels=LEAST)
-            # What is known to show nothing, itself or below such a tile, is not asked for.
+            # Tiles known to show nothing, themselves or through one above, are not requested.
             pages = held.pages[which]
             some = ~((pages & THERE > 0) & (pages & SLOT == 0))
             which, priority = which[some], priority[some]
             priority[which < held.sheet.pinned] = math.inf
             slots = (held.own[which] & SLOT).astype(np.int32) - np.int32(1)
             more = held.sheet.outdated(MORE)
-            if more:  # of these there is more now
+            if more:  # of these, more is ready now
                 lacking = np.isin(which, more)
                 self._atlas.touch(slots[lacking], self._frame) if self._atlas is not None else None
                 slots[lacking] = -1
@@ -310,9 +310,9 @@ class Imagery:
         return len(self._asked - set(self._streamer.failed))
 
     def _least(self, priorities: list[Array]) -> float:
-        """The priority from which on there is room for all tiles that have it; sets ``full``."""
+        """The lowest priority whose tiles all fit; sets ``full``."""
         every = np.concatenate(priorities) if priorities else np.empty(0)
-        every = every[np.isfinite(every)]  # but for those that are pinned
+        every = every[np.isfinite(every)]  # without pinned ones
         pinned = sum(held.sheet.pinned for held in self._held.values())
         room = 0 if self._atlas is None else max(self._atlas.capacity - pinned, 0)
         self._full = len(every) > room
@@ -327,7 +327,7 @@ class Imagery:
                 self._open(layer)
                 continue
             held = self._held.get(layer)
-            if held is None:  # gone meanwhile
+            if held is None:  # dropped meanwhile
                 continue
             self.loaded += 1
             self._came.append(held.sheet.area(place))
@@ -348,25 +348,25 @@ class Imagery:
                 other = self._held[before[0]]
                 other.own[before[1]], other.stale = 0, True
             page |= np.uint32(slot + 1)
-        elif self._atlas.slot((layer, place)) >= 0:  # what there was of it before showed nothing either
+        elif self._atlas.slot((layer, place)) >= 0:  # its earlier version showed nothing either
             self._atlas.free((layer, place))
         held.own[place], held.stale = page, True
 
     def _open(self, layer: Layer) -> None:
-        """Take a layer that a thread has opened."""
+        """Take over a layer that a thread has opened."""
         sheet = self._sheets.pop(layer)
-        if layer not in self._known:  # gone meanwhile
+        if layer not in self._known:  # dropped meanwhile
             return
         if self._atlas is None:
             self._atlas = TileAtlas(
                 self.device, SIDE, "rgba8unorm-srgb", 4, self.gpu_memory, 1 << 20, "imagery"
-            )  # as many tiles as there is room for: other layers may come
+            )  # the capacity for all tiles that fit: other layers may follow
         self._held[layer] = Held(sheet, np.zeros(sheet.count, np.uint32), np.zeros(sheet.count, np.uint32))
         self.warnings += sheet.warnings
         self._buffer = None
 
     def _drop(self) -> None:
-        """Forget the layers that the scene has no more."""
+        """Forget layers that the scene no longer has."""
         for layer in [known for known in self._held if known not in self._known]:
             held = self._held.pop(layer)
             held.sheet.close()
@@ -378,7 +378,7 @@ class Imagery:
     # ---- the buffer ----------------------------------------------------------------------------------------------
 
     def _refresh(self, held: Held) -> None:
-        """Bring pages up to date, on the GPU as well."""
+        """Update pages, on the GPU as well."""
         if not held.stale:
             return
         held.stale = False
@@ -388,7 +388,7 @@ class Imagery:
             self.device.queue.write_buffer(self._buffer, at, held.pages[first:last])
 
     def _write(self, layers: Sequence[Layer], view: View, taps: int) -> None:
-        """Have the buffer hold all open layers, and heads for those to draw; ``taps``: look-ups in a footprint."""
+        """Write all open layers to the buffer, and heads for those to draw; ``taps``: look-ups in a footprint."""
         for held in self._held.values():
             self._refresh(held)
         if self._buffer is None:

@@ -1,8 +1,8 @@
 """Where a moving camera will be shortly, predicted from its last movements: tiles are prefetched for that view.
 
-Eye and target are moved on along straight lines at a speed averaged over ``SMOOTH`` seconds: right for a flight, good
-enough for a turn of the head or an orbit, which curve little in ``HORIZONS``. A camera that jumps has no speed, and one
-that stands still has none after a moment. Metres, seconds.
+Eye and target are extrapolated along straight lines at a speed averaged over ``SMOOTH`` seconds: right for a flight,
+good enough for a turn of the head or an orbit, which curve little in ``HORIZONS``. A camera that jumps has no speed,
+and one that stands still has none after a moment. Metres, seconds.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from orograph.geo.vectors import Vector
 from orograph.viewpoint import View
 
 HORIZONS = (0.75, 1.5)
-"""How far ahead to predict, in turn; seconds."""
+"""How far ahead to predict, alternately; seconds."""
 
 PERIOD = 0.1
 """Seconds between two predictions: each costs as much as selecting a frame's patches."""
@@ -48,7 +48,7 @@ class Prediction:
         self.turn = 0
 
     def see(self, view: View, now: float) -> None:
-        """A frame's view, at a time (of any clock)."""
+        """Record a frame's view and its time (by any clock)."""
         last, passed = self._last, now - self._when
         self._last, self._when = view, now
         if last is None or not 0 < passed <= PAUSE or last.projection != view.projection:
@@ -83,7 +83,7 @@ class Prediction:
         view = self._last
         if view is None:
             return None
-        # No farther than the target is away: what is beyond was not in view yet, and the speed may be a slip.
+        # At most by the distance to the target: ground beyond was not in view yet, and the speed may be wrong.
         seconds = min(seconds, view.distance / max(math.hypot(*self._eye), math.hypot(*self._target), 1e-12))
         eye, target = _moved(view.eye, self._eye, seconds), _moved(view.target, self._target, seconds)
         try:

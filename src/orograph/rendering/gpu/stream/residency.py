@@ -1,4 +1,4 @@
-"""Which patches a frame draws, and the tiles they are drawn from: the method, the atlases and the streamer together.
+"""Choosing the patches of a frame, and the tiles they are drawn from: combines method, atlases and streamer.
 
 A frame selects the patches of its view among those whose tiles are resident, unless it is the last frame's view and no
 tile has come or gone; missing tiles are requested, largest error
@@ -41,9 +41,9 @@ AHEAD = 0.5
 """The weight of a pixel of error that will be missing shortly; one that is missing now counts 1."""
 
 RIM, WAITED_RIM = 0.5, 4.0
-"""Of a triangle's longest edge, what counts as the error where ground ends: corners whose surroundings are half there
-are filled (``surface.void_fill``). In a picture that is waited for triangles there are no larger than a quarter of a
-pixel, so that voids end where those of the raster do."""
+"""The error that counts where ground ends, as a fraction of a triangle's longest edge: corners with half of their
+surroundings present are filled (``surface.void_fill``). In a picture that is waited for, triangles there are at most a
+quarter of a pixel large, so that voids end where those of the raster do."""
 
 HELD = 4.0
 """Pixels of error that a tile counts without which what another method selected cannot be drawn."""
@@ -125,7 +125,7 @@ class Residency:
         Raises:
             StoreError: with ``wait``, a tile cannot be read.
         """
-        # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
+        # (A picture that is waited for may evict the tiles of the one before; consecutive frames share the atlas.)
         self._frame += 2 if wait else 1
         self._full, self._drawn = False, drawn
         self.came.clear()
@@ -186,7 +186,7 @@ class Residency:
 
     @property
     def areas(self) -> Array:
-        """West, north, east, south (n, 4) of what is drawn from the tiles that came, sample coordinates."""
+        """West, north, east, south (n, 4) of the ground that is drawn from the new tiles, sample coordinates."""
         keys = np.array(sorted(set(self.came)), np.int64).reshape(-1, 3)
         scale = 2.0 ** keys[:, :1]
         corner = keys[:, [2, 1]] * TILE
@@ -194,7 +194,7 @@ class Residency:
 
     @property
     def waiting(self) -> int:
-        """The number of tiles on their way, or due for another attempt."""
+        """The number of tiles being loaded, or due for another attempt."""
         again = time.monotonic() - self.streamer.RETRY
         failed = [self.streamer.failed[key][0] for key in self._asked.keys() & self.streamer.failed.keys()]
         return self.streamer.waiting + sum(when < again for when in failed)
@@ -248,7 +248,7 @@ class Residency:
         self.streamer.want([(every[kind, key], kind, key) for kind, key in absent])
 
     def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
-        """Request what is missing, once a frame is handed over: its Python code no longer needs the interpreter then.
+        """Request missing tiles after a frame is submitted: then its own Python code no longer needs the interpreter.
 
         Args:
             ahead: also predict what will be missing shortly.
@@ -314,7 +314,7 @@ class Residency:
             if not taken:
                 break
             kind, key, data = taken[0]
-            # What this frame or the last one wants is not to make room.
+            # Tiles that this frame or the last one wants must not be evicted.
             self._full |= not self._atlases[kind].insert(key, data, self._frame - 1)
             self.came.append(key)
             count, self.bytes = count + 1, self.bytes + data.nbytes
@@ -333,8 +333,8 @@ def _largest(which: NDArray[Any], errors: NDArray[Any], most: int) -> tuple[NDAr
 def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:
     """The camera that errors are judged by, and the planes to cull with if they are not its own.
 
-    From straight above no error of a height moves anything on the screen, but it has a colour: a plan is held to its
-    tolerance as if it was seen at 45°, from afar.
+    From straight above, an error in height moves nothing on the screen, but it affects colours: so the tolerance of a
+    plan applies as if it was seen at 45°, from afar.
     """
     if view.projection != "plan":
         return view, None

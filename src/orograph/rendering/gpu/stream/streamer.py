@@ -1,6 +1,6 @@
 """Threads that read tiles in order of priority, in parallel with the frames that want them.
 
-Every frame states anew what it wants; what is no longer wanted is not read. A tile that cannot be read is reported and
+Every frame submits its requests anew; what is no longer wanted is not read. A tile that cannot be read is reported and
 never ends a thread: its substitute stays, and it is retried later. Units: seconds.
 """
 
@@ -29,7 +29,7 @@ GIVEN_UP = 8
 hundreds of them would take the interpreter from the frames."""
 
 FIRST = 0.1
-"""Of the time until failed tiles are asked for again, the part by which those come sooner that were not tried."""
+"""Tiles that were not tried are requested again after this fraction of the time for failed tiles."""
 
 
 class Streamer(Generic[K, T, D]):
@@ -40,7 +40,7 @@ class Streamer(Generic[K, T, D]):
         jobs: threads.
 
     Attributes:
-        failed: tiles that could not be read, with the reason: they are not asked for again for ``RETRY`` seconds.
+        failed: tiles that could not be read, with the reason: they are not requested again for ``RETRY`` seconds.
     """
 
     RETRY = 5.0
@@ -59,7 +59,7 @@ class Streamer(Generic[K, T, D]):
             thread.start()
 
     def want(self, wanted: Sequence[tuple[float, K, T]]) -> None:
-        """Replace the queue: (priority, kind, key), the highest first. Reads in progress go on.
+        """Replace the queue: (priority, kind, key), highest first. Reads in progress continue.
 
         Threads are woken only if there is something for them to do: each would take the interpreter from the frame.
         """
@@ -83,7 +83,7 @@ class Streamer(Generic[K, T, D]):
             return []
         with self._condition:
             taken, self._ready = self._ready[:most], self._ready[most:]
-            if len(self._ready) + len(taken) > AHEAD:  # threads waited for room
+            if len(self._ready) + len(taken) > AHEAD:  # threads were waiting for room
                 self._condition.notify_all()
             return taken
 

@@ -1,16 +1,16 @@
 """Tiles on the GPU: fixed atlases that hold the part of a terrain that views want, filled by background threads.
 
-Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way (a third has trees: ``diamonds``):
+Two kinds of tile, both of 256 × 256 cells of a level, work in the same way (a third is for trees: ``diamonds``):
 
 - ``heights``: the 257 × 257 nested samples that a tile's patches take their vertices from, float32 metres, with
-  ``missing(terrain)`` added where there is none. Neighbours share their border samples: no vertex depends on its tile.
-- ``slopes``: gradients of the box means, 258 × 258 (a border of one all around, so that blending never leaves the
+  ``missing(terrain)`` added to missing ones. Neighbours share their border samples: no vertex depends on its tile.
+- ``slopes``: gradients of the box means, 258 × 258 (a border of one all around, so that filtering never leaves the
   tile), two float16: metres of height per sample of the raster along columns and rows. Means of gradients are gradients
   of means: the exact prefilter of slopes for pixels larger than samples (``lighting.relief``).
 
-Every frame the renderer says which tiles it wants, by priority; threads read and convert them (``streamer``), the
-frame's thread uploads what is ready, a bounded number of bytes at a time (``slots``). The coarsest level is loaded
-first and never leaves: something can always be drawn.
+Every frame the renderer requests tiles by priority; threads read and convert them (``streamer``), and the
+frame's thread uploads those that are ready, a bounded number of bytes at a time (``atlas``). The coarsest level is
+loaded first and never leaves: something can always be drawn.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ Key = tuple[int, int, int]
 """(level, tile row, tile column)."""
 
 MISSING = 1_000_000
-"""Metres added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the
-ground beside them, so that the triangles there, which are not drawn, are no larger than others."""
+"""Metres added to the values that stand for missing heights in textures: shaders may not rely on NaN. The values are
+near the ground beside them, so that the triangles there, which are not drawn, are no larger than others."""
 
 SIDES = {"heights": TILE + 1, "slopes": TILE + 2, "diamonds": TILE + 1}
 _FORMATS: dict[str, tuple[str, int]] = {
@@ -53,7 +53,7 @@ def _slopes(means, rows0, rows1, short_u, short_v, out):
 
     It is NaN beyond the raster; ``out`` (258, 258, 2). Blocks without ground take the mean of their neighbours' slopes.
 
-    ``short_u``, ``short_v`` (260,): by how much the middle of a column or row of blocks is nearer than a block's.
+    ``short_u``, ``short_v`` (260,): how much nearer the middle of a column or row of blocks is than a whole block's.
     """
     n, m = out.shape[0], out.shape[1]
     for i in range(rows0, rows1):
@@ -85,7 +85,7 @@ def _slopes(means, rows0, rows1, short_u, short_v, out):
 
 
 def missing(terrain: Terrain) -> int:
-    """Metres added to heights that are missing: more than twice what any is; ``MISSING``, unless heights are radii."""
+    """Metres added to missing heights, more than twice any height; ``MISSING``, unless heights are radii."""
     highest = float(np.nanmax(np.abs(terrain.height_range), initial=0.0))
     return MISSING if highest < 0.4 * MISSING else 2 ** math.ceil(math.log2(4.0 * highest))
 
@@ -94,8 +94,8 @@ def height_tile(terrain: Terrain, key: Key) -> NDArray[np.float32]:
     """The samples (257, 257) of a tile; beyond the raster the last row and column are repeated.
 
     At coarse levels a missing sample takes the mean of the valid ones around it, if there are any within its own cell:
-    a hole smaller than a triangle is not to take all triangles around it away, and a larger one's edge stays where it
-    is to half a triangle. Patches are that coarse only where their triangles are smaller than a pixel.
+    a hole smaller than a triangle must not remove all triangles around it, and the edge of a larger one stays in place
+    to half a triangle. Patches are that coarse only where their triangles are smaller than a pixel.
     """
     level, ty, tx = key
     rows, cols = terrain.shape(level)
@@ -112,7 +112,7 @@ def height_tile(terrain: Terrain, key: Key) -> NDArray[np.float32]:
 
 
 def _means(terrain: Terrain, level: int, r0: int, c0: int, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Means of the blocks that nested samples of a level are the corners of, NaN where there is none."""
+    """Means of the blocks whose corners are nested samples of a level, NaN where there is none."""
     rows, cols = terrain.mean_shape(level)
     out = np.full(shape, np.nan, np.float32)
     r1, c1 = min(r0 + shape[0], rows), min(c0 + shape[1], cols)
@@ -122,7 +122,7 @@ def _means(terrain: Terrain, level: int, r0: int, c0: int, shape: tuple[int, int
 
 
 def _filled(heights: NDArray[np.float32], missing: np.float32) -> NDArray[np.float32]:
-    """Heights with the mean of their neighbours, or else of all, plus ``missing`` where they are missing."""
+    """Replace missing heights by the mean of their neighbours, or else of all, plus ``missing``."""
     there = np.isfinite(heights)
     if there.all():
         return heights
@@ -166,14 +166,14 @@ def slope_tile(terrain: Terrain, key: Key) -> NDArray[np.float16]:
 
 
 def warm() -> None:
-    """Have the kernel of slope tiles loaded, and with it all that Numba needs before its first kernel."""
+    """Load the kernel of slope tiles, and with it all that Numba needs before its first kernel."""
     out = np.empty((1, 1, 2), np.float32)
     _slopes(np.zeros((3, 3), np.float32), 0, 1, np.zeros(3), np.zeros(3), out)
 
 
 @dataclass(slots=True)
 class Tables:
-    """Where each level's tiles begin in a page table, and how many there are."""
+    """The offset of each level's tiles in a page table, and their number."""
 
     offsets: list[int]
     shapes: list[tuple[int, int]]
@@ -202,7 +202,7 @@ class Atlas(TileAtlas):
     """One kind of tile of a terrain, and the page table that shaders find them by.
 
     Args:
-        tables: where tiles are in the page table; None: one for each of the terrain's.
+        tables: the places of tiles in the page table; None: one for each of the terrain's.
 
     Attributes:
         kind: of the tiles.
@@ -224,7 +224,7 @@ class Atlas(TileAtlas):
         self._flushed = 0
 
     def lacking(self, tiles: NDArray[np.int64], frame: int) -> NDArray[np.bool_]:
-        """Which tiles, by their places in the page table, are not there; the others are noted as wanted in a frame."""
+        """Which tiles, by their places in the page table, are absent; the others are marked as wanted in a frame."""
         pages = self.pages[tiles]
         lack: NDArray[np.bool_] = pages == 0
         self.touch(pages.view(np.int32) - np.int32(1), frame)
@@ -261,5 +261,5 @@ _MAKE: dict[Kind, Callable[[Terrain, Key], NDArray[Any]]] = {"heights": height_t
 
 
 def make_tile(terrain: Terrain, kind: Kind, key: Key) -> NDArray[Any]:
-    """A tile of a terrain, of either kind."""
+    """Make a tile of a terrain, of either kind."""
     return _MAKE[kind](terrain, key)

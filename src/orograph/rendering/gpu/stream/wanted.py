@@ -1,4 +1,4 @@
-"""Which tiles of shading a view wants: for each place in view, those of the level whose samples are a pixel large.
+"""The tiles of shading that a view wants: for each place in view, those of the level whose samples are a pixel large.
 
 A tile is wanted if it is in the frustum and the tile above it is too coarse: its samples are larger than a pixel at
 the nearest point (``raycast.select.spacing_error``, tile by tile). So the tiles of all coarser levels are wanted as
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 
 @kernel
 def _wanted(tiles, planes, eye, scale, per_metre, plan, most, grow, priority, out):
-    """Indices of the tiles wanted go to ``out``; their number is returned.
+    """Write the indices of the wanted tiles to ``out``; return their number.
 
     Args:
         tiles: boxes (n, 6) west, east, north, south, low, high, NaN heights where a tile is empty; parents (n,), −1 at
             the top; sizes (n,) metres between the samples of a tile's level.
         planes: (m, 4) over column, row and height. eye: column, row, height. scale: metres per column and row, and the
             exaggeration.
-        per_metre: pixels of a metre at unit distance, or anywhere in a plan. most: pixels a sample may be large.
+        per_metre: pixels of a metre at unit distance, or anywhere in a plan. most: largest sample, pixels.
         grow: uint8 (n,), whether a tile is too coarse. priority: (n,) of those wanted.
     """
     boxes, parents, sizes = tiles
@@ -69,10 +69,10 @@ def _wanted(tiles, planes, eye, scale, per_metre, plan, most, grow, priority, ou
 
 
 class Tree:
-    """Tiles of all levels over a terrain, asked at once.
+    """Tiles of all levels over a terrain, examined in one pass.
 
     Args:
-        terrain: below them.
+        terrain: the ground below them.
         boxes: (n, 6) west, east, north, south in sample coordinates, lowest and highest height (NaN: never wanted),
             coarsest level first. parents: (n,) places of the tiles above, −1 at the top. sizes: (n,) metres between the
             samples of a tile.
@@ -90,7 +90,7 @@ class Tree:
         """The tiles wanted: which, and how many pixels their parents' samples are large; not to be written to.
 
         Args:
-            pixels: how large samples may be.
+            pixels: allowed size of samples.
         """
         if self._found is not None and self._found[0] == (view, exaggeration, pixels):
             return self._found[1]

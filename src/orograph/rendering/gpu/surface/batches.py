@@ -1,8 +1,8 @@
-"""Batches of small meshes, such as ``bdam``'s patches, that stay on the GPU: a frame brings only those that are new.
+"""Batches of small meshes, such as ``bdam``'s patches, that stay on the GPU: a frame uploads only new ones.
 
-A batch is known by its array of vertices, which a method keeps as long as it may draw it again. All that a frame brings
-besides new batches is 16 bytes for every ``RUN`` triangles: which they are, and how far their heights have grown out of
-the coarser ones. A vertex takes 20 bytes (row, column, what is left of both in 65536ths, height, coarser height), a
+A batch is identified by its array of vertices, which a method keeps as long as it may draw it again. Besides new
+batches, a frame uploads 16 bytes for every ``RUN`` triangles: which they are, and how far their heights have grown from
+the coarser ones. A vertex takes 20 bytes (row, column, the remainders of both in 65536ths, height, coarser height), a
 triangle 12.
 """
 
@@ -39,7 +39,7 @@ TRIANGLE = 12
 """Bytes."""
 
 COARSER = 1.25
-"""By how much a tolerance grows until its batches fit."""
+"""Factor by which a tolerance grows until its batches fit."""
 
 
 @dataclass(slots=True, eq=False)
@@ -47,8 +47,8 @@ class Pool:
     """Batches in the GPU's memory.
 
     Attributes:
-        vertices, corners: the buffers. room, used: how many vertices and triangles they hold, and how many are there.
-        places: by the number of a batch's array of vertices a reference to it, and its first vertex and triangle.
+        vertices, corners: the buffers. room, used: their capacities in vertices and triangles, and the used part.
+        places: by the id of a batch's array of vertices, a reference to it, and its first vertex and triangle.
     """
 
     vertices: Any
@@ -75,13 +75,13 @@ def packed(batches: Sequence[TinBatch]) -> NDArray[np.void]:
 
 
 class Batches:
-    """Brings batches to the GPU.
+    """Uploads batches to the GPU.
 
     Args:
-        most: bytes that there are for them; while frames still draw the last ones, twice as many.
+        most: bytes available for them; up to twice as many while frames still draw the last ones.
 
     Attributes:
-        sent: bytes that the last selection brought, besides its runs.
+        sent: bytes that the last selection uploaded, besides its runs.
     """
 
     def __init__(self, device: Device, most: int) -> None:
@@ -92,7 +92,7 @@ class Batches:
         self._pool: Pool | None = None
 
     def ready(self, selection: TinBatches, again: Callable[[float], TinBatches]) -> ResidentMeshes:
-        """A selection on the GPU; coarser where memory holds no more.
+        """Return a selection on the GPU; coarser if memory does not hold it.
 
         Args:
             again: selects with another tolerance, pixels.
@@ -116,7 +116,7 @@ class Batches:
         )  # fmt: skip
 
     def _made(self, batches: Sequence[TinBatch]) -> Pool:
-        """Where the batches are, those that lacked brought there."""
+        """Return the pool with these batches; missing ones are uploaded."""
         pool = self._pool
         lacking = [one for one in batches if pool is None or not pool.has(one)]
         if pool is None or _over(pool.used, _size(lacking), pool.room):
@@ -151,7 +151,7 @@ def _over(used: tuple[int, int], more: tuple[int, int], room: tuple[int, int]) -
 
 
 class BatchPass(RunPass):
-    """Draws batches into depth and marks. Args: as of ``FacePass``."""
+    """Draws batches into depth and marks. Args: as for ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         super().__init__(device, "batch_draw", camera, field, missing, RUNS)

@@ -1,6 +1,6 @@
-"""Chunks of ``chunked-lod`` that the GPU decodes itself: their words go up, a compute pass makes meshes of them.
+"""Chunks of ``chunked-lod`` that the GPU decodes itself: their words are uploaded, a compute pass makes meshes of them.
 
-They stay there (``surface.resident``). All that a frame brings is 20 bytes for every ``RUN`` triangles: a run of one
+The meshes stay there (``surface.resident``). A frame uploads only 20 bytes for every ``RUN`` triangles: a run of one
 chunk's triangles, and how far its vertices have moved.
 
 A vertex takes 20 bytes (row, column, height, height in the coarser mesh, the skirt's lower end), a triangle 12.
@@ -50,7 +50,7 @@ VERTEX, TRIANGLE = 20, 12
 """Bytes."""
 
 COARSER = 1.25
-"""By how much a tolerance grows until its chunks fit."""
+"""Factor by which a tolerance grows until its chunks fit."""
 
 VERTICES, TRIANGLES, EDGES = (HEADER.index(name) for name in ("vertices", "triangles", "hung"))
 FLAGS = HEADER.index("flags")
@@ -61,8 +61,8 @@ class Meshes:
     """Meshes in the GPU's memory.
 
     Attributes:
-        source: whose chunks. vertices, triangles: the buffers. room: how many of each they hold.
-        used: how many are there. places: by a chunk's name the numbers of its first vertex and triangle.
+        source: the source of the chunks. vertices, triangles: the buffers. room: their capacities.
+        used: the used part. places: by a chunk's name, the numbers of its first vertex and triangle.
     """
 
     source: Any
@@ -78,7 +78,7 @@ class DecodedChunks(ResidentMeshes):
     """Chunks whose meshes are on the GPU.
 
     Attributes:
-        meshes: where.
+        meshes: the pool that holds them.
     """
 
     meshes: Meshes
@@ -101,7 +101,7 @@ class Decoder:
         """Have chunks decoded into two buffers.
 
         Args:
-            names, coded: of the chunks, and their words. places: the numbers of their first vertices and triangles.
+            names, coded: the chunks and their words. places: the numbers of their first vertices and triangles.
         """
         if not len(coded):
             return
@@ -181,18 +181,18 @@ def pieces_of(
 
 
 def _ends(layout: Layout, i: int, j: int) -> int:
-    """Of a chunk whose row and column are even or odd as these: two bits for each corner, whether it lies at the end of
-    the side, row and column."""
+    """For a chunk of this row and column (only their parity counts), two bits for each corner: whether it lies at the
+    end of the side, along rows and along columns."""
     side = layout.side(0)
     at_end = (layout.corners(0, i, j) - (i * side, j * side)) // side
     return int((at_end.reshape(-1) << np.arange(8)).sum())
 
 
 class Chunks:
-    """Brings coded chunks to the GPU and has them decoded there.
+    """Uploads coded chunks to the GPU and has them decoded there.
 
     Args:
-        most: bytes that there are for meshes; while frames still draw the last ones, twice as many.
+        most: bytes available for meshes; up to twice as many while frames still draw the last ones.
     """
 
     def __init__(self, device: Device, most: int) -> None:
@@ -203,7 +203,7 @@ class Chunks:
         self._meshes: Meshes | None = None
 
     def ready(self, selection: CodedChunks, again: Callable[[float], CodedChunks]) -> DecodedChunks:
-        """A selection on the GPU; coarser where memory holds no more.
+        """Return a selection on the GPU; coarser if memory does not hold it.
 
         Args:
             again: selects with another tolerance, pixels.
@@ -233,7 +233,7 @@ class Chunks:
         return found.reshape(-1, len(HEADER))
 
     def _made(self, selection: CodedChunks, heads: NDArray[np.int64]) -> Meshes:
-        """Where the meshes are, those that lacked decoded."""
+        """Return the pool with these meshes; missing ones are decoded."""
         meshes = self._meshes
         lacking = [k for k, name in enumerate(selection.names) if meshes is None or name not in meshes.places]
         needed = _needed(heads[lacking])
@@ -266,7 +266,7 @@ def _over(used: tuple[int, int], more: tuple[int, int], room: tuple[int, int]) -
 
 
 class ChunkPass(RunPass):
-    """Draws decoded chunks into depth and marks. Args: as of ``FacePass``."""
+    """Draws decoded chunks into depth and marks. Args: as for ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         super().__init__(device, "chunk_draw", camera, field, missing, RUNS, PARTS=PARTS)

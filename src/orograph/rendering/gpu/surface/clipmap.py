@@ -1,10 +1,11 @@
-"""The rings of a clipmap, drawn on the GPU out of toroidal textures (Asirvatham & Hoppe 2005): one instanced draw.
+"""The rings of a clipmap, drawn on the GPU from toroidal textures (Asirvatham & Hoppe 2005): one instanced draw.
 
-Heights lie in a texture with a layer for every level, sample (i, j) at (i mod side, j mod side). A frame brings what
-of its windows' heights the last ones had not (L-shaped regions), 64 bytes a ring, and 12 bytes for every block of cells
-in view. Cells, triangles and transitions are made in the vertex shader, as ``lod.clipmap_mesh`` makes them. The paper's
-blocks of (n + 1)/4 samples, twelve a ring, with fix-ups and trims between them, are one kind of block here: of
-``BLOCK`` × ``BLOCK`` cells on the level's own lattice, cut in the shader to what window and hole leave of it.
+Heights lie in a texture with a layer for every level, sample (i, j) at (i mod side, j mod side). A frame uploads the
+heights of its windows that the last ones lacked (L-shaped regions), 64 bytes per ring, and 12 bytes for every block of
+cells in view. Cells, triangles and transitions are made in the vertex shader, as ``lod.clipmap_mesh`` makes them. The
+paper's blocks of (n + 1)/4 samples, twelve per ring, with fix-ups and trims between them, are one kind of block here:
+``BLOCK`` × ``BLOCK`` cells on the level's own lattice, cut in the shader to the part within the window and outside the
+hole.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ RING = np.dtype(
 MOST_RINGS = 32
 
 NEVER = 1e9
-"""Samples: a transition that begins there begins nowhere."""
+"""Samples: a transition that begins there never begins."""
 
 BLOCKS = {
     "array_stride": 12,
@@ -53,7 +54,7 @@ class HeldRings(Resident):
     """Rings to be drawn.
 
     Attributes:
-        windows: of each level the samples that are held, and their heights, metres.
+        windows: for each level, the samples it holds and their heights, metres.
         rings: (r,) of ``RING``. blocks: (b, 3) int32, row and column of each block in view, and its ring.
     """
 
@@ -63,13 +64,13 @@ class HeldRings(Resident):
 
 
 def ready_of(shape: tuple[int, int], most: int) -> Callable[[ClipRings, Any], HeldRings | TriangleMesh]:
-    """What makes rings ready to be drawn: called from any thread.
+    """Return a function that makes rings ready to be drawn, and may be called from any thread.
 
-    Where missing ground is among them triangles are split (``lod.clipmap_holes``), and are drawn as triangles; so are
+    If they contain missing ground, triangles are split (``lod.clipmap_holes``) and drawn as triangles; so are
     rings whose heights do not fit.
 
     Args:
-        shape: of the raster. most: bytes that there are for heights.
+        shape: the raster's. most: bytes available for heights.
     """
 
     def ready(selection: ClipRings, _: Any) -> HeldRings | TriangleMesh:
@@ -89,7 +90,7 @@ def ready_of(shape: tuple[int, int], most: int) -> Callable[[ClipRings, Any], He
 
 
 def side_for(stack: tuple[Rectangle, ...]) -> int:
-    """Samples along a side of the textures that hold such windows: a power of two."""
+    """The side, in samples, of the textures that hold such windows: a power of two."""
     return 1 << (max(max(window.shape) for window in stack) - 1).bit_length()
 
 
@@ -109,7 +110,7 @@ def ring_records(selection: ClipRings, shape: tuple[int, int]) -> NDArray[np.voi
 
 
 def blocks_of(selection: ClipRings) -> NDArray[np.int32]:
-    """The blocks (b, 3) in view that the next finer ring does not hide whole: rows, columns, rings."""
+    """The blocks (b, 3) in view that the next finer ring does not wholly hide: rows, columns, rings."""
     side, found = selection.block, [np.zeros((0, 3), np.int32)]
     holes = [*selection.stack[1:], None]
     for k, (w, hole, seen) in enumerate(zip(selection.stack, holes, selection.seen, strict=True)):
@@ -124,16 +125,16 @@ def blocks_of(selection: ClipRings) -> NDArray[np.int32]:
 
 
 def _within(block: NDArray[np.int64], side: int, window: tuple[int, int], hole: tuple[int, int]) -> NDArray[np.bool_]:
-    """Whether what a window has of blocks lies in the hole, along one axis."""
+    """Whether the part of each block within the window lies in the hole, along one axis."""
     begins, ends = np.maximum(block * side, window[0]), np.minimum((block + 1) * side, window[1] - 1)
     return np.asarray((begins >= hole[0]) & (ends <= hole[1] - 1))
 
 
 class ClipPass(FacePass):
-    """Draws rings into depth and marks. Args: as of ``FacePass``.
+    """Draws rings into depth and marks. Args: as for ``FacePass``.
 
     Attributes:
-        sent: bytes that the last selection brought.
+        sent: bytes that the last selection uploaded.
     """
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
@@ -158,7 +159,7 @@ class ClipPass(FacePass):
         pass_.end()
 
     def _bring(self, selection: HeldRings) -> None:
-        """Bring to the GPU what it lacks of a selection."""
+        """Upload what the GPU lacks of a selection."""
         rings, blocks = selection.rings, selection.blocks
         side, layers = side_for(tuple(selection.windows)), int(rings["level"].max()) + 1
         if self._texture is None or self._texture.size[0] != side or self._texture.size[2] < layers:
@@ -182,7 +183,7 @@ class ClipPass(FacePass):
         self._shown = selection
 
     def _fill(self, part: Rectangle, heights: Heights, side: int) -> None:
-        """Write the heights of a part, which begin at its first sample, where they belong."""
+        """Write the heights of a part to their places in the texture."""
         for (i, rows), (j, cols) in product(_runs(part.row0, part.row1, side), _runs(part.col0, part.col1, side)):
             some = np.ascontiguousarray(heights[i : i + rows, j : j + cols], np.float32)
             self.device.queue.write_texture(
@@ -193,7 +194,7 @@ class ClipPass(FacePass):
 
 
 def _runs(first: int, end: int, side: int) -> Iterator[tuple[int, int]]:
-    """Where samples that lie together begin, from the first one, and how many they are."""
+    """Split a span into runs that are contiguous in the texture: each one's start (from the first sample), length."""
     at = first
     while at < end:
         count = min(end - at, side - at % side)

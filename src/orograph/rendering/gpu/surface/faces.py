@@ -1,4 +1,4 @@
-"""What draws single triangles, of which every vertex knows all three (``shaders/faces.wgsl``), into depth and marks."""
+"""Draws separate triangles, whose vertices each know all three (``shaders/faces.wgsl``), into depth and marks."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from orograph.rendering.gpu.targets import EMPTY, FIELD, GIVEN, MARKS, NEARER, T
 
 
 class FacePass:
-    """A pass by one shader; its slopes are those of the triangles.
+    """A pass with one shader; the slopes it leaves are those of the triangles.
 
     Args:
-        shader: its name. buffers: of vertices. constants: of the shader, besides ``EDGES`` and ``MISSING``.
+        shader: its name. buffers: of vertices. constants: the shader's, besides ``EDGES`` and ``MISSING``.
         camera: the uniform buffer (``camera.CAMERA``).
         field: a view of the atlas of heights, its pages and the table of levels (``shaders/field.wgsl``).
-        missing: what is added to heights that are missing (``tiles.missing``), metres.
+        missing: what is added to missing heights (``tiles.missing``), metres.
     """
 
     def __init__(
@@ -31,11 +31,11 @@ class FacePass:
         self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
 
     def bind(self, **resources: Any) -> Any:
-        """A bind group of the camera, the field, and these."""
+        """Create a bind group of the camera, the field, and these."""
         return self._program(False).bind({**self.bound, **resources})
 
     def begin(self, encoder: Any, targets: Targets, left: Left) -> Any:
-        """Clear the targets; the pass, its pipeline set."""
+        """Clear the targets; return the pass with its pipeline set."""
         given, field = bool(left.slopes) or left.field, left.field
         pass_ = targets.attached(f"faces {given} {field}", lambda: self._attachments(targets, given, field)).begin(
             encoder

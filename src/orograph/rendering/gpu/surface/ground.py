@@ -1,11 +1,11 @@
 """The ground of a frame: what is selected of it, and the surface that draws such a selection.
 
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
-instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
-that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``); of a method that lives on the GPU nothing
-is selected, its tree is updated and drawn (``growing``, ``tree``); batches of small meshes stay there (``batches``),
-chunks in few bytes are decoded there first (``chunks``), pieces of patches are instances (``pieces``), and heights of a
-clipmap's rings lie in toroidal textures (``clipmap``). All that comes after (light, lines, voids) reads the targets
+instances with heights from the atlas (``patches``). Another method's selection is drawn by the surface of its kind
+(``rays`` for windows that rays are cast at), or as triangles (``meshes``). For a method that lives on the GPU nothing
+is selected: its tree is updated and drawn (``growing``, ``tree``). Batches of small meshes stay there (``batches``),
+compressed chunks are decoded there first (``chunks``), pieces of patches are instances (``pieces``), and heights of a
+clipmap's rings lie in toroidal textures (``clipmap``). All later passes (light, lines, voids) read the targets
 only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
@@ -58,7 +58,7 @@ class Surface(Protocol):
     """Draws selections of one kind."""
 
     def draw(self, encoder: Any, targets: Targets, selection: Any, left: Left) -> None:
-        """Clear the targets and draw a selection into depth and marks, and what else is to be ``left``."""
+        """Clear the targets, draw a selection into depth and marks, and leave what ``left`` asks for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Drawn:
 
     Attributes:
         streamed: the terrain's patches, which tell what is in view even if another method's selection is drawn.
-        selection: what is drawn. missing: tiles that would make it better.
+        selection: what is drawn. missing: tiles that would improve it.
     """
 
     streamed: Chosen
@@ -75,7 +75,7 @@ class Drawn:
 
     @property
     def patches(self) -> Patches:
-        """The terrain's own."""
+        """The terrain's own patches."""
         return self.streamed.patches
 
     @property
@@ -85,7 +85,7 @@ class Drawn:
 
     @property
     def other(self) -> Any:
-        """What is drawn in place of patches, which is another object when it is another; None: patches are."""
+        """What is drawn instead of patches; a new object whenever it changes; None: patches are drawn."""
         if isinstance(self.selection, Resident):
             return self.selection
         if isinstance(self.selection, TreeFrame):
@@ -97,29 +97,29 @@ class Drawn:
 
     @property
     def state(self) -> Any:
-        """The same, but of a tree another object whenever it was updated."""
+        """The same, but a new object after every update of a tree."""
         return self.selection if isinstance(self.selection, TreeFrame) else self.other
 
     @property
     def resident(self) -> TreeFrame | Resident | None:
-        """What is drawn of triangles that only the GPU has; None: something else is."""
+        """What is drawn, if only the GPU has its triangles; else None."""
         return self.selection if isinstance(self.selection, (TreeFrame, Resident)) else None
 
     @property
     def at_breaks(self) -> bool:
-        """Whether only pixels where depth breaks off are to have more samples than one."""
+        """Whether only pixels where depth breaks off get more than one sample."""
         return isinstance(self.selection, CastWindows) and self.selection.at_breaks
 
     @property
     def drawn(self) -> int:
-        """How many of the patches are drawn."""
+        """The number of patches that are drawn."""
         if isinstance(self.selection, Mixed):
             return len(self.selection.instances)
         return len(self.patches.instances) if isinstance(self.selection, Patches) else 0
 
     @property
     def rays(self) -> CastWindows | None:
-        """The windows that rays are cast at; None: they are not."""
+        """The windows that rays are cast at; None: no rays are cast."""
         if isinstance(self.selection, Mixed):
             return None if self.selection.rays is None else self.selection.cast.windows
         return self.selection if isinstance(self.selection, CastWindows) else None
@@ -130,11 +130,11 @@ class Ground:
 
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
-        tiles: of the terrain. stored_slopes, levels: of ``shade.resources.Resources``.
-        most: bytes of the windows that rays are cast at; twice as many hold a tree's pages. jobs: threads.
+        tiles: the terrain's. stored_slopes, levels: those of ``shade.resources.Resources``.
+        most: bytes for the windows that rays are cast at; a tree's pages get twice as many. jobs: threads.
 
     Attributes:
-        surfaces: what draws a selection, by its type. batches: that stay on the GPU.
+        surfaces: the surface for each type of selection. batches: those that stay on the GPU.
     """
 
     def __init__(
@@ -176,14 +176,14 @@ class Ground:
         self._known: tuple[Any, tuple[bool, Choice | None]] | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
-        """What a frame of a scene draws.
+        """Choose what a frame of a scene draws.
 
         Args:
-            freeze: the camera it is selected for, if not the scene's. tolerance: of patches, pixels.
-            wait: until it is all there.
+            freeze: the camera to select for, if not the scene's. tolerance: of patches, pixels.
+            wait: until everything is there.
 
         Raises:
-            OrographError: with ``wait``, a tile cannot be read or the method cannot do it.
+            OrographError: with ``wait``, a tile cannot be read or the method cannot draw the scene.
         """
         view, surface = scene.view, scene.surface
         own, alive = self._kind(scene)
@@ -228,7 +228,7 @@ class Ground:
         self.surfaces[type(drawn.selection)].draw(encoder, targets, drawn.selection, left)
 
     def find_breaks(self, encoder: Any, targets: Targets, plan: bool) -> None:
-        """Find where what rays met breaks off; see ``RayPass``."""
+        """Find where the hits of rays break off; see ``RayPass``."""
         self._rays.find_breaks(encoder, targets, plan)
 
     def draw_patches(self, encoder: Any, targets: Targets, patches: Patches) -> None:
@@ -236,17 +236,17 @@ class Ground:
         self._patches.draw(encoder, targets, patches, DEPTH_ONLY)
 
     def compile(self, edges: bool, slopes: Slopes) -> None:
-        """Compile what draws patches."""
+        """Compile the pipeline for patches."""
         self._patches.pipeline(edges, slopes)
 
     @property
     def mesh(self) -> Tessellation | None:
-        """The triangles of another method's selection that the last frame drew; None: patches, or rays."""
+        """The triangles of another method's selection in the last frame; None: it drew patches, or rays."""
         return None if self._drawn is None else self._drawn.mesh
 
     @property
     def resident(self) -> TreeFrame | Resident | None:
-        """What the last frame drew of triangles that only the GPU has; None: it drew something else."""
+        """What the last frame drew, if only the GPU has its triangles; else None."""
         return None if self._drawn is None else self._drawn.resident
 
     @property
@@ -261,12 +261,12 @@ class Ground:
 
     @property
     def busy(self) -> bool:
-        """Whether another selection is on its way."""
+        """Whether another selection is being made."""
         return self._selected.busy or self._growing.busy
 
     @property
     def failure(self) -> str:
-        """What of the ground could not be had, and why; "" if there is nothing."""
+        """What of the ground is unavailable, and why; "" if nothing."""
         return self.tiles.failure or self._selected.failure or self._growing.failure
 
     def current(self, scene: Scene) -> bool:
@@ -291,21 +291,21 @@ class Ground:
 
 
 def _of_rays(scene: Scene, tolerance: float) -> float:
-    """The tolerance of rays where patches have that one, pixels: a plan's is a size of samples, its lines no matter."""
+    """The tolerance of rays for one of patches, pixels: in a plan it is the size of samples; lines do not count."""
     if scene.view.projection != "plan":
         return tolerance
     return min(scene.surface.tolerance or 1.0, math.inf if scene.annotations.contours is None else FINE)
 
 
 FINE = 0.7
-"""Pixels between the samples of a plan whose contour lines are drawn."""
+"""Pixels between the samples of a plan with contour lines."""
 
 
 def _living(scene: Scene) -> Choice | None:
     """The method of a scene if it lives on the GPU."""
     try:
         return living(scene)
-    except UsageError:  # ``Selected`` says why
+    except UsageError:  # ``Selected`` reports it
         return None
 
 
@@ -313,5 +313,5 @@ def streamed(scene: Scene) -> bool:
     """Whether the terrain's own patches are drawn."""
     try:
         return mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is None
-    except UsageError:  # ``Selected`` says why
+    except UsageError:  # ``Selected`` reports it
         return False

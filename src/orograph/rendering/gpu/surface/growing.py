@@ -1,9 +1,9 @@
 """Methods that live on the GPU: their tree grows with the frames, and nothing is selected on the CPU.
 
-A tree is planted in a thread, for what it needs of a store may have to be made; until then patches stand in. After that
-every frame brings pages that came and has the tree updated, until it is likely to have come to rest; then it is looked
-at, and goes on if it has not. A picture that waits has the tree itself tell which pages it looked for in vain, and goes
-on until there are none and nothing changes.
+A tree is planted in a thread, because the data it needs from a store may have to be made; until then patches stand in.
+After that, every frame uploads new pages and updates the tree, until it has probably settled; then its counts are read,
+and updates continue if it has not. For a picture that waits, the tree itself reports the pages that it lacked, and
+updates continue until there are none and nothing changes.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ LIVING = (Cbt,)
 """Methods that live on the GPU."""
 
 AT_ONCE = 8
-"""Updates between two looks at a tree that is waited for."""
+"""Updates between two readings of a tree that a picture waits for."""
 
 
 @dataclass(slots=True)
 class Planted:
-    """A tree and what it grows on."""
+    """A tree and its pages."""
 
     tree: Tree
     pages: DiamondPages
 
 
 def living(scene: Scene) -> Choice | None:
-    """The method of a scene if it lives on the GPU, which knows no budget.
+    """The method of a scene if it lives on the GPU and no budget of triangles is set.
 
     Raises:
         UsageError: there is no such method.
@@ -62,9 +62,9 @@ class Growing:
         most: bytes of pages. jobs: threads that read.
 
     Attributes:
-        selection: the tree as it is; None until it is planted. current: whether it has come to rest for the last view.
+        selection: the current tree; None until it is planted. current: whether it has settled for the last view.
         failure: why there is none, or what of it could not be read, or "".
-        counts: what was last read of it; None: nothing was. came: bytes of pages that came for the last view.
+        counts: those last read; None: none were. came: bytes of pages that arrived for the last view.
     """
 
     def __init__(self, device: Device, terrain: Terrain, most: int, jobs: int | None = None) -> None:
@@ -83,12 +83,12 @@ class Growing:
 
     @property
     def settling(self) -> int:
-        """Updates after which a tree is likely to have come to rest: as many as there are levels, and some more."""
+        """Updates after which a tree has probably settled: the number of levels, and some more."""
         return 2 * self.terrain.n + AT_ONCE
 
     @property
     def busy(self) -> bool:
-        """Whether the tree will be another one."""
+        """Whether the tree will still change."""
         if not self._wanted or self._error:
             return False
         there = self._planted
@@ -102,7 +102,7 @@ class Growing:
 
     @property
     def lacking(self) -> int:
-        """How many pages the last view wanted and had not."""
+        """The number of pages that the last view wanted and did not have."""
         return 0 if self._planted is None else self._planted.pages.lacking
 
     @property
@@ -110,10 +110,10 @@ class Growing:
         return self._error or ("" if self._planted is None else self._planted.pages.failure)
 
     def at_once(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
-        """Have the tree of a view, with all its pages, as far as there is room.
+        """Grow the tree for a view, with all its pages, as far as there is room.
 
         Args:
-            patches: of the view, as fine as the tree is to be.
+            patches: the view's, as fine as the tree is to be.
 
         Raises:
             UsageError: the method cannot do it. StoreError: the store was built without errors of diamonds, or a page
@@ -127,7 +127,7 @@ class Growing:
         there.pages.load(view, patches, tolerance, exaggeration)
         there.tree.take_asked()
         before, bound = -1, max(tolerance, there.pages.bound)
-        while True:  # (as long as triangles change or pages come, of which there is an end)
+        while True:  # (as long as triangles change or pages arrive, which is finite)
             there.tree.update(view, tolerance, exaggeration, AT_ONCE)
             self.counts = there.tree.counts()
             if self.counts.changes == before:
@@ -135,14 +135,14 @@ class Growing:
                 if not there.pages.take_asked(asked):
                     break
             before = self.counts.changes
-        if asked.any():  # there was no room for them
+        if asked.any():  # there was no room for these pages
             bound = max(bound, math.inf)
         self.came = there.pages.moved - moved
         self._asked, self._left, self._counted = (view, tolerance, exaggeration), 0, True
         self._told(choice, bound)
 
     def aside(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
-        """Take a frame's part of the way to the tree of a view; ``patches`` as for ``at_once``."""
+        """Do one frame's share of growing the tree for a view; ``patches`` as for ``at_once``."""
         self._for(choice)
         made = self._planting.take()
         if isinstance(made, str):
@@ -165,7 +165,7 @@ class Growing:
             there.tree.aim(view, tolerance, exaggeration, count)
             self._left, self._counted = self._left - count, False
             self._told(choice, max(tolerance, there.pages.bound))
-        elif not self._counted:  # there is time to look whether it has come to rest
+        elif not self._counted:  # there is time to check whether it has settled
             self.counts = there.tree.counts()
             self._counted = self.counts.changes == self._changes
             if not self._counted:
@@ -173,7 +173,7 @@ class Growing:
             self._told(choice, max(tolerance, there.pages.bound))
 
     def none(self) -> None:
-        """No tree is wanted; it stays where it is."""
+        """Note that no tree is wanted; it stays on the GPU."""
         self.selection, self._wanted, self.came = None, False, 0
 
     def close(self) -> None:
@@ -190,7 +190,7 @@ class Growing:
         self._wanted = True
 
     def _told(self, choice: Choice, bound: float) -> None:
-        """Note that the tree is another one."""
+        """Publish the tree as a new selection."""
         assert self._planted is not None
         tree, counts = self._planted.tree, self.counts
         full = counts is not None and counts.triangles + counts.wanted > tree.slots
@@ -223,5 +223,5 @@ class Growing:
 
 
 def _goal(scene: Scene) -> tuple[float, float]:
-    """Pixels of tolerance, and the factor on heights."""
+    """The tolerance in pixels, and the factor on heights."""
     return TOLERANCE if scene.surface.tolerance is None else scene.surface.tolerance, scene.surface.exaggeration

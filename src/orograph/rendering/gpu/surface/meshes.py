@@ -1,11 +1,11 @@
-"""Meshes of any method, drawn in place of the patches: selected on the CPU, drawn and lit as patches are.
+"""Meshes of any method, drawn instead of patches: selected on the CPU, drawn and lit as patches are.
 
-A method selects in a thread of its own while the mesh there is serves (its vertices lie on the ground, so it
-is drawn right from everywhere, only finer or coarser than asked for); methods are kept, so that those which go on
-from frame to frame do. Until the first mesh is there, patches stand in.
+A method selects in its own thread while the current mesh is drawn. (Its vertices lie on the ground, so it is correct
+from everywhere, only finer or coarser than requested.) Methods are kept, so incremental ones continue
+from frame to frame. Until the first mesh is ready, patches stand in.
 
-Vertices reach the GPU as whole rows and columns, what is left of them in 65536ths, and a height; differences to the
-eye's cell are taken in integers (``shaders/mesh.wgsl``), so their precision is the patches'.
+Vertices reach the GPU as whole rows and columns, their remainders in 65536ths, and a height; differences to the
+eye's cell are taken in integers (``shaders/mesh.wgsl``), so they are as precise as patches.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SAMPLE = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("between"
 
 
 def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
-    """Vertices (n,) of ``SAMPLE`` and corners (3 m,) of a mesh."""
+    """Pack a mesh as vertices (n,) of ``SAMPLE`` and corners (3 m,)."""
     points = np.zeros(len(mesh.vertices), SAMPLE)
     places = np.rint(mesh.vertices[:, :2] * 65536).astype(np.int64)
     (points["col"], points["row"]), points["height"] = (places >> 16).T, mesh.vertices[:, 2]
@@ -54,7 +54,7 @@ Have = Callable[[Selection, bool], bool]
 
 
 class Selected:
-    """The method of a scene, and what it selected last.
+    """The method of a scene, and its last selection.
 
     Args:
         own: what makes selections that have a surface of their own ready for it, by their type: a function of one and
@@ -63,7 +63,7 @@ class Selected:
             all of them are there.
 
     Attributes:
-        selection: to be drawn; None until one is there. current: whether it is what the last scene asked for.
+        selection: to be drawn; None until there is one. current: whether it is what the last scene asked for.
         failure: why the method selected nothing, or "".
     """
 
@@ -85,10 +85,10 @@ class Selected:
         return self._wish is not None and not self.failure and making
 
     def at_once(self, scene: Scene, view: View, tolerance: float) -> None:
-        """Have the mesh of a scene for a camera.
+        """Select a scene's mesh for a camera, and wait for it.
 
         Args:
-            tolerance: of rays, pixels, whose lines are of what is drawn; meshes have the scene's.
+            tolerance: of rays, pixels, whose lines are those of the drawn ground; meshes have the scene's.
 
         Raises:
             UsageError: there is no such method. StoreError: the store was built without errors of diamonds.
@@ -101,7 +101,7 @@ class Selected:
         self._aside.done, self.current = key, True
 
     def aside(self, scene: Scene, view: View, tolerance: float) -> None:
-        """Take the mesh that was made meanwhile, and have another one made if the scene wants it."""
+        """Take over a mesh that is ready, and start another one if the scene needs it."""
         key = self._asked(scene, view, tolerance)
         made = self._aside.take()
         if isinstance(made, str):
@@ -147,7 +147,7 @@ class Selected:
         assert choice is not None
         if smooth:
             choice = _grown(choice)
-        with self._lock:  # a method does one thing at a time
+        with self._lock:  # a method is not thread-safe
             memory = MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
             known, method = self._method
             if method is None or known != (str(choice), memory, scene.budget.jobs):
@@ -170,8 +170,8 @@ class Selected:
 
 
 def _grown(choice: Choice) -> Choice:
-    """The same with vertices that grow to their places, if the method lets them and its metric allows it: while a
-    camera moves, that is quieter."""
+    """The same choice with geomorphing vertices, if the method has them and its metric allows it: that is smoother
+    while the camera moves."""
     if choice.info.kind in ("triangles", "batches") and any(
         one.name == "geomorph" for one in described(choice.info.options)
     ):
@@ -181,7 +181,7 @@ def _grown(choice: Choice) -> Choice:
 
 
 class MeshPass(FacePass):
-    """Draws a mesh into depth and marks. Args: as of ``FacePass``."""
+    """Draws a mesh into depth and marks. Args: as for ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         super().__init__(device, "mesh", camera, field, missing)

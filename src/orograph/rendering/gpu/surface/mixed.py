@@ -1,15 +1,15 @@
 """Patches and rays in one picture: each block of the screen is drawn by one of them (``surface.shares``).
 
-A block is drawn whole by one way, and each way draws all ground there is, so that no pixel is left out where they
-meet: what a border shows is that two surfaces, both within the tolerance, are two. Blocks of rays are first filled with
-a depth that keeps patches out; then patches are drawn, those left out that lie over such blocks only; then rays
-overwrite theirs.
+Each way draws its blocks whole and includes all ground there, so no pixel is left out where they
+meet: a border only shows the difference of two surfaces that are both within the tolerance. Blocks of rays are first
+filled with a depth that keeps patches out; then patches are drawn, except those that lie only over such blocks; then
+rays overwrite their blocks.
 
-The thread that selects windows also counts the steps of some rays (``rays.RaySteps``), of which a frame knows those of
-the last selection; patches are those of the frame itself. What a triangle, a pixel, a ray and a step take is measured
-once on each device, by drawing the first such frame a few times (``Mixer.measure``). While rays would save nothing
-anywhere, their windows are looked for only every ``RARELY`` frames. Rays draw nothing while they are coarser than was
-asked for: where memory holds no finer windows, or a camera is where those that are there are too coarse.
+The thread that selects windows also counts the steps of some rays (``rays.RaySteps``); a frame uses the counts of
+the last selection, and its own patches. The costs of a triangle, a pixel, a ray and a step are measured
+once per device, by drawing the first such frame a few times (``Mixer.measure``). While rays would save nothing
+anywhere, windows are selected only every ``RARELY`` frames. Rays draw nothing while they are coarser than
+requested: if memory holds no finer windows, or the present ones are too coarse for the camera.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
 RARELY = 60
-"""Frames after which windows are looked for again where rays saved nothing."""
+"""Frames after which windows are selected again if rays saved nothing."""
 
 WORTH = 0.02
-"""Part of a frame that blocks could save by rays for which windows are looked for in every frame."""
+"""Fraction of a frame's cost that rays must be able to save for windows to be selected in every frame."""
 
 ROUNDS, TIMES = 4, 8
-"""How often each draw is timed, the fastest counts; and how many times a timed submission of hardware does it, which
-would else take little longer than any submission."""
+"""How often each draw is timed (the fastest counts), and how many times a timed submission repeats it on hardware,
+where one draw would take hardly longer than an empty submission."""
 
 MOVED = 0.01
-"""Part of the distance to what a camera looks at that it may go, or turn, before blocks are decided upon anew."""
+"""Fraction of the distance to its target by which a camera may move or turn before blocks are decided anew."""
 
 SMALL = 4
-"""How many times smaller the picture is in which patches are drawn for what their triangles alone take."""
+"""Factor by which the picture is reduced to measure the cost of triangles alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MixableWindows(PatchesAndRays):
-    """Windows that are on the GPU, and what rays at them take.
+    """Windows on the GPU, and the cost of rays at them.
 
     Attributes:
-        rays: the windows. steps: ``RaySteps.count`` of the camera's view.
+        rays: the windows. steps: ``RaySteps.count`` for the camera's view.
     """
 
     rays: CastWindows
@@ -69,10 +69,10 @@ class MixableWindows(PatchesAndRays):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cast:
-    """Where rays are cast: the same object as long as they are cast at the same windows in the same blocks.
+    """Where rays are cast: the same object as long as windows and blocks stay the same.
 
     Attributes:
-        windows: at which. by_rays: the blocks, of ``side`` pixels.
+        windows: the windows. by_rays: the blocks, of ``side`` pixels.
     """
 
     windows: CastWindows
@@ -85,7 +85,7 @@ class Mixed:
     """What a frame draws.
 
     Attributes:
-        instances: patches that are drawn. cast: where rays are.
+        instances: patches to draw. cast: where rays are cast.
     """
 
     instances: NDArray[Any]
@@ -98,7 +98,7 @@ class Mixed:
 
 
 class _Decided(NamedTuple):
-    """Who draws which blocks, for what (``key``), by which windows and in which view, and why."""
+    """Who draws which blocks, the inputs (``key``), windows and view of this decision, and its reasons."""
 
     key: Any
     windows: MixableWindows
@@ -108,7 +108,7 @@ class _Decided(NamedTuple):
 
 
 class Mixing:
-    """Makes selections of patches and rays ready to be mixed; called from any thread."""
+    """Prepares selections of patches and rays for mixing; may be called from any thread."""
 
     def __init__(self, device: Device, terrain: Terrain, windows: Windows) -> None:
         self.terrain, self.windows = terrain, windows
@@ -130,7 +130,7 @@ class MixedPass:
     """Draws patches and rays into depth and marks.
 
     Args:
-        patches, rays: what draws either.
+        patches, rays: the passes for either.
     """
 
     def __init__(self, device: Device, patches: PatchPass, rays: RayPass) -> None:
@@ -176,7 +176,7 @@ class Mixer:
         self._last, self._drawn, self._idle = None, None, 0
 
     def look(self) -> bool:
-        """Whether windows are to be looked for in another frame."""
+        """Whether to select windows for another frame."""
         found = None if self._last is None else self._last.shares
         if found is None:
             self._idle = 0
@@ -188,10 +188,10 @@ class Mixer:
         self, patches: Patches, windows: MixableWindows, view: View, exaggeration: float, tolerance: float, *,
         wait: bool,
     ) -> Mixed:  # fmt: skip
-        """What a frame draws.
+        """Decide what a frame draws.
 
         Args:
-            patches: in view. tolerance: of rays, pixels. wait: it is a picture: decide by ``STATED`` costs, anew.
+            patches: in view. tolerance: of rays, pixels. wait: for a picture: decide anew, by ``STATED`` costs.
         """
         last = self._last
         key = exaggeration, tolerance, view.width, view.height, windows.block, wait
@@ -220,7 +220,7 @@ class Mixer:
         self, patches: Patches, boxes: NDArray[np.int64], windows: MixableWindows, view: View, exaggeration: float,
         tolerance: float, screen: Screen, *, wait: bool,
     ) -> _Decided:  # fmt: skip
-        """Who draws which blocks, and why."""
+        """Decide who draws which blocks, with reasons."""
         by_rays, shares = np.zeros(screen.shape, bool), None
         if not self._fine(windows, view, exaggeration, tolerance):
             pass
@@ -237,7 +237,7 @@ class Mixer:
         return _Decided((), windows, view, Cast(windows.rays, by_rays, windows.block), shares)
 
     def _fine(self, windows: MixableWindows, view: View, exaggeration: float, tolerance: float) -> bool:
-        """Whether rays are within the tolerance: their windows hold those that this camera wants."""
+        """Whether rays are within the tolerance: their windows contain those that this camera needs."""
         if windows.bound is None or windows.bound > tolerance * (1 + 1e-9):
             return False
         if windows.camera.view == view.whole and windows.camera.exaggeration == exaggeration:
@@ -254,7 +254,7 @@ class Mixer:
     def _measured(
         self, patches: Patches, rays: CastWindows, frame: Frame, screen: Screen, view: View, exaggeration: float
     ) -> Costs:  # fmt: skip
-        """The device's costs; measured by this frame if they are not known."""
+        """The device's costs; measured by this frame if they are unknown."""
         known = _COSTS.get(id(self.device.handle))
         if known is not None:
             return known
@@ -268,7 +268,7 @@ class Mixer:
     def measure(
         self, patches: Patches, rays: CastWindows, frame: Frame, screen: Screen, size: tuple[int, int]
     ) -> Costs:  # fmt: skip
-        """What a triangle, a pixel, a ray and a step take here, ns, by drawing what there is a few times.
+        """Measure the cost of a triangle, a pixel, a ray and a step, ns, by drawing the frame a few times.
 
         Patches are drawn in the whole picture, and in one that is ``SMALL`` times smaller: there the pixels are few.
         Rays are cast in a single block, which takes what comes before any ray, and in the blocks in which they take few
@@ -302,7 +302,7 @@ class Mixer:
     def _seconds(self, draws: Sequence[tuple[Mixed, tuple[int, int]]]) -> list[float]:
         """The least that each of some draws takes once it is recorded; in turns, so that other programs hold up all.
 
-        On software that is what processors work, if it is less: the clock runs while they work for others, too.
+        On software renderers this is processor time, if that is less: the clock also counts the work of others.
         """
         software = self.device.adapter.software
         times = 1 if software else TIMES
@@ -324,7 +324,7 @@ class Mixer:
 
 
 def _hardly_moved(last: _Decided, view: View, windows: MixableWindows) -> bool:
-    """Whether what was decided still holds: other windows or another place are looked at anew."""
+    """Whether the last decision still holds: other windows or another place need a new one."""
     if last.view == view:
         return last.windows is windows
     if last.windows.rays.held is not windows.rays.held or last.view.projection != view.projection:
@@ -345,7 +345,7 @@ _COSTS: dict[int, Costs] = {}
 
 
 def _frame(boxes: NDArray[np.int64], triangles: int, screen: Screen, counted: NDArray[np.uint32]) -> Frame:
-    """What there is to draw, by the steps of some rays."""
+    """What there is to draw, estimated from the steps of some rays."""
     down, across = screen.shape
     per = screen.side // SPACING
     here = np.zeros((2, down * per, across * per))
@@ -361,7 +361,8 @@ def _frame(boxes: NDArray[np.int64], triangles: int, screen: Screen, counted: ND
 def _solved(
     amounts: Sequence[tuple[float, float]], seconds: Sequence[float], stated: tuple[float, float]
 ) -> tuple[float, float]:
-    """What one of each takes, ns, where so many of both took so long; in the stated ratio if that makes no sense."""
+    """Solve for the cost of each of two kinds, ns, from two measurements; in the stated ratio if the result makes no
+    sense."""
     a, b = np.asarray(amounts, np.float64), np.asarray(seconds) * 1e9
     if len(a) == 2 and abs(np.linalg.det(a)) > 1e-6 * np.abs(a).prod(1).sum():
         first, second = np.linalg.solve(a, b)

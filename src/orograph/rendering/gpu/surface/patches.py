@@ -1,7 +1,7 @@
 """Patches into depth and marks: one instanced draw of a shared index buffer, heights pulled from the atlas.
 
-With ``slopes`` they leave the slope of what is drawn, too: "stored" at the vertices and blended between, by heights
-"sampled" around the pixel, or that of the flat triangles by the derivatives of their position on the screen
+With ``slopes`` they also leave the slope of what is drawn: "stored" at the vertices and interpolated, "sampled" from
+heights around the pixel, or that of the flat triangles by the derivatives of their position on the screen
 (``frame.Overlay.normals``).
 """
 
@@ -44,7 +44,7 @@ class PatchPass:
         camera: the uniform buffer (``camera.CAMERA``). heights: the atlas's texture.
         slopes: the view of the slopes' atlas, its pages and the table of levels (``shaders/slopes.wgsl``).
         vertices: (n, 2) uint lattice positions (i, j). indices: (m, 3) of them.
-        missing: what is added to heights that are missing (``tiles.missing``), metres.
+        missing: what is added to missing heights (``tiles.missing``), metres.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class PatchPass:
         self.groups = [program.bind({"camera": camera}), program.bind(atlases, 1)]
 
     def pipeline(self, edges: bool, slopes: Slopes) -> Any:
-        """The pipeline, with or without the edges of triangles among the marks, and their slopes."""
+        """The pipeline, with or without marks of triangles' edges, and with these slopes."""
         if (edges, slopes) not in self._pipelines:
             self._pipelines[edges, slopes] = self._program(edges, slopes).draw(
                 [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
@@ -79,7 +79,7 @@ class PatchPass:
         return Program(self.device, "patches", EDGES=int(edges), STORED=stored, SAMPLED=sampled, MISSING=self.missing)
 
     def draw(self, encoder: Any, targets: Targets, selection: Patches, left: Left) -> None:
-        """Clear the targets and draw; what lines are of the terrain is what is drawn: no ``field`` is left."""
+        """Clear the targets and draw; lines follow the drawn ground, so no ``field`` is left."""
         self.bring(selection.instances)
         pass_ = cleared(targets, self.device, bool(left.slopes)).begin(encoder)
         self.record(pass_, len(selection.instances), left)
@@ -97,7 +97,7 @@ class PatchPass:
             write(self.device, self.instances, np.ascontiguousarray(instances))
 
     def record(self, pass_: Any, count: int, left: Left) -> None:
-        """Draw as many instances as there were brought, in a pass that has begun."""
+        """Draw ``count`` uploaded instances in a pass that has begun."""
         if count:
             pass_.set_pipeline(self.pipeline(left.edges, left.slopes))
             for k, group in enumerate(self.groups):

@@ -1,4 +1,4 @@
-"""Pieces of square patches, such as ``seamless-patches`` selects: shapes are brought once, and drawn as instances.
+"""Pieces of square patches, such as ``seamless-patches`` selects: shapes are uploaded once, and drawn as instances.
 
 All pieces of a shape share its triangles, and all take their heights from the atlas, as the terrain's own patches do:
 a patch lies within one tile of each level that its vertices may be of. So a frame brings nothing but 20 bytes for every
@@ -152,7 +152,7 @@ class Pieces:
 
 
 class PiecePass(RunPass):
-    """Draws pieces into depth and marks. Args: as of ``FacePass``."""
+    """Draws pieces into depth and marks. Args: as for ``FacePass``."""
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         super().__init__(device, "piece_draw", camera, field, missing, RUNS, HOLES=1)

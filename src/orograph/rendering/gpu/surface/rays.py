@@ -30,16 +30,16 @@ BLOCKS = {
 """The buffer of blocks: column and row of each."""
 
 BLOCK, SPACING, BEAM = 64, 16, 16
-"""Pixels along a block, unless it is said, between the rays whose steps are counted, and along a beam."""
+"""Pixels along a block (by default), between the rays whose steps are counted, and along a beam."""
 
 HIT = 16
-"""Bytes of a pixel's hit, where compute shaders cast rays."""
+"""Bytes of a pixel's hit, if compute shaders cast rays."""
 
 BREAK = 0.01
-"""Of its depth, by how much what is beside a pixel has to be off a plane to be a break."""
+"""Fraction of its depth by which a pixel's neighbours must be off a plane to make a break."""
 
 BRIGHT = 0.1
-"""Of the brightest channel there, by how much light has to be off the mean of what is beside a pixel to be a break."""
+"""Fraction of the brightest channel by which light must differ from the mean of its neighbours to make a break."""
 
 
 class Beams:
@@ -53,14 +53,14 @@ class Beams:
         self._held: tuple[Any, Any, Any] = (None, None, None)
 
     def starts(self, size: tuple[int, int]) -> Any:
-        """The buffer of depths of a picture so large; the same for the same size."""
+        """The buffer of depths for a picture of this size; the same buffer for the same size."""
         if self._room[0] != size:
             across, down = (-(-n // BEAM) for n in size)
             self._room = size, self.device.buffer(4 * across * down, "STORAGE|COPY_SRC", "starts of rays")
         return self._room[1]
 
     def encode(self, encoder: Any, camera: Any, stack: Any, pool: Any, size: tuple[int, int]) -> None:
-        """Have the depths found by the camera and the windows in those buffers."""
+        """Find the depths for the camera and the windows in those buffers."""
         starts = self.starts(size)
         if self._pipeline is None:
             self._pipeline = self._program.compute()
@@ -87,7 +87,7 @@ class Breaks:
         self._pipelines: dict[bool, Any] = {}
 
     def encode(self, encoder: Any, targets: Targets, plan: bool) -> None:
-        """Have the breaks of what the targets hold found."""
+        """Find the breaks in the targets."""
         program = Program(self.device, "ray_breaks", PART=BREAK, BRIGHT=BRIGHT, PLAN=int(plan))
         if plan not in self._pipelines:
             self._pipelines[plan] = program.compute()
@@ -131,7 +131,7 @@ class RayPass:
         )  # fmt: skip
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
-        """Clear the targets and draw; it has no edges, and what lines are of the terrain is what is drawn."""
+        """Clear the targets and draw; there are no edges, and lines follow the drawn ground."""
         slopes = bool(left.slopes)
         self.bring(encoder, targets, selection)
         if self._computes:
@@ -143,15 +143,15 @@ class RayPass:
         pass_.end()
 
     def find_breaks(self, encoder: Any, targets: Targets, plan: bool) -> None:
-        """Find where depth breaks off in what the targets hold, for draws that are to be there only (``Left``)."""
+        """Find where depth breaks off in the targets, for draws at breaks only (``Left``)."""
         self._breaks.encode(encoder, targets, plan)
 
     def bring(self, encoder: Any, targets: Targets, selection: CastWindows) -> None:
-        """Have the windows at which rays are cast next, and find where rays begin."""
+        """Upload the windows for the next rays, and find where rays begin."""
         self._surface = selection.surface
         size = targets.width, targets.height
         room = HIT * size[0] * size[1]
-        self._computes = self.device.computes and room <= self.device.largest  # (else fragments do)
+        self._computes = self.device.computes and room <= self.device.largest  # (otherwise fragments cast rays)
         starts = self._beams.starts(size)
         if self._held[1] is not selection.stack:
             write(self.device, self.stack, selection.stack.tobytes())
@@ -168,7 +168,7 @@ class RayPass:
         self._beams.encode(encoder, self._buffer, self.stack, selection.pool, size)
 
     def bring_blocks(self, by_rays: NDArray[np.bool_]) -> int:
-        """Have the blocks of the screen (down, across) that rays draw; how many there are."""
+        """Upload the blocks of the screen (down, across) that rays draw; return their number."""
         places = np.argwhere(by_rays)[:, ::-1].astype(np.uint32)
         data = places.tobytes()
         if len(places) and self._blocks[0] != data:
@@ -176,7 +176,7 @@ class RayPass:
         return len(places)
 
     def compute_blocks(self, encoder: Any, count: int, side: int, slopes: bool) -> None:
-        """Where compute shaders cast rays: cast those of the blocks, before the pass that copies them."""
+        """If compute shaders cast rays, cast those of the blocks, before the pass that copies the hits."""
         if self._computes:
             self._compute(encoder, slopes, "blocks", side, (count, side // 8, side // 8))
 
@@ -187,13 +187,13 @@ class RayPass:
         pass_.end()
 
     def keep_free(self, pass_: Any, count: int, side: int, slopes: bool) -> None:
-        """Keep what lies behind out of the blocks, until rays are cast there."""
+        """Fill the blocks with a depth that keeps other ground out, until rays are cast there."""
         self._record(pass_, slopes, "kept_free", side)
         pass_.set_vertex_buffer(0, self._blocks[1])
         pass_.draw(6, count)
 
     def cast_blocks(self, pass_: Any, count: int, side: int, slopes: bool) -> None:
-        """Cast rays through the pixels of the blocks, whatever is there."""
+        """Cast rays through the pixels of the blocks, overwriting what is there."""
         self._record(pass_, slopes, "block", side)
         pass_.set_vertex_buffer(0, self._blocks[1])
         pass_.draw(6, count)
@@ -204,7 +204,7 @@ class RayPass:
             pass_.set_bind_group(number, group)
 
     def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
-        """The pipeline that draws all pixels (""), those at breaks ("breaks"), blocks ("block"), or keeps these free
+        """The pipeline that draws all pixels (""), those at breaks ("breaks"), blocks ("block"), or keeps blocks free
         ("kept_free"); or that casts the rays of "all" pixels, those at breaks ("all breaks"), or of "blocks"."""
         key = slopes, what, side, self._surface, self._computes
         if key not in self._pipelines and what in ("all", "all breaks", "blocks"):
@@ -223,7 +223,7 @@ class RayPass:
 
 
 class RaySteps:
-    """Counts the steps of rays, for those who decide by what rays cost; from any thread."""
+    """Counts the steps of rays, to estimate their cost; from any thread."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
@@ -234,7 +234,7 @@ class RaySteps:
         self._pipeline: Any = None
 
     def count(self, windows: CastWindows, camera: NDArray[np.void]) -> NDArray[np.uint32]:
-        """Of the middle pixel of every cell of ``SPACING`` pixels: twice its ray's steps, plus 1 if it meets ground."""
+        """For the middle pixel of every cell of ``SPACING`` pixels: twice its ray's steps, plus 1 if it hits ground."""
         width, height = (int(n) for n in camera["size"])
         down, across = -(-height // SPACING), -(-width // SPACING)
         found = self.device.buffer(4 * down * across, "STORAGE|COPY_SRC", "steps")

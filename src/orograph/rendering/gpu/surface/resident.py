@@ -1,7 +1,7 @@
 """Meshes that only the GPU has, drawn by *runs*: an instance for every ``RUN`` triangles of one mesh, all in one draw.
 
-Meshes stay where they are until there is no more room; then those that are drawn begin a new pool. Frames that still
-draw the last pool hold it.
+Meshes stay in a pool until it is full; then those that are drawn begin a new pool. Frames that still
+draw the last pool keep it alive.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from orograph.rendering.gpu.targets import Targets
 from orograph.tessellation import Tessellation
 
 RUN = 64
-"""Triangles of an instance."""
+"""Triangles per instance."""
 
 ROOM = 1 << 14
-"""Vertices that the smallest pool has room for."""
+"""Capacity of the smallest pool, in vertices."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Resident(Selection):
-    """What is drawn of triangles that only the GPU has.
+    """What is drawn, if only the GPU has its triangles.
 
     Attributes:
-        triangles: how many. given: as it was selected.
+        triangles: their number. given: the selection as it was made.
     """
 
     triangles: int
     given: Selection
 
     def tessellation(self) -> Tessellation:
-        """What is drawn of it, by the CPU."""
+        """The drawn triangles, made by the CPU."""
         return self.given.tessellation()
 
 
@@ -87,7 +87,7 @@ def runs_of(dtype: np.dtype[Any], firsts: Any, counts: Any) -> tuple[NDArray[Any
 
 
 class RunPass(FacePass):
-    """Draws resident meshes into depth and marks: one draw. Args: as of ``FacePass``; ``runs``: the buffer's layout."""
+    """Draws resident meshes into depth and marks: one draw. Args: as for ``FacePass``; ``runs``: buffer layout."""
 
     def __init__(
         self, device: Device, shader: str, camera: Any, field: tuple[Any, Any, Any], missing: int,

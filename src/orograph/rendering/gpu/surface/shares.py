@@ -1,10 +1,11 @@
-"""Who draws which blocks of the screen, patches or rays: what each way costs, and the cheaper of the two.
+"""Dividing the blocks of the screen between patches and rays: the cost of each way, and the cheaper division.
 
-A patch costs what its triangles do, however many blocks it lies over, and it is drawn if it lies over a single block
-of patches; so what a block saves depends on its neighbours. Each block first weighs its rays against its part of the
-patches over it (their triangles are shared out evenly) and its pixels; then, while that pays, blocks go over to the
-other way for what that saves with the others as they are; at last the whole picture is compared with that of patches
-alone and of rays alone. What drew a block before counts less, by the hysteresis. Nanoseconds, pixels, blocks.
+A patch costs what its triangles cost, however many blocks it lies over, and it is drawn if any of these is drawn by
+patches; so what a block saves depends on its neighbours. First each block compares the cost of its rays with that of
+its pixels and its share of the patches over it (their triangles are divided evenly). Then, while that pays, single
+blocks switch to the other way, for what that saves while the others stay. Finally the whole picture is compared with
+patches alone and rays alone. The previous way of each block has an advantage: the hysteresis. Nanoseconds, pixels,
+blocks.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Boxes = NDArray[np.int64]
-"""(k, 4): the blocks that patches lie over (``lod.patches.footprints``)."""
+"""(k, 4): the blocks that each patch lies over (``lod.patches.footprints``)."""
 Labels = NDArray[np.bool_]
 """(down, across): whether rays draw a block."""
 
 SWEEPS = 4
-"""How often blocks go over to the other way, at most."""
+"""Maximum number of passes in which blocks switch to the other way."""
 
 WORTH = 0.08
-"""Part of the cost of the better way alone that both together have to save: what they take besides is not counted."""
+"""Fraction of the cost of the better way alone that mixing must save: its own overhead is not counted."""
 
 
 class Costs(NamedTuple):
-    """What drawing takes a device.
+    """The costs of drawing on a device.
 
     Attributes:
         triangle, pixel: ns of patches, each triangle, and each pixel that they cover. ray, step: ns of rays, each, and
@@ -51,7 +52,7 @@ class Frame(NamedTuple):
 
     Attributes:
         boxes: of the patches. triangles: of each patch. pixels: (down, across), of the blocks.
-        ground: (down, across), of these the ones that show ground. steps: (down, across), of all rays through a block.
+        ground: (down, across), those of them that show ground. steps: (down, across), of all rays through a block.
     """
 
     boxes: Boxes
@@ -90,7 +91,7 @@ def over_blocks(boxes: Boxes, values: Array, shape: tuple[int, int]) -> Array:
 
 
 def count_over(boxes: Boxes, labels: Labels) -> NDArray[np.int64]:
-    """How many of the blocks that each patch lies over have a label."""
+    """The number of labelled blocks that each patch lies over."""
     sums = np.zeros((labels.shape[0] + 1, labels.shape[1] + 1), np.int64)
     np.cumsum(np.cumsum(labels, 0), 1, out=sums[1:, 1:])
     x0, y0, x1, y1 = boxes.T
@@ -104,10 +105,10 @@ def kept(boxes: Boxes, by_rays: Labels) -> Labels:
 
 
 def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None = None) -> Shares:
-    """Who draws which blocks.
+    """Divide the blocks between patches and rays.
 
     Args:
-        hysteresis: part of its cost by which the other way has to be cheaper. before: who drew them.
+        hysteresis: fraction of a block's cost by which the other way has to be cheaper. before: the last division.
     """
     boxes, shape = frame.boxes, frame.pixels.shape
     blocks = np.maximum(boxes[:, 2] - boxes[:, 0], 0) * np.maximum(boxes[:, 3] - boxes[:, 1], 0)
@@ -124,7 +125,7 @@ def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None =
 
     cost = total(labels)
     for _ in range(SWEEPS):
-        waits = count_over(boxes, ~labels)  # blocks for whose sake each patch is drawn
+        waits = count_over(boxes, ~labels)  # blocks that require each patch
         alone = each * over_blocks(boxes, (waits == 1) * 1.0, shape)
         again = each * over_blocks(boxes, ((waits == 0) & (blocks > 0)) * 1.0, shape)
         turned = np.where(labels, ~(ground + again < least * rays), rays < least * (ground + alone))

@@ -1,13 +1,13 @@
 """A concurrent binary tree that lives on the GPU (``lod.cbt``): updated by dispatches, drawn by one indirect draw.
 
-The pool of triangles, the bits of its slots in use, and their sums are buffers that nothing on the CPU looks at. A
-frame judges all triangles for its camera, then updates the tree some times: *mark*, *plan*, *apply*, two dispatches of
-the sum reduction, and *judge* again (``shaders/cbt.wgsl``), 1 + 6 · updates dispatches, of which all but those of the
-sums get their size from the GPU, as does the draw. What is drawn is read back where somebody asks for it
+The pool of triangles, the bits of its slots in use, and their sums are buffers that nothing on the CPU reads. A
+frame judges all triangles for its camera, then updates the tree several times: *mark*, *plan*, *apply*, two dispatches
+of the sum reduction, and *judge* again (``shaders/cbt.wgsl``). These are 1 + 6 · updates dispatches; all but those of
+the sums get their size from the GPU, as does the draw. What is drawn is read back only on request
 (``Tree.pool``).
 
 Memory: 96 bytes a slot for the triangles before and after an update, 8 for lists and marks, and 3/8 for bits and sums.
-Whatever is computed from positions, in float32, counts a little worse than it is, so that the promise holds.
+Whatever is computed from positions, in float32, is rounded towards a split, so that the promise holds.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ TUNING = np.dtype(
 
 NONE, MISSING = 0xFFFFFFFF, np.float32(1e30)
 SHOWN = 16
-"""What shaders write for no slot, for no height, and into the marks of a triangle that is drawn."""
+"""Shaders' values for no slot, for no height, and for the mark of a drawn triangle."""
 
 LEAST = 1 << 14
 """Slots that a workgroup of the sum reduction adds up."""
@@ -64,10 +64,10 @@ class Paged(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a tree says of itself when it is asked.
+    """A tree's counts, as read from the GPU.
 
     Attributes:
-        triangles: in the pool. wanted: slots that the last update asked for. changes: triangles that were split or
+        triangles: in the pool. wanted: slots that the last update asked for. changes: triangles split or
             merged so far.
     """
 
@@ -78,10 +78,10 @@ class Counts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TreeFrame(Selection):
-    """A tree after some update, which is what it is: the next one changes it.
+    """A tree after some update; the next update changes it.
 
     Attributes:
-        tree: on the GPU. reached: pixels within which its errors are, by the pages there are. full: whether it wanted
+        tree: on the GPU. reached: its error in pixels, given the pages that are there. full: whether it wanted
             more triangles than there is room for.
     """
 
@@ -90,7 +90,7 @@ class TreeFrame(Selection):
     full: bool
 
     def tessellation(self) -> Tessellation:
-        """What is drawn of it, read back."""
+        """The drawn triangles, read back."""
         return self.tree.tessellation(dict(self.stats))
 
 
@@ -99,11 +99,11 @@ class Tree:
 
     Args:
         corners: (2, 2) heights of the square's corners. pages: of the diamonds.
-        slots: triangles that there is room for; rounded up to a power of two.
-        isotropic: the metric, else anisotropic. cull: leave out what is out of view.
+        slots: capacity in triangles; rounded up to a power of two.
+        isotropic: whether the metric is isotropic. cull: leave out what is out of view.
 
     Attributes:
-        slots: as rounded. bytes: of its buffers. updates: how many there were.
+        slots: as rounded. bytes: of its buffers. updates: their number so far.
     """
 
     def __init__(
@@ -155,14 +155,14 @@ class Tree:
         }  # fmt: skip
 
     def update(self, view: View, tolerance: float, exaggeration: float, count: int) -> None:
-        """Judge for a camera and update so many times, at once; nothing waits for it. Arguments as for ``aim``."""
+        """Judge for a camera and update ``count`` times, now, without waiting. Arguments as for ``aim``."""
         self.aim(view, tolerance, exaggeration, count)
         encoder = self.device.handle.create_command_encoder()
         self.encode(encoder)
         self.device.queue.submit([encoder.finish()])
 
     def aim(self, view: View, tolerance: float, exaggeration: float, count: int) -> None:
-        """Have the tree judged for a camera and updated so many times before it is drawn.
+        """Schedule the tree to be judged for a camera and updated ``count`` times before it is drawn.
 
         Args:
             tolerance: pixels.
@@ -174,7 +174,7 @@ class Tree:
         self._due = count
 
     def encode(self, encoder: Any) -> None:
-        """Record what ``aim`` asked for, once."""
+        """Record what ``aim`` scheduled, once."""
         count, self._due = self._due, 0
         if not count:
             return
@@ -221,20 +221,20 @@ class Tree:
         return self.nodes[self._turn]
 
     def counts(self) -> Counts:
-        """Wait for the GPU, and read how far it is."""
+        """Wait for the GPU, and read the counts."""
         queue = self.device.queue
         wanted, changes = np.frombuffer(queue.read_buffer(self.state, 4 * self.slots, 8), np.uint32)
         (count,) = np.frombuffer(queue.read_buffer(self.sums, 4, 4), np.uint32)
         return Counts(int(count), int(wanted), int(changes))
 
     def take_asked(self) -> NDArray[np.uint32]:
-        """Wait for the GPU, and read which pages it looked for in vain since it was asked last: a bit each."""
+        """Wait for the GPU, and read which pages were missing since the last call: a bit each."""
         found = self.device.read_buffer(self.asked, np.uint32).copy()
         self.device.queue.write_buffer(self.asked, 0, np.zeros_like(found))
         return found
 
     def pool(self) -> tuple[Pool, NDArray[np.bool_]]:
-        """Wait for the GPU, and read the tree; which of its slots are drawn."""
+        """Wait for the GPU, and read the tree, and which of its slots are drawn."""
         nodes = self.device.read_buffer(self.current, NODE)
         bits = self.device.read_buffer(self.bits, np.uint8)
         used = np.unpackbits(bits, bitorder="little").astype(bool)
@@ -274,7 +274,7 @@ def _roots(n: int, corners: NDArray[np.float32]) -> NDArray[Any]:
 
 
 class TreePass(FacePass):
-    """Draws trees into depth and marks. Args: as of ``FacePass``; n: the square has 2^n cells a side."""
+    """Draws trees into depth and marks. Args: as for ``FacePass``; n: the square has 2^n cells a side."""
 
     def __init__(
         self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int, n: int
@@ -283,7 +283,7 @@ class TreePass(FacePass):
         self._groups: tuple[Tree | None, list[Any]] = (None, [])
 
     def draw(self, encoder: Any, targets: Targets, selection: TreeFrame, left: Left) -> None:
-        """Update the tree if it is to be, clear the targets and draw."""
+        """Update the tree if that is scheduled, clear the targets and draw."""
         tree = selection.tree
         tree.encode(encoder)
         if self._groups[0] is not tree:

@@ -1,8 +1,8 @@
 """Patches over missing ground, drawn with hatching: meshes of the membranes of ``geovis.missing``.
 
-Of nested windows only the finest over a place is drawn. Vertices are whole samples of the raster, as those of the
-terrain's patches are. A coarse mesh leaves a hole out with the triangles around it: the membrane goes on some samples
-under the ground (``MARGIN``), a thousandth of its distance farther away, so that no gap shows.
+Of nested windows only the finest over a place is drawn. Vertices are whole samples of the raster, like those of the
+terrain's patches. A coarse mesh enlarges a hole by the triangles around it. So the membrane extends some samples
+under the ground (``MARGIN``), farther away by a thousandth of its distance, and no gap shows.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MARGIN = 6
 """Samples by which a membrane reaches under the ground around its hole."""
 
 EXACT = 4_000_000
-"""Samples up to which holes are looked for at full resolution."""
+"""Samples up to which holes are searched for at full resolution."""
 
 
 Fills = tuple[NDArray[Any], NDArray[np.uint32]]
@@ -46,7 +46,7 @@ def void_fills(terrain: Terrain, view: View, exaggeration: float, tolerance: flo
 
 
 def coarse_void_fills(terrain: Terrain) -> Fills:
-    """Those over the holes that the coarsest level shows, for a moment in which no others are known."""
+    """The membranes over the holes that the coarsest level shows, until finer ones are known."""
     top = terrain.levels - 1
     return _fills(terrain, [Rectangle.whole(top, terrain.shape(top))], 1)
 
@@ -72,7 +72,7 @@ def _fills(terrain: Terrain, chosen: Sequence[Rectangle], margin: int) -> Fills:
 
 
 def _reaching(patch: HeightWindow, window: HeightWindow, margin: int) -> HeightWindow:
-    """A patch with the samples of the ground around it, so many steps wide."""
+    """Extend a patch by the samples of the ground around it, ``margin`` steps wide."""
     there = np.isfinite(patch.heights)
     if not there.any():
         return patch
@@ -81,7 +81,7 @@ def _reaching(patch: HeightWindow, window: HeightWindow, margin: int) -> HeightW
 
 
 def _grown(there: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
-    """``there``, and what is at most so many steps along rows and columns away from it."""
+    """Dilate ``there`` by so many steps along rows and columns."""
     for _ in range(times):
         grown = there.copy()
         grown[1:] |= there[:-1]
@@ -95,7 +95,7 @@ def _grown(there: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
 def _mesh(
     window: HeightWindow, finer: HeightWindow | None, terrain: Terrain
 ) -> tuple[NDArray[Any], NDArray[np.uint32]]:
-    """The triangles of one window's cells whose corners all have a height, but for those under ``finer``."""
+    """The triangles of one window's cells whose corners all have a height, except those under ``finer``."""
     there = np.isfinite(window.heights)
     a, b, c, d = there[:-1, :-1], there[:-1, 1:], there[1:, :-1], there[1:, 1:]
     cells = (a.astype(np.uint8) + b + c + d) >= 3
@@ -123,7 +123,7 @@ def _mesh(
 
 
 class VoidFillPass:
-    """Draws them into depth and marks, after the ground."""
+    """Draws the membranes into depth and marks, after the ground."""
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
@@ -142,7 +142,7 @@ class VoidFillPass:
         self._buffers: tuple[Any, Any] | None = None
 
     def load(self, vertices: NDArray[Any], triangles: NDArray[np.uint32]) -> None:
-        """Take other patches."""
+        """Replace the membranes."""
         self.count = int(triangles.size)
         if self.count:
             self._buffers = (

@@ -1,14 +1,14 @@
 """Temporal antialiasing: frames accumulate samples while the camera moves, as a picture at rest does.
 
-Every frame moves the samples within its pixels (a Halton sequence). Where the ground that a pixel shows was in the last
-frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many in
-it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
-cubic). It has more of what moves fast or changes its scale, since every look-up blurs. What the mean is of is known by
-depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, on ground of which
-tiles have come since, and where light has, is the mean clamped to the range of the 3 × 3 pixels around, so that it
-leaves no ghost; clamped always, the mean of a horizon with more detail than pixels would follow every sample. Where
-tiles came it begins anew. At rest the mean of a pixel's own samples takes over by degrees. Linear light; depths in
-metres; areas of the ground in sample coordinates.
+Every frame moves the samples within its pixels (a Halton sequence). The place in the last frame of the ground that a
+pixel shows follows from its depth and the two cameras. The mean gathered there continues; the new frame is one of many
+in it, with a weight of at least ``SHARE`` (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis
+2014 for the cubic). What moves fast or changes its scale has a greater weight, because every look-up blurs. Depth
+tells whether a mean is of the same ground: ground at a depth that no nearby pixel had in the last frame was hidden.
+Only then, on ground with new tiles, and where light has changed, is the mean clamped to the range of the 3 × 3 pixels
+around, so that it leaves no ghost. If it was always clamped, the mean of a horizon with more detail than pixels would
+follow every sample. Where tiles arrived it starts again. At rest the mean of a pixel's own samples gradually takes
+over. Linear light; depths in metres; areas of the ground in sample coordinates.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from orograph.rendering.gpu.targets import EMPTY, LIGHT, Targets
 from orograph.scene.scene import Scene
 
 SHARE = 1 / 48
-"""The least weight of a new frame in the mean of many: an edge between ground and sky must not flicker by more."""
+"""Minimum weight of a new frame in the mean of many: an edge between ground and sky must not flicker by more."""
 
 FAR = "r32float"
-"""The format of the depths that a frame leaves to the next one."""
+"""The format of the depths that a frame keeps for the next one."""
 
 FULL = 16
-"""Samples of a pixel at rest after which no others are needed."""
+"""Samples of a pixel at rest after which no more are needed."""
 
 AREAS = 64
 """The most areas of ground with new tiles; beyond that the whole picture counts as new."""
@@ -45,7 +45,7 @@ NONE: Areas = np.empty((0, 4))
 _ZEROS = (0.0,) * (4 * AREAS)
 _UNIFORM = Struct(f"<20f4I{4 * AREAS}f")
 OWN = "view", "depths", "terrain", "furniture", "title"
-"""What may change in a scene from frame to frame of one picture."""
+"""Parts of a scene that may change between the frames of one picture."""
 _settings = attrgetter(*(f.name for f in fields(Scene) if f.name not in OWN))
 
 
@@ -94,28 +94,28 @@ class TemporalAntialiasing:
         return SHIFTS[self._tick % FULL] if self._last is not None else (0.0, 0.0)
 
     def forget(self) -> None:
-        """The next frame is the first of another picture."""
+        """Start a new picture with the next frame."""
         self._last = None
 
     def encode(
         self, encoder: Any, targets: Targets, scene: Scene, settings: Any, shift: tuple[float, float], gathered: int,
         came: Areas = NONE, made: tuple[Any, ...] = (),
     ) -> Any:  # fmt: skip
-        """Add the pass that takes a frame into the mean; the view of a texture of it.
+        """Add the pass that takes a frame into the mean; return the view of the mean's texture.
 
         Args:
-            targets: of the frame.
-            settings: what makes it another picture besides the scene.
-            shift: where in its pixels the samples lay that the depths are of.
-            gathered: samples of the same place that the light is the mean of.
-            came: (n, 4) west, north, east, south of the ground whose tiles came for this frame, sample coordinates.
-            made: what of the ground and its light was made aside, known by its id.
+            targets: the frame's.
+            settings: whatever makes it another picture besides the scene.
+            shift: the position in their pixels of the samples whose depths the targets hold.
+            gathered: the number of samples of the same place that the light averages.
+            came: (n, 4) west, north, east, south of the ground whose tiles arrived for this frame, sample coordinates.
+            made: background results for the ground and its light, identified by their ids.
         """
         if targets is not self._targets:
             self._fit(targets)
         same = self._last is not None and settings == self._last[2] and _alike(scene, self._last[1])
         fresh = len(came) > AREAS or [id(thing) for thing in made] != [id(thing) for thing in self._made]
-        self._made = made  # (held, so that no other thing gets their ids)
+        self._made = made  # (kept alive, so that their ids stay unique)
         self._write(scene, shift, gathered, same, fresh, came)
         self._turn = 1 - self._turn
         self._tick += 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 SAMPLES = 16
-"""Samples of a pixel that a picture at rest gathers."""
+"""Samples per pixel that a picture at rest gathers."""
 
 
 class Jitter:
@@ -16,7 +16,7 @@ class Jitter:
 
     Attributes:
         state: what the picture shows, its scene first; None before there is one. gathered: samples in the mean.
-        enough: samples after which it does not improve. shift: where the last sample lies.
+        enough: samples after which it no longer improves. shift: the position of the last sample.
     """
 
     def __init__(self) -> None:
@@ -30,10 +30,10 @@ class Jitter:
         return self.gathered >= self.enough
 
     def next(self, state: tuple[Any, ...], asked: int | None, busy: bool) -> tuple[int, int]:
-        """The first sample of a frame, and how many it draws: one more of a picture at rest, until there are enough.
+        """The first sample of a frame, and their number: one more of a picture at rest, until there are enough.
 
         Args:
-            asked: draw so many, of a new picture. busy: a later frame shows more anyway.
+            asked: draw this many, of a new picture. busy: a later frame will show more anyway.
         """
         rests = asked is None and state == self.state and not busy
         self.state = state
@@ -42,7 +42,7 @@ class Jitter:
         return self.gathered, 0 if self.complete else 1
 
     def place(self, k: int, asked: int | None, first: tuple[float, float]) -> tuple[float, float]:
-        """Where the ``k``-th lies; ``first``: where the first one of a picture at rest belongs. −1: in the middle."""
+        """The position of sample ``k``; ``first``: that of the first one of a picture at rest. −1: the middle."""
         self.shift = 0.0, 0.0
         if k < 0:
             return self.shift
