@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 from orograph._named import answering
 from orograph.dem.header import copyright_tags
@@ -26,18 +26,6 @@ SPACING, CRS, ROUGHNESS = 30.0, "EPSG:32633", 1.0
 
 STORE = ".oro"
 """The ending of a store's name."""
-
-
-@overload
-def synth(output: None = None, **options: Any) -> Dem: ...
-
-
-@overload
-def synth(output: str | os.PathLike[str], **options: Any) -> Path: ...
-
-
-@overload
-def synth(output: str | os.PathLike[str] | None, **options: Any) -> Dem | Path: ...
 
 
 @answering
