@@ -275,7 +275,8 @@ def viewshed(
     if output is not None and not uncertain:
         from pyproj import CRS
 
-        from orograph.measuring.viewshed_polygons import ENDINGS, check_polygons
+        from orograph.geo.vector_files import ENDINGS
+        from orograph.measuring.viewshed_polygons import check_polygons
 
         check_polygons(Path(output), heights, CRS.from_epsg(4326))  # (that of the terrain is not known yet)
         camera = check_files(output, picture, camera, (*TIFF, *ENDINGS))

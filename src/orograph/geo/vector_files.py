@@ -114,7 +114,7 @@ def _geojson(part: Path, crs: CRS | None) -> Iterator[Writer]:
 
         def write(batch: Batch) -> None:
             nonlocal begun
-            places: Array = np.round(np.stack(degrees(*batch.points.T), -1), 9)
+            places = np.column_stack(degrees(batch.points[:, 0], batch.points[:, 1])).round(9)
             for i, told in enumerate(_rows(batch.columns)):
                 shape = _shape(batch, i, places)
                 feature = {"type": "Feature", "properties": told, "geometry": shape}

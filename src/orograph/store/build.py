@@ -19,7 +19,7 @@ import numpy as np
 from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
-from orograph.folders import Amount, bytes_of, cache_folder
+from orograph.folders import Amount, bytes_of
 from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
@@ -209,7 +209,7 @@ def build(
             f"{max_memory >> 20} MiB is less than a build needs; it runs one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = plan_for(raster, _name(raster, final), shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)
+    plan = plan_for(raster, shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)
     storage = final if final.remote else FolderStorage(partial(final.url))
     if part is not None:
         build_part(raster, final, storage, plan, coding, part_of(part), jobs, overwrite, progress)
@@ -265,16 +265,6 @@ def build(
         elif isinstance(final, FolderStorage):
             publish(Path(storage.url), final.path)
         return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
-
-
-def _name(raster: HeightSource, final: Storage) -> str:
-    """What a store is called: as its folder if it is made of files, whose names are those of tiles.
-
-    Folders in the cache have no names; heights in memory bring their own.
-    """
-    of_files = any(hasattr(source, "path") for source in getattr(raster, "sources", ()))
-    kept = isinstance(final, FolderStorage) and final.path.parent == cache_folder()
-    return Path(final.url).stem if of_files and not kept else raster.name
 
 
 def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrain:
@@ -360,7 +350,7 @@ def _fill(
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
-        name=plan["name"],
+        name=raster.name,
         vertical=raster.vertical,
         shard=plan["shard"],
         chunk=plan["chunk"],

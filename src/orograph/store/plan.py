@@ -23,7 +23,6 @@ from orograph.store.tin_kind import TINS
 
 def plan_for(
     raster: HeightSource,
-    name: str,
     shard: int,
     chunk: int,
     kinds: tuple[ErrorKind, ...],
@@ -37,7 +36,7 @@ def plan_for(
     return {
         "format": FORMAT,
         "source": raster.fingerprint(),
-        "name": name,
+        "name": raster.name,
         "vertical": raster.vertical,
         "shape": list(grid.shape),
         "transform": list(grid.transform[:6]),

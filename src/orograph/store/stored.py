@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from pathlib import PurePath
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 from orograph._named import answering
 from orograph.cards import Row, amount
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
-from orograph.folders import Amount, bytes_of
+from orograph.folders import Amount, bytes_of, cache_folder
 from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
 from orograph.store.array_spec import ArraySpec
@@ -66,7 +68,7 @@ class StoredTerrain(Terrain):
         version: int | None = None,
     ) -> None:  # fmt: skip
         self.storage, self.record, self.watch, self.version = storage, record, watch, version
-        self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
+        self.grid, self.name, self.vertical = record.grid, _name(record, storage), record.vertical
         self.attribution = record.attribution
         self.remote = storage.remote
         self._last = self.levels - 1  # computed once: it would slow down reads of small windows
@@ -325,3 +327,13 @@ def record_of(data: bytes, url: str) -> Record:
             remedy="Build one from the DEM: `orograph.build(dem, store)`.",
         )
     return Record.from_json(record, url)
+
+
+def _name(record: Record, storage: Storage) -> str:
+    """What a store is called: as its folder if it was made of files, whose names are those of tiles.
+
+    Heights in memory brought their own name; folders in the cache, and of what is being built, have none.
+    """
+    folder = PurePath(unquote(urlsplit(storage.url).path) if storage.remote else storage.url)
+    nameless = folder.parent == cache_folder() or folder.name.startswith(".") or not folder.stem
+    return record.name if record.inputs is None or nameless else folder.stem

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 from orograph._named import answering
 from orograph.dem.header import copyright_tags
@@ -30,18 +30,6 @@ MEMORY = 1 << 30
 
 STORE = ".oro"
 """The ending of a store's name."""
-
-
-@overload
-def synth(output: None = None, **options: Any) -> Dem: ...
-
-
-@overload
-def synth(output: str | os.PathLike[str], **options: Any) -> Path: ...
-
-
-@overload
-def synth(output: str | os.PathLike[str] | None, **options: Any) -> Dem | Path: ...
 
 
 @answering
