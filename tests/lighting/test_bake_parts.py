@@ -244,11 +244,11 @@ def test_what_is_there_is_left_and_can_be_baked_anew(target, whole):
 
 
 def test_a_finish_that_was_killed_at_its_very_end(target, whole, monkeypatch):
-    from orograph.lighting import bake_parts
+    from orograph.lighting import bake_folder
 
     bake(target, NAMES, OPTIONS, part=(1, 1))
     with monkeypatch.context() as patch:
-        patch.setattr(bake_parts, "discard", lambda storage: 1 / 0)
+        patch.setattr(bake_folder, "discard", lambda storage: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             bake(target, NAMES, OPTIONS, finish=True)
     assert (target / PARTIAL).exists()
@@ -274,9 +274,6 @@ def test_parts_are_said_as_of_builds(target):
     for how in ({"workers": 2}, {"dask": "tcp://127.0.0.1:1"}, {"finish": True}):
         with pytest.raises(UsageError, match="exclude"):
             orograph.bake(target, NAMES, OPTIONS, part="1/2", **how)
-    for radius in (100.0, None):
-        with pytest.raises(UsageError, match="GPU"):
-            orograph.bake(target, "ambient-occlusion", radius=radius, method="shadow-maps", part="1/2")
     assert not (target / "layers").exists()
 
 
