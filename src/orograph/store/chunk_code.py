@@ -261,11 +261,6 @@ def off_by(words: Words) -> float:
     return 0.0 if flags & EXACT else float(2.0 ** ((flags & 255) - 65))
 
 
-def hung_edges(mesh: Decoded, layout: Layout, level: int, i: int, j: int) -> NDArray[np.int32]:
-    """Return the edges of a chunk that have a skirt, (e, 2)."""
-    return _hung(mesh.triangles, on_sides(mesh.places, layout.side(level), i, j), mesh.low)
-
-
 def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
     """Return the step of a chunk, and whether its heights are multiples of it."""
     there = heights[~np.isnan(heights)].astype(np.float64)
@@ -274,13 +269,6 @@ def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
         return least, False
     every = int(np.bitwise_or.reduce(np.abs(there / least).astype(np.int64), initial=0))
     return min(least * (every & -every or 1 << 40), 1024.0), True
-
-
-def _hung(triangles: NDArray[np.int32], on: NDArray[np.bool_], low: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the edges on a side that have a skirt, (e, 2)."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    found: NDArray[np.int32] = edges[(low[edges] != MISSING).all(1) & np.any([one[edges].all(1) for one in on], axis=0)]
-    return found
 
 
 def _about(layout: Layout, level: int, i: int, j: int) -> NDArray[np.int64]:
