@@ -4,8 +4,8 @@
 
 *portable*, *compact* and *smallest* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with
 zstd at level 1 or 5, whichever is smaller, as a store could have it without a codec of its own; LERC and JPEG XL are
-imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds, in
-each of which all codecs have their turn, so that a busy machine slows them alike.
+imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds,
+in each of which all codecs have their turn, so that a busy machine slows them alike.
 """
 
 from __future__ import annotations
