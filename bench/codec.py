@@ -1,10 +1,11 @@
 """Bits a sample, and M samples a second, of the codecs that heights in steps can be packed with, on chunks of 256².
 
-    python bench/codec.py [--data ../shared/data] [--quick]
+    python bench/codec.py [--data ../shared/data] [--chunks 16] [--rounds 9] [--quick]
 
 *portable*, *compact* and *smallest* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with
 zstd at level 1 or 5, whichever is smaller, as a store could have it without a codec of its own; LERC and JPEG XL are
-imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds.
+imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds,
+in each of which all codecs have their turn, so that a busy machine slows them alike.
 """
 
 from __future__ import annotations
@@ -83,31 +84,42 @@ def coders(step: float) -> dict[str, Coder]:
     return found
 
 
-def best(work: Callable[[], Any], rounds: int) -> float:
-    times = []
-    for _ in range(rounds):
-        began = time.process_time()
-        work()
-        times.append(time.process_time() - began)
-    return min(times)
+def seconds(work: Callable[[Any], Any], given: Sequence[Any]) -> float:
+    """Of processor time, for all that is given."""
+    began = time.process_time()
+    for one in given:
+        work(one)
+    return time.process_time() - began
 
 
-def measure(parts: Sequence[np.ndarray], coder: Coder, rounds: int) -> tuple[float, float, float]:
-    """Bits a sample, and M samples/s of encoding and decoding."""
-    encode, decode = coder
-    data = [encode(part) for part in parts]
-    decode(data[0])
+def measure(
+    parts: Sequence[np.ndarray], coders: dict[str, Coder], rounds: int
+) -> dict[str, tuple[float, float, float]]:
+    """Bits a sample, and M samples/s of encoding and decoding, by name."""
+    data = {name: [encode(part) for part in parts] for name, (encode, _) in coders.items()}
+    encoding, decoding = dict.fromkeys(coders, 1e9), dict.fromkeys(coders, 1e9)
+    for name, (_, decode) in coders.items():
+        decode(data[name][0])
+    for number in range(rounds):
+        for name, (encode, decode) in coders.items():
+            decoding[name] = min(decoding[name], seconds(decode, data[name]))
+            if number % 3 == 0:  # (encoders take their time)
+                encoding[name] = min(encoding[name], seconds(encode, parts))
     samples = SIDE * SIDE * len(parts)
-    encoding = best(lambda: [encode(part) for part in parts], max(rounds // 3, 1))
-    decoding = best(lambda: [decode(one) for one in data], rounds)
-    return 8 * sum(map(len, data)) / samples, samples / encoding / 1e6, samples / decoding / 1e6
+    return {
+        name: (8 * sum(map(len, data[name])) / samples, samples / encoding[name] / 1e6, samples / decoding[name] / 1e6)
+        for name in coders
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--chunks", type=int, default=16, help="of each terrain, at most")
+    parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--quick", action="store_true", help="two chunks of each, one round")
     given = parser.parse_args()
+    most, rounds = (2, 1) if given.quick else (given.chunks, given.rounds)
     print("| heights | step, m | codec | bits a sample | encode, M samples/s | decode, M samples/s |")
     print("|---|---|---|---|---|---|")
     for name, (path, steps) in TERRAIN.items():
@@ -116,9 +128,8 @@ def main() -> None:
         for step in steps:
             # (a step that is not the data's own is one that a store would have)
             kept = step if step in (1.0, 0.01) else floored(step)
-            parts = list(chunks(given.data / path, kept))[: 2 if given.quick else 16]
-            for codec, coder in coders(kept).items():
-                bits, encoding, decoding = measure(parts, coder, 1 if given.quick else 9)
+            parts = list(chunks(given.data / path, kept))[:most]
+            for codec, (bits, encoding, decoding) in measure(parts, coders(kept), rounds).items():
                 print(f"| {name} | {kept:.4g} | {codec} | {bits:.2f} | {encoding:.0f} | {decoding:.0f} |", flush=True)
 
 

@@ -36,6 +36,7 @@ from orograph._lanes32 import (
     shifted_right,
     spread32,
     store32,
+    transpose32,
 )
 from orograph._numba import kernel
 
@@ -151,6 +152,18 @@ def test_sixteen_whole_numbers() -> None:
     expected += [right, np.where((a < b) & (a != 3), a, b), np.minimum(bits, 4095), pool[low], words[low]]
     expected += [np.concatenate([[5], a[:-1]]), before, b.astype(np.float32).view(np.int32), a * np.array(chosen)]
     np.testing.assert_array_equal(out.reshape(16, 16), np.array([np.asarray(e).astype(np.int32) for e in expected]))
+
+
+@kernel
+def across(square, out):
+    transpose32(square, 3, out, 2, 20)
+
+
+def test_lanes_lie_side_by_side() -> None:
+    square, out = np.random.default_rng(2).integers(-(2**31), 2**31, 259).astype(np.int32), np.zeros(322, np.int32)
+    across(square, out)
+    np.testing.assert_array_equal(out[2:].reshape(16, 20)[:, :16], square[3:].reshape(16, 16).T)
+    assert not out[:2].any() and not out[2:].reshape(16, 20)[:, 16:].any()
 
 
 def assert_same(out: np.ndarray, expected: list[np.ndarray], signs: slice = slice(0)) -> None:

@@ -19,7 +19,7 @@ from orograph import store
 from orograph.cli import cli
 from orograph.errors import DamagedChunkError, StoreError, UsageError
 from orograph.progress import Progress
-from orograph.store.coding import CODECS, FINEST, OWN_STEPS, coding_of, floored
+from orograph.store.coding import CODECS, FINEST, OWN_STEPS, Coding, coding_of, floored
 from orograph.store.repair import repair
 from orograph.store.storage import FolderStorage
 from orograph.verbs.info import info
@@ -200,6 +200,17 @@ def test_what_is_resampled_has_a_tenth_of_its_source_s_step(tmp_path):
     assert terrain.resampled != exact.resampled  # (it is of the heights that are drawn)
     assert terrain.resampled.largest == pytest.approx(exact.resampled.largest, abs=step)
     assert files(tmp_path / "s/source") == files(tmp_path / "exact/source")
+
+
+@pytest.mark.parametrize("more", [None, 1])
+def test_losses_are_those_of_a_shard_s_own_samples(more):
+    heights, coding = rough((33, 33), 4, missing=0.1), Coding("compact", 0.5, 1.0)
+    wanted = rounded(heights, 0.5) + np.float32(0.5 * (more or 0))
+    kept = None if more is None else coding.heights.numbers(heights) + more
+    found, (largest, squares) = coding.rounded(heights, 32, kept)
+    np.testing.assert_array_equal(found, wanted)
+    off = (wanted.astype(np.float64) - heights)[:32, :32]
+    assert largest == np.nanmax(np.abs(off)) and squares == pytest.approx(np.nansum(off**2), rel=1e-12)
 
 
 def test_what_cannot_be_kept_is_refused(tmp_path):

@@ -137,10 +137,10 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
     large, many = np.empty(size, np.int64), 0  # where values are that are ranges in any case
     every = found.reshape(found.size)
     for k in range(size):
-        c = np.int64(of[k])
-        value = np.int64(flat[k]) >> depths[np.uint64(c)]
+        context = np.int64(of[k])
+        value = np.int64(flat[k]) >> depths[np.uint64(context)]
         if value < DIRECT:
-            every[np.uint64(c * SYMBOLS + value)] += 1
+            every[np.uint64(context * SYMBOLS + value)] += 1
         else:
             large[many] = k
             many += 1

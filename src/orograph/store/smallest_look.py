@@ -201,5 +201,5 @@ def look(whole, skips, classes, weights, shares, step, seen, counts, values, gro
             here = np.uint64(at)
             values[here], groups[here] = np.uint32(found.values[j]), found.groups[j]
             kinds[here] = (of_odd if j & 1 else of_even) + found.bins[j]
-            at += 1 - np.int64(skip[j])
+            at += 0 if skip[j] else 1
     return at
