@@ -211,12 +211,8 @@ def _decode_block(count, step, period, p, words, tables, deep, factors, coded, s
         out: flat, becomes the samples of each step of the block.
     """
     last, edges, above, beyond, errors = front.last, front.edges, front.above, front.beyond, front.errors
-    west, farther, error, states = (
-        load32(last, 0),
-        load32(last, LANES32),
-        load32(last, 2 * LANES32),
-        load32(last, 3 * LANES32),
-    )
+    west, farther = load32(last, 0), load32(last, LANES32)
+    error, states = load32(last, 2 * LANES32), load32(last, 3 * LANES32)
     here = step % period  # the column of the first lane
     behind = (step - LAG * (LANES32 - 1)) % period  # and that of the last one
     for k in range(count):
