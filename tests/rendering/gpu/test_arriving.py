@@ -50,9 +50,9 @@ class Flight:
         return self.scene.but(view=replace(view, eye=eye, target=target))
 
     def draw(self, scene: Scene, **options: object) -> Floats:
-        """A frame, of 60 a second at most: on hardware tiles would not keep up with more."""
+        """A frame, of 12 a second at most, as many as software draws: haze is renewed once a second."""
         time.sleep(max(0.0, self.next - time.perf_counter()))
-        self.next = time.perf_counter() + 1 / 60
+        self.next = time.perf_counter() + 1 / 12
         self.stats = self.renderer.draw(self.target, "rgba8unorm", scene, **options)  # type: ignore[arg-type]
         return self.device.read_texture(self.texture, np.uint8, 4)[..., :3].astype(np.float64)
 

@@ -185,17 +185,17 @@ def test_borders_keep_the_promise(device: Device) -> None:
 
 # ---- who draws what ------------------------------------------------------------------------------------------------
 
-COSTS = Costs(100.0, 20.0, 30.0, 5.0, 700.0)
+COSTS = Costs(100.0, 20.0, 30.0, 5.0, 700.0, 900.0)
 
 
 def recount(frame: Frame, labels: NDArray[np.bool_]) -> float:
     """What drawing takes, patch by patch and block by block."""
-    each = COSTS.begin * labels.any()
+    each = COSTS.begin * labels.any() + COSTS.both * (labels.any() and not labels.all())
     for x0, y0, x1, y1 in frame.boxes:
         each += any(not labels[i, j] for i in range(y0, y1) for j in range(x0, x1)) * COSTS.triangle * frame.triangles
     for i, j in np.ndindex(labels.shape):
         each += (
-            COSTS.ray * frame.pixels[i, j] + COSTS.step * frame.steps[i, j]
+            COSTS.ray * frame.ground[i, j] + COSTS.step * frame.steps[i, j]
             if labels[i, j] else COSTS.pixel * frame.ground[i, j]
         )  # fmt: skip
     return each

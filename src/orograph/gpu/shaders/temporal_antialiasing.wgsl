@@ -153,13 +153,18 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
 @group(1) @binding(6) var onto: texture_storage_2d<rgba16float, write>;
 @group(1) @binding(7) var far_onto: texture_storage_2d<r32float, write>;
 
+// Rounded to what 16 bits hold: where stores cut off what they do not, a mean of many frames would darken.
+fn rounded(light: vec4<f32>) -> vec4<f32> {
+  return bitcast<vec4<f32>>((bitcast<vec4<u32>>(light) + 0x1000u) & vec4<u32>(0xffffe000u));
+}
+
 @compute @workgroup_size(8, 8)
 fn compute(@builtin(global_invocation_id) k: vec3<u32>) {
   if (any(k.xy >= vec2<u32>(camera.size))) {
     return;
   }
   let mean = mean_of(vec2<f32>(k.xy) + 0.5);
-  textureStore(onto, k.xy, mean.light);
+  textureStore(onto, k.xy, rounded(mean.light));
   textureStore(far_onto, k.xy, vec4<f32>(mean.far));
 }
 // end: COMPUTED

@@ -11,6 +11,7 @@ eye's cell are taken in integers (``shaders/mesh.wgsl``), so they are as precise
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -49,6 +50,10 @@ def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
     return points, np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
 
 
+APART = 0.012
+"""Least seconds between the beginnings of two selections: a view of hundreds of frames a second, which shares the
+interpreter with them, shows one in several frames."""
+
 Ready = Callable[[Any, Callable[[float], Any]], Selection]
 Have = Callable[[Selection, bool], bool]
 
@@ -76,6 +81,7 @@ class Selected:
         self._aside = BackgroundTask()
         self._wish: Any = None
         self._method: tuple[Any, Method | None] = (None, None)
+        self._began = -math.inf
         self._lock = threading.Lock()
 
     @property
@@ -116,7 +122,9 @@ class Selected:
         except OrographError as error:
             self.failure, self._coming = str(error), None
         self.current = self.selection is not None and self._coming is None and self._aside.done == key
-        if self._aside.wants(key) and not self.failure and self._coming is None:
+        now = time.monotonic()
+        if self._aside.wants(key) and not self.failure and self._coming is None and now >= self._began + APART:
+            self._began = now
 
             def make() -> Selection | str:
                 try:

@@ -199,6 +199,8 @@ class Mixer:
         if last is not None and holds and (self._idle or _hardly_moved(last, view, windows)):
             if not last.cast.by_rays.any():
                 return Mixed(patches.instances, last.cast)
+            if last.cast.by_rays.all():
+                return Mixed(patches.instances[:0], last.cast)
             before = self._drawn
             if before is not None and before[:2] == (view, id(patches)) and before[2].cast is last.cast:
                 return before[2]
@@ -268,36 +270,42 @@ class Mixer:
     def measure(
         self, patches: Patches, rays: CastWindows, frame: Frame, screen: Screen, size: tuple[int, int]
     ) -> Costs:  # fmt: skip
-        """Measure the cost of a triangle, a pixel, a ray and a step, ns, by drawing the frame a few times.
+        """Measure the costs, ns, by drawing the frame a few times.
 
-        Patches are drawn in the whole picture, and in one that is ``SMALL`` times smaller: there the pixels are few.
-        Rays are cast in a single block, which takes what comes before any ray, and in the blocks in which they take few
-        steps, and the others: on software in a third of these, which takes time enough.
+        Patches are drawn in the whole picture, and in one that is ``SMALL`` times smaller, where the pixels are few.
+        Rays are cast in a single block, in the blocks in which they take few steps, and in the others: on software in a
+        third of these, which takes time enough. Then rays draw alone, which says what they cost besides, and every
+        second block, which says what both ways cost besides.
         """
-        none = np.zeros(screen.shape, bool)
+        numbers = np.add.outer(*(np.arange(n) for n in screen.shape))
+        none, turns, single = numbers < 0, numbers % 2 == 1, numbers == numbers.max()
         many = frame.steps > np.median(frame.steps / frame.pixels) * frame.pixels
-        small = max(1, size[0] // SMALL), max(1, size[1] // SMALL)
-        by_patches = Mixed(patches.instances, Cast(rays, none, screen.side))
-        single, part = none.copy(), 3 if self.device.adapter.software else 1
-        single[-1, -1] = True
-        some = np.add.outer(np.arange(screen.shape[0]), np.arange(screen.shape[1])) % part == 0
+        some = numbers % (3 if self.device.adapter.software else 1) == 0
         halves = [half for half in (many & some, ~many & some) if half.any()]
-        by_rays = [Mixed(patches.instances[:0], Cast(rays, blocks, screen.side)) for blocks in (single, *halves)]
+        small = max(1, size[0] // SMALL), max(1, size[1] // SMALL)
         triangles, ground = len(patches.instances) * self.legs**2, float(frame.ground.sum())
         least = ground * small[0] * small[1] / (size[0] * size[1])
-        nothing = Mixed(patches.instances[:0], Cast(rays, none, screen.side))
-        draws = [(by_patches, size), (by_patches, small), *((one, size) for one in by_rays), (nothing, small)]
-        *took, idle = self._seconds(draws)
-        whole, tiny, begin, *cast = (max(seconds - idle, 0.1 * seconds) for seconds in took)
-        return Costs(
-            *_solved([(triangles, ground), (triangles, least)], [whole, tiny], STATED[:2]),
-            *_solved(
-                [(float(frame.pixels[half].sum()), float(frame.steps[half].sum())) for half in halves],
-                [max(seconds - begin, 0.1 * seconds) for seconds in cast],
-                STATED[2:4],
-            ),
-            begin * 1e9,
-        )
+
+        def drawing(by_rays: Labels, count: int = 0) -> Mixed:
+            return Mixed(patches.instances[:count], Cast(rays, by_rays, screen.side))
+
+        def amounts(by_rays: Labels) -> tuple[float, float]:
+            return float(frame.ground[by_rays].sum()), float(frame.steps[by_rays].sum())
+
+        every = len(patches.instances)
+        by_rays = [(drawing(labels), size) for labels in (~none, single, *halves)]
+        by_patches = [(drawing(none, every), size), (drawing(none, every), small), (drawing(turns, every), size)]
+        *took, idle = self._seconds([*by_patches, *by_rays, (drawing(none), small)])
+        whole, tiny, both, alone, first, *parts = (max(seconds - idle, 0.1 * seconds) for seconds in took)
+        triangle, pixel = _solved([(triangles, ground), (triangles, least)], [whole, tiny], STATED[:2])
+        each = [max(seconds - first, 0.1 * seconds) for seconds in parts]
+        ray, step = _solved([amounts(half) for half in halves], each, STATED[2:4])
+        factor = min(1.0, 1e9 * alone / max(float(np.dot(amounts(~none), (ray, step))), 1.0))
+        ray, step = factor * ray, factor * step
+        begin = max(0.0, 1e9 * alone - float(np.dot(amounts(~none), (ray, step))))
+        known = triangle * triangles + pixel * float(frame.ground[~turns].sum()) + begin
+        besides = 1e9 * both - known - float(np.dot(amounts(turns), (ray, step)))
+        return Costs(triangle, pixel, ray, step, begin, max(0.0, besides))
 
     def _seconds(self, draws: Sequence[tuple[Mixed, tuple[int, int]]]) -> list[float]:
         """The least that each of some draws takes once it is recorded; in turns, so that other programs hold up all.
@@ -305,14 +313,14 @@ class Mixer:
         On software renderers this is processor time, if that is less: the clock also counts the work of others.
         """
         software = self.device.adapter.software
-        times = 1 if software else TIMES
+        times, rounds = (1, 2) if software else (TIMES, ROUNDS)
         took: list[list[float]] = [[] for _ in draws]
-        targets = [Targets(self.device, *size) for _, size in draws]
-        for _ in range(1 + ROUNDS):
-            for (what, _), target, found in zip(draws, targets, took, strict=True):
+        targets = {size: Targets(self.device, *size) for _, size in draws}
+        for _ in range(1 + rounds):
+            for (what, size), found in zip(draws, took, strict=True):
                 encoder = self.device.handle.create_command_encoder()
                 for _ in range(times):
-                    self.draws.draw(encoder, target, what, DEPTH_ONLY)
+                    self.draws.draw(encoder, targets[size], what, DEPTH_ONLY)
                 recorded = encoder.finish()
                 self.device.wait()
                 begun, worked = time.perf_counter(), time.process_time()

@@ -25,15 +25,16 @@ SWEEPS = 4
 """Maximum number of passes in which blocks switch to the other way."""
 
 WORTH = 0.08
-"""Fraction of the cost of the better way alone that mixing must save: its own overhead is not counted."""
+"""Fraction of the cost of the better way alone that mixing must save: costs are estimates."""
 
 
 class Costs(NamedTuple):
     """The costs of drawing on a device.
 
     Attributes:
-        triangle, pixel: ns of patches, each triangle, and each pixel that they cover. ray, step: ns of rays, each, and
-            each of their steps. begin: ns before any ray (``rays.Beams``).
+        triangle, pixel: ns of patches, each triangle, and each pixel that they cover. ray, step: ns of rays, each that
+            meets ground, and each step of any. begin: ns before any ray (``rays.Beams``). both: ns that a picture of
+            both ways takes in addition.
     """
 
     triangle: float
@@ -41,9 +42,10 @@ class Costs(NamedTuple):
     ray: float
     step: float
     begin: float
+    both: float
 
 
-STATED = Costs(triangle=150.0, pixel=60.0, ray=65.0, step=24.0, begin=0.0)
+STATED = Costs(triangle=150.0, pixel=60.0, ray=65.0, step=24.0, begin=0.0, both=0.0)
 """Those of software on two cores: pictures that are waited for go by them, so that they are the same each time."""
 
 
@@ -113,7 +115,7 @@ def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None =
     boxes, shape = frame.boxes, frame.pixels.shape
     blocks = np.maximum(boxes[:, 2] - boxes[:, 0], 0) * np.maximum(boxes[:, 3] - boxes[:, 1], 0)
     each = costs.triangle * frame.triangles
-    rays, ground = costs.ray * frame.pixels + costs.step * frame.steps, costs.pixel * frame.ground
+    rays, ground = costs.ray * frame.ground + costs.step * frame.steps, costs.pixel * frame.ground
     parts = over_blocks(boxes, each / np.maximum(blocks, 1), shape) + ground
     stay = 1.0 if before is None else np.where(before, 1.0 + hysteresis, 1.0 - hysteresis)
     labels = rays < stay * parts
@@ -121,7 +123,8 @@ def share(frame: Frame, costs: Costs, hysteresis: float, before: Labels | None =
 
     def total(labels: Labels) -> float:
         drawn = int(np.count_nonzero(kept(boxes, labels)))
-        return float(each * drawn + np.where(labels, rays, ground).sum() + costs.begin * labels.any())
+        extra = costs.begin * labels.any() + costs.both * (labels.any() and not labels.all())
+        return float(each * drawn + np.where(labels, rays, ground).sum() + extra)
 
     cost = total(labels)
     for _ in range(SWEEPS):
