@@ -8,8 +8,9 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from orograph.gpu.device import Device, source
+from orograph.gpu.device import Device
 from orograph.gpu.program import Program, bindings
+from orograph.gpu.sources import source
 
 DOUBLE = """
 @group(0) @binding(1) var<storage, read_write> made: array<f32>;  // dynamic, this is not: it is no uniform

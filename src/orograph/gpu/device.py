@@ -18,7 +18,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 from orograph.errors import OrographError
 from orograph.folders import temporary
 from orograph.gpu.ctypes_quick import quicken_wgpu
+from orograph.gpu.sources import source
 
 BACKENDS = ("Vulkan", "Metal", "D3D12")
 """The backends that compute what they are told to."""
@@ -53,8 +53,6 @@ WRITTEN = 1 << 20
 """Bytes from which a buffer is written once it is there: wgpu-py fills others in Python, and holds the interpreter."""
 
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
-_INCLUDE = re.compile(r"^//\s*include:\s*(\S+)\s*$", re.MULTILINE)
-_WHEN = re.compile(r"^ *//\s*(when|unless):\s*(\w+)\s*\n(.*?)^ *//\s*end: \2\s*$", re.MULTILINE | re.DOTALL)
 
 
 class NoAdapterError(OrographError):
@@ -338,31 +336,6 @@ class Device:
             (width, height, 1),
         )
         return np.frombuffer(data, dtype).reshape(height, width, channels)
-
-
-def source(name: str, constants: dict[str, int | float] | None = None) -> str:
-    """The text of ``shaders/NAME.wgsl``: ``// include: OTHER.wgsl`` replaced by that file once, constants put in.
-
-    Lines between ``// when: NAME`` and ``// end: NAME`` are left out unless there is a constant of that name, not 0;
-    those between ``// unless: NAME`` and its end if there is one.
-    """
-    seen: set[str] = set()
-    given = constants or {}
-
-    def chosen(text: str) -> str:
-        return _WHEN.sub(lambda m: chosen(m[3]) if (m[1] == "when") == bool(given.get(m[2])) else "", text)
-
-    def load(file: str) -> str:
-        if file in seen:
-            return ""
-        seen.add(file)
-        text = files("orograph.gpu").joinpath("shaders", file).read_text(encoding="utf-8")
-        return _INCLUDE.sub(lambda m: load(m.group(1)), chosen(text))
-
-    text = load(f"{name}.wgsl")
-    for key, value in given.items():
-        text = text.replace("{{" + key + "}}", str(value))
-    return text
 
 
 def _snake(name: str) -> str:

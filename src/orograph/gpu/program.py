@@ -20,7 +20,8 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
 
-from orograph.gpu.device import Device, source
+from orograph.gpu.device import Device
+from orograph.gpu.sources import source
 
 _DECLARED = re.compile(
     r"^ *@group\((\d+)\) *@binding\((\d+)\) *var *(?:<([^>]*)>)? +(\w+) *: *([^;]+);(.*)$", re.MULTILINE
@@ -51,7 +52,7 @@ def bindings(text: str) -> tuple[Binding, ...]:
     """What the text of a shader declares, by group and index.
 
     Args:
-        text: WGSL as ``device.source`` gives it, includes and constants put in.
+        text: WGSL as ``sources.source`` gives it, includes and constants put in.
 
     Raises:
         ValueError: a type that is not known here, or two variables at one place.

@@ -22,7 +22,7 @@ CELL = np.diag([10.0, -10.0])
 
 def on_gpu(device: Device, body: str, inputs: np.ndarray) -> np.ndarray:
     """``body`` is WGSL that makes f32 ``r`` out of ``v: vec4f``; inputs (n, 4)."""
-    from orograph.gpu.device import source
+    from orograph.gpu.sources import source
 
     text = source("aperture") + (
         "@group(0) @binding(0) var<storage, read> given: array<vec4f>;\n"

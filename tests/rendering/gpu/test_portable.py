@@ -14,7 +14,8 @@ from pyproj import CRS
 from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
 from orograph.gpu import device as devices
-from orograph.gpu.device import Device, open_device, source
+from orograph.gpu.device import Device, open_device
+from orograph.gpu.sources import source
 from orograph.lighting.aperture import CapField, Lamp, Lights
 from orograph.lighting.gpu import aperture
 from orograph.lighting.occlusion import ambient_occlusion
