@@ -99,7 +99,7 @@ def test_a_shard_of_another_store(area, foreign):
     shutil.copy(foreign / key, area / key)
     with store.open(area) as terrain:
         with pytest.raises(
-            DamagedChunkError, match=f"{key} is damaged: it belongs to another store, or to another state"
+            DamagedChunkError, match=f"{key} is damaged: it belongs to another store, or to another version"
         ):
             terrain.read(0, 0, 9, 0, 9)
         assert terrain.check() == [key]

@@ -190,7 +190,7 @@ def test_the_cache_keeps_to_its_budget_and_drops_the_oldest():
 def test_reading_a_store_starts_no_compiler_and_no_zarr(built):
     code = f"""
 import sys
-from orograph import read, sample, store
+from orograph import store
 store.open({built!r}).read(0, 0, 50, 0, 50)
 print(*[name for name in ("numba", "zarr", "tensorstore", "fsspec", "rasterio", "scipy") if name in sys.modules])
 """

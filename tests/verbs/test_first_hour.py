@@ -155,8 +155,8 @@ def test_areas_and_pictures_that_are_given_otherwise(dem, tmp_path):
             kind("a.tif", cmap="viridis")
         with pytest.raises(UsageError, match=r"Did you mean opacity"):
             kind("a.tif", opacty=1)
-    with pytest.raises(UsageError, match=r"This writes \.npz files only\. .*`output`"):
-        mesh.save("mesh.ply", dem.grid)
+    with pytest.raises(UsageError, match=r"mesh\.xyz"):
+        mesh.save(tmp_path / "mesh.xyz", dem.grid)
     assert repr(orograph.View((1 / 3, 0, 9), (0, 0, 1))).startswith("View(eye=(0.333, 0.0, 9.0), target=")
 
 

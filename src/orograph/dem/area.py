@@ -226,7 +226,10 @@ def lonlat_bounds(grid: Grid) -> Box | None:
     if grid.crs is None:
         return None
     x, y = grid.xy(*np.meshgrid(np.linspace(0, grid.cols - 1, 9), np.linspace(0, grid.rows - 1, 9)))
-    lon, lat = transformer(grid.crs, degrees_of(grid))(np.ravel(x), np.ravel(y))
+    try:
+        lon, lat = transformer(grid.crs, degrees_of(grid))(np.ravel(x), np.ravel(y))
+    except UsageError:  # a CRS that is nowhere on a body
+        return None
     if not (np.isfinite(lon).all() and np.isfinite(lat).all()):
         return None
     west, east = float(lon.min()), float(lon.max())

@@ -123,7 +123,7 @@ def test_a_single_time_is_what_it_is_in_the_window(ground):
     from orograph.viewer.data import ShownData
 
     times = np.array(["2019-03-01T12", "2019-03-02T12", "2019-03-03T12"], "M8[ns]")
-    y, x = -np.arange(7) * 100.0 - 50, np.arange(8) * 100.0 + 50
+    y, x = 660.0 - np.arange(7) * 100.0, np.arange(8) * 100.0 + 50
     array = xarray.DataArray(members((3, 7, 8), holes=False), dims=("time", "y", "x"),
                              coords={"time": times, "y": y, "x": x}, name="t")  # fmt: skip
     shown = ShownData((Dataset(array, exceeds=12.0),), Priority())
