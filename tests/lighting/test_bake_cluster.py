@@ -10,7 +10,6 @@ from pyproj import CRS
 from orograph import store
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
-from orograph.gpu.device import has_adapter
 from orograph.lighting.bake import bake
 from orograph.lighting.bake_state import BakeState
 from orograph.lighting.context import Options
@@ -88,10 +87,10 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_workers_make_what_one_process_makes(tmp_path, case, by_workers):
+def test_workers_make_what_one_process_makes(tmp_path, case, by_workers, request):
     names, options = CASES[case]
-    if options.more.get("method") in ELSEWHERE and not has_adapter():
-        pytest.skip("no GPU")
+    if options.more.get("method") in ELSEWHERE:
+        request.getfixturevalue("device")
     bake(made(tmp_path / "whole"), names, options, jobs=1).close()
     bake(made(tmp_path / "s"), names, options, workers=1).close()
     assert files(tmp_path / "s") == files(tmp_path / "whole")

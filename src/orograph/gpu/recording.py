@@ -170,6 +170,31 @@ class _Native:
         return whole, targets, behind, colors, depth
 
 
+def _ended_by(end: Any, let_go: Any) -> type:
+    """The class of passes that these functions end and release."""
+
+    class Recorded:
+        """A pass being recorded."""
+
+        __slots__ = ("_internal",)
+
+        def __init__(self, internal: Any) -> None:
+            self._internal = internal
+
+        def end(self) -> None:
+            internal, self._internal = self._internal, None
+            try:
+                end(internal)
+            finally:
+                let_go(internal)
+
+        def __del__(self) -> None:
+            if self._internal is not None:  # an error came before its end
+                let_go(self._internal)
+
+    return Recorded
+
+
 def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
     """The class of passes that call ``lib`` directly; ``checked``: wgpu-py's functions, which raise its errors."""
     pipeline, group, vertices = (
@@ -187,13 +212,10 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
     end, null, whole = checked.wgpuRenderPassEncoderEnd, ffi.NULL, lib.WGPU_WHOLE_SIZE
     widths = {"uint16": lib.WGPUIndexFormat_Uint16, "uint32": lib.WGPUIndexFormat_Uint32}
 
-    class Pass:
+    class Pass(_ended_by(end, let_go)):  # type: ignore[misc]
         """A pass being recorded; the methods are ``GPURenderPassEncoder``'s."""
 
-        __slots__ = ("_internal",)
-
-        def __init__(self, internal: Any) -> None:
-            self._internal = internal
+        __slots__ = ()
 
         def set_pipeline(self, which: Any) -> None:
             pipeline(self._internal, which._internal)
@@ -222,17 +244,6 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
         def draw_indirect(self, buffer: Any, offset: int) -> None:
             draw_indirect(self._internal, buffer._internal, offset)
 
-        def end(self) -> None:
-            internal, self._internal = self._internal, None
-            try:
-                end(internal)
-            finally:
-                let_go(internal)
-
-        def __del__(self) -> None:
-            if self._internal is not None:  # an error came before its end
-                let_go(self._internal)
-
     return Pass
 
 
@@ -245,13 +256,10 @@ def _compute_class(lib: Any, checked: Any, ffi: Any) -> type:
     )  # fmt: skip
     end, null = checked.wgpuComputePassEncoderEnd, ffi.NULL
 
-    class Compute:
+    class Compute(_ended_by(end, let_go)):  # type: ignore[misc]
         """A pass being recorded; the methods are ``GPUComputePassEncoder``'s."""
 
-        __slots__ = ("_internal",)
-
-        def __init__(self, internal: Any) -> None:
-            self._internal = internal
+        __slots__ = ()
 
         def set_pipeline(self, which: Any) -> None:
             pipeline(self._internal, which._internal)
@@ -264,17 +272,6 @@ def _compute_class(lib: Any, checked: Any, ffi: Any) -> type:
 
         def dispatch_workgroups_indirect(self, buffer: Any, offset: int) -> None:
             dispatch_indirect(self._internal, buffer._internal, offset)
-
-        def end(self) -> None:
-            internal, self._internal = self._internal, None
-            try:
-                end(internal)
-            finally:
-                let_go(internal)
-
-        def __del__(self) -> None:
-            if self._internal is not None:  # an error came before its end
-                let_go(self._internal)
 
     return Compute
 
