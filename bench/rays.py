@@ -7,8 +7,9 @@ Of each flight of ``bench/view.py`` some views, with all that they want there: p
 drawn in turns, so that other programs hold up all. Told are the fastest and the median of ``--times``, ms, until the
 GPU is done; of patches how many, of rays the windows, their samples, and the levels of the coarsest and the finest; of
 the hybrid the part of the blocks that rays draw, its patches, and its time over that of the better of the two; so,
-too, by the time of the processors, which on software does not depend on how busy the machine is. At last what it has
-measured that triangles, pixels, rays and their steps take.
+too, by the time of the processors, which on software does not depend on how busy the machine is; and what it expects
+of patches and of rays alone, beyond what a picture of nothing takes. At last what it has measured that triangles,
+pixels, rays and their steps take.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.gpu.recording import write
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.surface import mixed
+from orograph.rendering.gpu.surface import mixer
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.scene import Scene
 from view import FLIGHTS, terrain_of
@@ -67,6 +68,8 @@ def main() -> None:
             both = scene.but(method="hybrid")
             for wait in (True, False):  # (the first reads, the second decides by what the device takes)
                 hybrid = ground.choose(both, None, options.tolerance, wait=wait)
+            shares = ground._mixer._last.shares
+            write(device, camera, camera_of(view, terrain, 1.0))  # (measuring has others)
             ways = {"patches": patches, "rays": rays, "hybrid": hybrid}
             took: dict[str, list[tuple[float, float]]] = {method: [] for method in ways}
             for k in range(options.times + 1):
@@ -81,10 +84,11 @@ def main() -> None:
                 f"  {name:5}  {len(patches.patches.instances):6,} patches {ms['patches']}   rays {ms['rays']}, "
                 f"{len(windows)} windows, {windows.samples:,} samples, levels {windows[0].level} to "
                 f"{windows[-1].level}   hybrid {ms['hybrid']}, {by_rays.mean():.0%} by rays, "
-                f"{len(hybrid.selection.instances):,} patches, × {over:.2f} (cpu × {worked:.2f})",
+                f"{len(hybrid.selection.instances):,} patches, × {over:.2f} (cpu × {worked:.2f})"
+                + (f"; expected of patches {shares.patches / 1e6:.2f}, rays {shares.rays / 1e6:.2f}" if shares else ""),
                 flush=True,
             )
-    for costs in mixed._COSTS.values():
+    for costs in mixer._COSTS.values():
         print("  ns, as the hybrid has measured them: " + ", ".join(f"{k} {v:.3g}" for k, v in costs._asdict().items()))
     renderer.close()
 

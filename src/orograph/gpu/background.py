@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import _thread
+import atexit
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
+
+LAST = 2.0
+"""Seconds that an ending program waits for threads: one that is in a library when the interpreter goes may crash."""
+
+_RUNNING: set[threading.Event] = set()
 
 
 class BackgroundTask:
@@ -31,12 +38,13 @@ class BackgroundTask:
         return not self._closed and self._ended is None and self.done != key
 
     def start(self, key: Any, make: Callable[[], Any], then: Callable[[], None] = lambda: None) -> None:
-        """Begin to make something; ends with the program, whatever it is doing.
+        """Begin to make something; the program waits for it ``LAST`` seconds when it ends.
 
         Args:
             then: called by the thread when there is something to take.
         """
         ended = threading.Event()
+        _RUNNING.add(ended)
 
         def work() -> None:
             try:
@@ -45,6 +53,7 @@ class BackgroundTask:
                 self._result = error
             finally:
                 ended.set()
+                _RUNNING.discard(ended)
                 if not self._closed:
                     then()
 
@@ -61,3 +70,10 @@ class BackgroundTask:
 
     def close(self) -> None:
         self._closed = True
+
+
+@atexit.register
+def _wait_for_the_last() -> None:
+    until = time.monotonic() + LAST
+    for ended in list(_RUNNING):
+        ended.wait(max(0.0, until - time.monotonic()))

@@ -3,8 +3,7 @@
 After Dick, Krüger & Westermann, *GPU-Aware Hybrid Terrain Rendering* (2010): the cost of rasterised triangles grows
 with their number, that of rays with their pixels and steps. Large triangles are cheaper; where many fall on a pixel, or
 are hidden by near ground, rays are. The method selects both, patches (``lod.triangle_patches``) and windows
-(``lod.raycast``), each within the tolerance; the surface that draws them (``rendering.gpu.surface.mixed``) measures
-their cost. Pixels.
+(``lod.raycast``), each within the tolerance; ``rendering.gpu.surface.mixer`` measures their cost. Pixels.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class HybridOptions:
         choices=("cost", "turns"),
     )  # fmt: skip
     hysteresis: float = option(
-        0.15, "How much cheaper the other must be to replace what drew a block before.", least=0.0, most=1.0
+        0.05, "How much cheaper the other must be to replace what drew a block before.", least=0.0, most=1.0
     )
 
     def __post_init__(self) -> None:

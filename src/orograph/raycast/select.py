@@ -41,25 +41,45 @@ class Boxes:
     high: Array
 
 
-def tile_boxes(terrain: Terrain, level: int) -> Boxes:
-    """Bounding boxes of a level's tiles."""
+Part = tuple[slice, slice]
+"""Rows and columns of tiles."""
+
+ALL: Part = slice(None), slice(None)
+
+
+def tile_boxes(terrain: Terrain, level: int, part: Part = ALL) -> Boxes:
+    """Bounding boxes of a level's tiles, or of a part of them."""
     table = terrain.tiles(level)
-    ty, tx = table.minimum.shape
-    step = float(TILE << level)
-    west, north = np.meshgrid(np.arange(tx) * step, np.arange(ty) * step)
+    (ty, tx), step = table.minimum.shape, float(TILE << level)
+    west, north = np.meshgrid(np.arange(tx)[part[1]] * step, np.arange(ty)[part[0]] * step)
     last_col, last_row = terrain.grid.cols - 1.0, terrain.grid.rows - 1.0
     east, south = np.minimum(west + step, last_col), np.minimum(north + step, last_row)
-    return Boxes(west, east, north, south, table.minimum.astype(np.float64), table.maximum.astype(np.float64))
+    low, high = (a[part].astype(np.float64) for a in (table.minimum, table.maximum))
+    return Boxes(west, east, north, south, low, high)
+
+
+Planes = Sequence[tuple[float, ...]]
+"""a·column + b·row + c·height + d ≥ 0 of what is inside each."""
+
+
+def frustum_planes(terrain: Terrain, view: View, exaggeration: float) -> Planes:
+    """The planes of a view's frustum in sample coordinates."""
+    return terrain.chart.planes(view.frustum(exaggeration).tolist(), exaggeration)
+
+
+def within(planes: Planes, boxes: Boxes) -> NDArray[np.bool_]:
+    """Tiles whose box is not wholly outside one plane (conservative)."""
+    inside = np.isfinite(boxes.high)
+    for px, py, pz, p0 in planes:
+        # The box's most positive corner decides.
+        reach = p0 + px * (boxes.east if px > 0 else boxes.west) + py * (boxes.south if py > 0 else boxes.north)
+        inside &= reach + pz * (boxes.high if pz > 0 else boxes.low) >= 0
+    return inside
 
 
 def in_frustum(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> NDArray[np.bool_]:
-    """Tiles whose box is not wholly outside one plane of the frustum (conservative)."""
-    inside = np.isfinite(boxes.high)
-    for px, py, pz, p0 in terrain.chart.planes(view.frustum(exaggeration).tolist(), exaggeration):
-        # The box's most positive corner decides.
-        reach = p0 + px * np.where(px > 0, boxes.east, boxes.west) + py * np.where(py > 0, boxes.south, boxes.north)
-        inside &= reach + pz * np.where(pz > 0, boxes.high, boxes.low) >= 0
-    return inside
+    """Tiles whose box is not wholly outside one plane of the view's frustum (conservative)."""
+    return within(frustum_planes(terrain, view, exaggeration), boxes)
 
 
 def distances(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> Array:
@@ -79,15 +99,20 @@ def off_axis(view: View) -> float:
     return 1.0 / (1.0 + half * half * (1.0 + (width / height) ** 2))
 
 
-def pixel_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
-    """An upper bound, in pixels, of what drawing each tile at ``level`` displaces on the screen."""
+def pixel_error(
+    terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes, part: Part = ALL
+) -> Array:  # fmt: skip
+    """An upper bound, in pixels, of what drawing each tile of a part at ``level`` displaces on the screen."""
     table = terrain.tiles(level)
+    rims = table.valid[part] == 1
     if view.projection == "plan":
         spacing = max(terrain.grid.spacing) * 2.0**level
-        return np.where(table.valid == 1, spacing / view.pixel_metres, 0.0)
-    displaced = moved(terrain, view, exaggeration, table.error.astype(np.float64), boxes)
+        return np.where(rims, spacing / view.pixel_metres, 0.0)
+    displaced = moved(terrain, view, exaggeration, table.error[part].astype(np.float64), boxes)
+    if not rims.any():
+        return displaced
     rim = spacing_error(terrain, view, exaggeration, level, boxes)
-    return np.maximum(displaced, np.where(table.valid == 1, rim * 0.5, 0.0))
+    return np.maximum(displaced, np.where(rims, rim * 0.5, 0.0))
 
 
 def moved(terrain: Terrain, view: View, exaggeration: float, error: Array, boxes: Boxes) -> Array:
@@ -120,23 +145,22 @@ def rectangles(terrain: Terrain, view: View, exaggeration: float, tolerance: flo
         tolerance: pixels.
         by: "error": displacement on the screen (the surface), or "spacing": size of samples (its light).
     """
-    measure = {"error": pixel_error, "spacing": spacing_error}[by]
-    top = terrain.levels - 1
+    top, planes = terrain.levels - 1, frustum_planes(terrain, view, exaggeration)
     found = [Rectangle.whole(top, terrain.shape(top))]
     for level in range(top, 0, -1):
-        boxes = tile_boxes(terrain, level)
-        need = in_frustum(terrain, view, exaggeration, boxes)
-        need &= measure(terrain, view, exaggeration, level, boxes) > tolerance
-        outer = found[-1]
         # Only tiles within the window above count: what it left out was fine enough there already.
-        inside = np.zeros_like(need)
-        inside[outer.row0 // TILE : -(-(outer.row1 - 1) // TILE), outer.col0 // TILE : -(-(outer.col1 - 1) // TILE)] = (
-            True
-        )
-        need &= inside
+        outer = found[-1]
+        rows, cols = outer.row0 // TILE, outer.col0 // TILE
+        part = slice(rows, -(-(outer.row1 - 1) // TILE)), slice(cols, -(-(outer.col1 - 1) // TILE))
+        boxes = tile_boxes(terrain, level, part)
+        need = within(planes, boxes)
+        if by == "error":
+            need &= pixel_error(terrain, view, exaggeration, level, boxes, part) > tolerance
+        else:
+            need &= spacing_error(terrain, view, exaggeration, level, boxes) > tolerance
         if not need.any():
             break
-        rs, cs = np.flatnonzero(need.any(1)), np.flatnonzero(need.any(0))
+        rs, cs = rows + np.flatnonzero(need.any(1)), cols + np.flatnonzero(need.any(0))
         row0, row1, col0, col1 = (2 * TILE * int(n) for n in (rs[0], rs[-1] + 1, cs[0], cs[-1] + 1))
         window = Rectangle(level - 1, row0, row1 + 1, col0, col1 + 1)
         found.append(window.cut(terrain.shape(level - 1)))

@@ -30,8 +30,9 @@ from orograph.rendering.gpu.draw import draw
 from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.readback import depth_of
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.surface import mixed as mixing
-from orograph.rendering.gpu.surface.mixed import Cast, Mixed, _frame
+from orograph.rendering.gpu.surface import mixer
+from orograph.rendering.gpu.surface.mixed import Cast, Mixed
+from orograph.rendering.gpu.surface.mixer import _frame
 from orograph.rendering.gpu.surface.rays import SPACING
 from orograph.rendering.gpu.surface.shares import Costs, Frame, count_over, kept, over_blocks, share
 from orograph.rendering.gpu.targets import Targets
@@ -295,10 +296,10 @@ def test_steps_of_rays_are_counted_where_they_are_taken(device: Device) -> None:
 
 def test_frames_measure_what_they_take_and_show_no_hole(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     """Flights that wait for nothing: patches at first, then both; no pixel within the terrain is left out."""
-    monkeypatch.setattr(mixing, "_COSTS", {})
+    monkeypatch.setattr(mixer, "_COSTS", {})
     measured: list[Costs] = []
-    measure = mixing.Mixer.measure
-    monkeypatch.setattr(mixing.Mixer, "measure", lambda *a: measured.append(measure(*a)) or measured[-1])
+    measure = mixer.Mixer.measure
+    monkeypatch.setattr(mixer.Mixer, "measure", lambda *a: measured.append(measure(*a)) or measured[-1])
     terrain = GROUNDS["nested windows"]()
     renderer, target = Renderer(device, terrain), device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT").create_view()
     eye = (*(float(v) for v in terrain.grid.xy(1200.0, 900.0)), 500.0)

@@ -39,7 +39,8 @@ from orograph.rendering.gpu.surface.clipmap import ClipPass, HeldRings, ready_of
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
-from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixer, Mixing
+from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixing
+from orograph.rendering.gpu.surface.mixer import Mixer
 from orograph.rendering.gpu.surface.patches import PatchPass
 from orograph.rendering.gpu.surface.pieces import DrawnPieces, PiecePass, Pieces
 from orograph.rendering.gpu.surface.rays import RayPass
