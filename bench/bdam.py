@@ -10,6 +10,10 @@ make what each needs besides heights, in memory, and its bytes a sample, compres
 *halving*: of every level of the hierarchy the triangles by those of the patches below, how many vertices the legs of
 diamonds lock, and the largest error.
 
+*marks*: bits that a vertex takes in a store (its mark, and its share of errors and spheres), and how far vertices read
+back are from their samples; beside them the paper's vertices, quantised in the box of their diamond (a byte for a
+column, a byte for a row, 16 bits for a height), compressed (Zstandard, byte planes apart), and what that height is off.
+
 *promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), tolerances of 0.5 to 8 pixels: the
 largest error by the tolerance, and every defect of a mesh; of ``--method``.
 
@@ -26,23 +30,28 @@ import argparse
 import statistics
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numcodecs import Zstd
 from numpy.typing import NDArray
 
 import promise
 from orograph import verify
 from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
+from orograph.hierarchy import diamonds
 from orograph.lod.method import Goal
 from orograph.lod.registry import chosen
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
+from orograph.store.tin_diamonds import Workplace, tins_of
+from orograph.store.tins import stored_levels
 from orograph.viewpoint import Camera
 
-PARTS = ("table", "halving", "promise", "geomorph")
+PARTS = ("table", "halving", "marks", "promise", "geomorph")
 
 METHODS = ("triangle-patches", "soar", "bdam,legs=8", "bdam", "bdam,legs=32")
 
@@ -129,6 +138,63 @@ def halving(data: Path, only: str | None) -> None:
                         f"{100 * f.legs / max(f.vertices, 1):5.1f} % of vertices on legs  {f.error:9.3f} m",
                         flush=True,
                     )
+
+
+def diamonds_of(terrain: Any, tins: Any) -> Iterator[tuple[int, int]]:
+    """The diamonds that have TINs, (row, col)."""
+    for level in stored_levels(terrain.grid.shape, tins.legs):
+        shape = terrain.diamond_shape(level)
+        errors, radii = tins.read(level, 0, shape[0], 0, shape[1])
+        for i, j in zip(*(index.tolist() for index in np.nonzero((errors >= 0) & (radii >= 0)))):
+            at = i << level, j << level
+            if diamonds.is_diamond(*at, terrain.n) and diamonds.octave(*at) >= tins.legs.bit_length() - 1:
+                last = level == terrain.levels - 1
+                if last or diamonds.octave(*at) == level:
+                    yield at
+
+
+def quantised(vertices: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float]:
+    """A diamond's vertices in their box: bytes (4, v), and how far a height is off at most, metres."""
+    low, extent = vertices.min(0), np.ptp(vertices, 0)
+    places = (vertices[:, :2] - low[:2]) / 2.0 ** max(0.0, np.ceil(np.log2((extent[:2].max() + 1) / 256)))
+    step = max(extent[2], 1e-9) / 65535
+    heights = np.round((vertices[:, 2] - low[2]) / step).astype(np.uint16)
+    off = np.abs(low[2] + heights * step - vertices[:, 2]).max()
+    return np.stack([*places.T, heights >> 8, heights & 255]).astype(np.uint8), float(off)
+
+
+def stored_marks(data: Path, only: str | None) -> None:
+    """What a stored vertex takes."""
+    print(
+        f"{'':18} {'vertices':>10} {'marks, bits':>11} {'all':>6} {'off, m':>7} {'quantised, bits':>15} {'off, m':>7}"
+    )
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            dem = Dem(terrain.heights, terrain.grid)
+            made = build(dem, Path(folder) / "a.oro", tins=16, progress=False, keep_source=False)
+            bits = [
+                8 * sum(file.stat().st_size for file in (Path(folder) / "a.oro/tins").glob(what) if file.is_file())
+                for what in ("octave-*/**/*", "**/*")
+            ]
+            tins, workplace, coded, off, worst = made.derived("tins", legs=16), Workplace(), [], 0.0, 0.0
+            for at in diamonds_of(made, tins):
+                vertices, *corners = tins_of(made, tins, *at, workplace)
+                used = vertices[np.unique(np.concatenate(corners))]
+                col, row = used[:, :2].astype(int).T
+                off = max(off, float(np.abs(used[:, 2] - terrain.heights[row, col]).max()))
+                found, far = quantised(used)
+                coded.append(found)
+                worst = max(worst, far)
+            made.close()
+        count = sum(found.shape[1] for found in coded)
+        runs = (np.concatenate(coded[k : k + 64], 1) for k in range(0, len(coded), 64))
+        bits.append(8 * sum(len(Zstd(9).encode(run.tobytes())) for run in runs))
+        marks, everything, packed = (b / count for b in bits)
+        print(
+            f"{name:18} {count:10,} {marks:11.2f} {everything:6.2f} {off:7.3f} {packed:15.1f} {worst:7.4f}", flush=True
+        )
 
 
 def kept(data: Path, count: int, only: str | None, text: str) -> None:
@@ -233,6 +299,8 @@ def main() -> None:
             table(given.data, given.count, given.terrain)
         elif part == "halving":
             halving(given.data, given.terrain)
+        elif part == "marks":
+            stored_marks(given.data, given.terrain)
         elif part == "geomorph":
             growing(given.data, given.count, given.terrain)
         else:
