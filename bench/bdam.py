@@ -15,6 +15,9 @@ diamonds lock, and the largest error.
 back are from their samples; beside them the paper's vertices, quantised in the box of their diamond (a byte for a
 column, a byte for a row, 16 bits for a height), compressed (Zstandard, byte planes apart), and what that height is off.
 
+*cache*: vertices missing from a cache (first in, first out) per triangle, of the TINs of the diamonds that six views at
+2 pixels draw: as triangulated, as drawn (Tipsify), and in meshoptimizer's order.
+
 *promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), tolerances of 0.5 to 8 pixels: the
 largest error by the tolerance, and every defect of a mesh; of ``--method``.
 
@@ -46,13 +49,14 @@ from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds
 from orograph.lod.method import Goal
 from orograph.lod.registry import chosen
+from orograph.lod.vertex_cache import CACHE, misses, reordered
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
 from orograph.store.tin_diamonds import Workplace, tins_of
 from orograph.store.tins import stored_levels
 from orograph.viewpoint import Camera
 
-PARTS = ("table", "halving", "marks", "promise", "geomorph")
+PARTS = ("table", "halving", "marks", "cache", "promise", "geomorph")
 
 METHODS = ("triangle-patches", "soar", "bdam,legs=8", "bdam", "bdam,legs=32")
 
@@ -200,6 +204,33 @@ def stored_marks(data: Path, only: str | None) -> None:
         )
 
 
+def in_cache(data: Path, only: str | None) -> None:
+    """Orders of triangles."""
+    import meshoptimizer
+
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        method: Any = chosen("bdam").make(terrain)
+        workplace, count, missed = Workplace(), 0, np.zeros((2, 3))
+        for _, view in promise.views(terrain, 6, 1):
+            method.select(Camera.over(terrain.grid, view), Goal(2.0))
+        for at in method._kept:
+            for corners in tins_of(terrain, method.tins, *at, workplace)[1:]:
+                used, places = np.unique(corners, return_inverse=True)
+                plainly, many = places.reshape(-1, 3).astype(np.int32), len(used)
+                theirs = np.zeros(plainly.size, np.uint32)
+                meshoptimizer.optimize_vertex_cache(theirs, plainly.astype(np.uint32).ravel(), plainly.size, many)
+                orders = plainly, reordered(plainly, many, CACHE), theirs.reshape(-1, 3).astype(np.int32)
+                missed += [[misses(order, many, size) for order in orders] for size in (16, 32)]
+                count += len(plainly)
+        for size, row in zip((16, 32), missed / count):
+            print(
+                f"{name:18} {count:8,} triangles  cache of {size}  " + " ".join(f"{one:6.3f}" for one in row),
+                flush=True,
+            )
+
+
 def kept(data: Path, count: int, only: str | None, text: str) -> None:
     """The referee's verdicts."""
     from orograph.dem.mosaic import Mosaic
@@ -302,6 +333,8 @@ def main() -> None:
             table(given.data, given.count, given.terrain)
         elif part == "halving":
             halving(given.data, given.terrain)
+        elif part == "cache":
+            in_cache(given.data, given.terrain)
         elif part == "marks":
             stored_marks(given.data, given.terrain)
         elif part == "geomorph":
