@@ -4,11 +4,19 @@
 
 *table*: ``bdam`` beside ``triangle-patches`` and ``soar`` on the five terrains of ``bench/promise.py``, at 1 pixel over
 ``--count`` random views: triangles and patches (means), the largest error anywhere on the surface in view (the referee,
-in half of the views), ms to select (medians of second selections; of ``bdam`` with patches unpacked before), seconds to
-make what each needs besides heights, in memory, and its bytes a sample, compressed as a store has them.
+in half of the views), processor ms to select (medians of second selections; of ``bdam`` with patches unpacked before),
+processor seconds to make what each needs besides heights, in memory, and its bytes a sample, compressed as a store has
+them.
 
 *halving*: of every level of the hierarchy the triangles by those of the patches below, how many vertices the legs of
 diamonds lock, and the largest error.
+
+*marks*: bits that a vertex takes in a store (its mark, and its share of errors and spheres), and how far vertices read
+back are from their samples; beside them the paper's vertices, quantised in the box of their diamond (a byte for a
+column, a byte for a row, 16 bits for a height), compressed (Zstandard, byte planes apart), and what that height is off.
+
+*cache*: vertices missing from a cache (first in, first out) per triangle, of the TINs of the diamonds that six views at
+2 pixels draw: as triangulated, as drawn (Tipsify), and in meshoptimizer's order.
 
 *promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), tolerances of 0.5 to 8 pixels: the
 largest error by the tolerance, and every defect of a mesh; of ``--method``.
@@ -26,23 +34,29 @@ import argparse
 import statistics
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numcodecs import Zstd
 from numpy.typing import NDArray
 
 import promise
 from orograph import verify
 from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
+from orograph.hierarchy import diamonds
 from orograph.lod.method import Goal
 from orograph.lod.registry import chosen
+from orograph.lod.vertex_cache import CACHE, misses, reordered
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
+from orograph.store.tin_diamonds import Workplace, tins_of
+from orograph.store.tins import stored_levels
 from orograph.viewpoint import Camera
 
-PARTS = ("table", "halving", "promise", "geomorph")
+PARTS = ("table", "halving", "marks", "cache", "promise", "geomorph")
 
 METHODS = ("triangle-patches", "soar", "bdam,legs=8", "bdam", "bdam,legs=32")
 
@@ -84,19 +98,21 @@ def table(data: Path, count: int, only: str | None) -> None:
         views = [view for _, view in promise.views(terrain, count, 1)]
         print(f"{name}, {terrain.grid.cols} x {terrain.grid.rows}")
         terrain.tiles(0)
-        chosen("bdam").make(MemoryTerrain(terrain.heights[:65, :65].copy(), promise_grid(terrain), "compiles"))
+        small = MemoryTerrain(terrain.heights[:65, :65].copy(), promise_grid(terrain), "compiles")
+        for text in METHODS:
+            chosen(text).make(small).select(Camera.over(terrain.grid, views[0]), Goal(1.0)).tessellation()
         for text in METHODS:
             fresh = MemoryTerrain(terrain.heights, terrain.grid, name)
-            began = time.perf_counter()
+            began = time.process_time()
             method = chosen(text).make(fresh)
-            built = time.perf_counter() - began
+            built = time.process_time() - began
             triangles, patches, times, largest = [], [], [], 0.0
             for number, view in enumerate(views):
                 camera = Camera.over(terrain.grid, view)
                 found = method.select(camera, Goal(1.0))
-                began = time.perf_counter()
+                began = time.process_time()
                 found = method.select(camera, Goal(1.0))
-                times.append(1e3 * (time.perf_counter() - began))
+                times.append(1e3 * (time.process_time() - began))
                 triangles.append(found.stats["triangles"])
                 patches.append(found.stats.get("patches", 0))
                 if number % 2 == 0:
@@ -129,6 +145,90 @@ def halving(data: Path, only: str | None) -> None:
                         f"{100 * f.legs / max(f.vertices, 1):5.1f} % of vertices on legs  {f.error:9.3f} m",
                         flush=True,
                     )
+
+
+def diamonds_of(terrain: Any, tins: Any) -> Iterator[tuple[int, int]]:
+    """The diamonds that have TINs, (row, col)."""
+    for level in stored_levels(terrain.grid.shape, tins.legs):
+        shape = terrain.diamond_shape(level)
+        errors, radii = tins.read(level, 0, shape[0], 0, shape[1])
+        for i, j in zip(*(index.tolist() for index in np.nonzero((errors >= 0) & (radii >= 0)))):
+            at = i << level, j << level
+            if diamonds.is_diamond(*at, terrain.n) and diamonds.octave(*at) >= tins.legs.bit_length() - 1:
+                last = level == terrain.levels - 1
+                if last or diamonds.octave(*at) == level:
+                    yield at
+
+
+def quantised(vertices: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float]:
+    """A diamond's vertices in their box: bytes (4, v), and how far a height is off at most, metres."""
+    low, extent = vertices.min(0), np.ptp(vertices, 0)
+    places = (vertices[:, :2] - low[:2]) / 2.0 ** max(0.0, np.ceil(np.log2((extent[:2].max() + 1) / 256)))
+    step = max(extent[2], 1e-9) / 65535
+    heights = np.round((vertices[:, 2] - low[2]) / step).astype(np.uint16)
+    off = np.abs(low[2] + heights * step - vertices[:, 2]).max()
+    return np.stack([*places.T, heights >> 8, heights & 255]).astype(np.uint8), float(off)
+
+
+def stored_marks(data: Path, only: str | None) -> None:
+    """What a stored vertex takes."""
+    print(
+        f"{'':18} {'vertices':>10} {'marks, bits':>11} {'all':>6} {'off, m':>7} {'quantised, bits':>15} {'off, m':>7}"
+    )
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            dem = Dem(terrain.heights, terrain.grid)
+            made = build(dem, Path(folder) / "a.oro", tins=16, progress=False, keep_source=False)
+            bits = [
+                8 * sum(file.stat().st_size for file in (Path(folder) / "a.oro/tins").glob(what) if file.is_file())
+                for what in ("octave-*/**/*", "**/*")
+            ]
+            tins, workplace, coded, off, worst = made.derived("tins", legs=16), Workplace(), [], 0.0, 0.0
+            for at in diamonds_of(made, tins):
+                vertices, *corners = tins_of(made, tins, *at, workplace)
+                used = vertices[np.unique(np.concatenate(corners))]
+                col, row = used[:, :2].astype(int).T
+                off = max(off, float(np.abs(used[:, 2] - terrain.heights[row, col]).max()))
+                found, far = quantised(used)
+                coded.append(found)
+                worst = max(worst, far)
+            made.close()
+        count = sum(found.shape[1] for found in coded)
+        runs = (np.concatenate(coded[k : k + 64], 1) for k in range(0, len(coded), 64))
+        bits.append(8 * sum(len(Zstd(9).encode(run.tobytes())) for run in runs))
+        marks, everything, packed = (b / count for b in bits)
+        print(
+            f"{name:18} {count:10,} {marks:11.2f} {everything:6.2f} {off:7.3f} {packed:15.1f} {worst:7.4f}", flush=True
+        )
+
+
+def in_cache(data: Path, only: str | None) -> None:
+    """Orders of triangles."""
+    import meshoptimizer
+
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        method: Any = chosen("bdam").make(terrain)
+        workplace, count, missed = Workplace(), 0, np.zeros((2, 3))
+        for _, view in promise.views(terrain, 6, 1):
+            method.select(Camera.over(terrain.grid, view), Goal(2.0))
+        for at in method._kept:
+            for corners in tins_of(terrain, method.tins, *at, workplace)[1:]:
+                used, places = np.unique(corners, return_inverse=True)
+                plainly, many = places.reshape(-1, 3).astype(np.int32), len(used)
+                theirs = np.zeros(plainly.size, np.uint32)
+                meshoptimizer.optimize_vertex_cache(theirs, plainly.astype(np.uint32).ravel(), plainly.size, many)
+                orders = plainly, reordered(plainly, many, CACHE), theirs.reshape(-1, 3).astype(np.int32)
+                missed += [[misses(order, many, size) for order in orders] for size in (16, 32)]
+                count += len(plainly)
+        for size, row in zip((16, 32), missed / count):
+            print(
+                f"{name:18} {count:8,} triangles  cache of {size}  " + " ".join(f"{one:6.3f}" for one in row),
+                flush=True,
+            )
 
 
 def kept(data: Path, count: int, only: str | None, text: str) -> None:
@@ -196,9 +296,9 @@ def growing(data: Path, count: int, only: str | None) -> None:
             for number, view in enumerate(views):
                 camera = Camera.over(terrain.grid, view)
                 found: Any = method.select(camera, Goal(1.0))
-                began = time.perf_counter()
+                began = time.process_time()
                 found = method.select(camera, Goal(1.0))
-                times.append(1e3 * (time.perf_counter() - began))
+                times.append(1e3 * (time.process_time() - began))
                 triangles.append(found.stats["triangles"])
                 shares.append(sum(one.coarse is not None for one in found.batches) / max(len(found.batches), 1))
                 if number % 2 == 0:
@@ -233,6 +333,10 @@ def main() -> None:
             table(given.data, given.count, given.terrain)
         elif part == "halving":
             halving(given.data, given.terrain)
+        elif part == "cache":
+            in_cache(given.data, given.terrain)
+        elif part == "marks":
+            stored_marks(given.data, given.terrain)
         elif part == "geomorph":
             growing(given.data, given.count, given.terrain)
         else:

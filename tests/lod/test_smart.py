@@ -332,6 +332,36 @@ def test_budgets():
     assert verify.judge_mesh(slow, t, view).ok(slow.stats["tolerance"])
 
 
+@pytest.mark.parametrize("boxes", [True, False])
+def test_colors_split_what_is_large_enough_to_be_seen(boxes):
+    """Every vertex in view whose colours count is there; a γ above all errors changes nothing."""
+    rng, patch = np.random.default_rng(8), np.zeros((129, 129), bool)
+    patch[60:72, 30:41] = True
+    table = np.where(diamonds.closure(patch), 9.0, 1.0).astype(np.float32)
+
+    def color(level, row0, row1, col0, col1):
+        return table[:: 1 << level, :: 1 << level][row0:row1, col0:col1]
+
+    for gaps in (0.0, 0.1):
+        t, counts = plain.terrain(plain.rough(rng, (129, 120), amplitude=20.0, gaps=gaps)), {}
+        arrays = plain.Plain(t)
+        plainly = (arrays.r > 0) & np.isfinite(arrays.e) & (arrays.col < 120)  # whole ground around it
+        for gamma in (None, 10.0, 5.0, 0.5):
+            method = make(t, boxes=boxes, color=color, color_tolerance=gamma)
+            for seed in range(4):
+                view = plain.random_view(np.random.default_rng(seed), t)
+                mesh, camera = method.refine(view, tolerance=20.0), plain.Camera(view)
+                assert verify.judge_mesh(mesh, t, view).ok(20.0)
+                counts[gamma] = counts.get(gamma, 0) + len(mesh.triangles)
+                at = camera.to_camera(arrays.at)
+                seen = ((at @ camera.frustum[:, :3].T + camera.frustum[:, 3]) > 0).all(-1)
+                seen &= plainly & (arrays.r * camera.focal > at[..., 2] - arrays.r)
+                there = {(int(row), int(col)) for col, row, _ in mesh.vertices}
+                for row, col in np.argwhere(seen & (table > (gamma or np.inf))).tolist():
+                    assert (row, col) in there
+        assert counts[None] == counts[10.0] < counts[5.0] < counts[0.5]
+
+
 @pytest.mark.stress
 @pytest.mark.parametrize("name", plain.GROUND)
 def test_the_referee_finds_the_promise_kept(shared_data, name):

@@ -125,8 +125,12 @@ def test_the_worst_of_triangles_and_edges_is_exact(seed: int) -> None:
         return
     m = mesh.new_mesh(14, 17)
     a, b, c = (mesh.new_vertex(m, x, y, float(heights[y, x])) for x, y in points)
-    off, _, _, squares = deviation.worst_sample(heights, m, a, b, c)
-    assert (off, squares) == pytest.approx(worst_at_samples(heights, tuple(points)), abs=1e-9)
+    off, squares = worst_at_samples(heights, tuple(points))
+    assert deviation.worst_sample(heights, m, a, b, c)[0] == pytest.approx(off, abs=1e-9)
+    for limit, most in ((np.inf, np.inf), (1.01 * off, 1.01 * squares), (0.99 * off, np.inf), (np.inf, 0.99 * squares)):
+        within = (off <= limit and squares < most) or off == 0
+        found = deviation.squares_within(heights, m, a, b, c, limit, most)
+        assert found == pytest.approx(squares if within else np.inf, abs=1e-9)
     off = deviation.worst_crossing(heights, m, a, b)[0]
     inner = [(x, y) for x in range(17) for y in range(14) if turn(points[0], points[1], (x, y)) == 0]
     truth = worst_on_edge(heights, points[0], points[1])

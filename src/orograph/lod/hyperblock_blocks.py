@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.lod.quadtin_pass import finest_bound, strip_of
 from orograph.lod.quadtin_tree import Hierarchy
+from orograph.lod.smart_blocks import nearest
 from orograph.store.quadtin_build import LIVE
 
 MOST = 10
@@ -286,15 +287,12 @@ def weigh_colors(camera, boxes, away, cosine, reach, ranges):
     A vertex out of view whose sphere is in view may be nearer than all of its block that is in view, by a radius.
 
     Args:
-        boxes: float64 (k, 6), away (k,) and cosine: as ``smart_blocks.box_bound`` has them. reach: (k, levels), of
+        boxes: float64 (k, 6), away (k,) and cosine: as ``smart_blocks.nearest`` has them. reach: (k, levels), of
             ``Blocks``. ranges: int16 (k,), one less than the levels; in and out.
     """
-    right, down, up = camera.depth[0], camera.depth[1], camera.depth[2]
     for i in range(len(ranges)):
-        west, east, north, south, low, high = boxes[i]
-        w = camera.depth[3] + right * (west if right > 0 else east) + down * (north if down > 0 else south)
-        w += up * (low if up > 0 else high)
-        w = max(w, away[i] * cosine, camera.near)
+        box = (boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4], boxes[i, 5])
+        w = nearest(camera, box, away[i], cosine, 0.0)
         level = np.int64(ranges[i]) + 1
         while reach[i, level] > 0.0:
             r = reach[i, level] * camera.stretch

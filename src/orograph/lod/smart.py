@@ -29,7 +29,7 @@ from orograph.lod.budget import by_tolerance
 from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
-from orograph.lod.right_triangles import METRIC, Mesh, RightTriangleMeshes, RightTriangleOptions
+from orograph.lod.right_triangles import METRIC, Mesh, MeshOptions, RightTriangleMeshes
 from orograph.lod.smart_blocks import (
     ABSENT,
     INNER,
@@ -47,6 +47,7 @@ from orograph.lod.smart_blocks import (
     unfit,
     weigh,
     weigh_boxes,
+    weigh_colors,
 )
 from orograph.lod.smart_strip import ZONES, shape_of, triangulate
 from orograph.parallel import for_each, map_ordered
@@ -66,7 +67,7 @@ Strip = tuple[NDArray[np.int64], NDArray[np.float32], int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SmartOptions(RightTriangleOptions):
+class SmartOptions(MeshOptions):
     """Options of ``smart``."""
 
     metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic", "isotropic-published"))
@@ -107,7 +108,7 @@ class Smart(RightTriangleMeshes):
     def _pages(self) -> Field:
         # (The other half of the memory is for blocks and strips.)
         memory = self.resources.max_memory // 2
-        return Field(self.terrain, self.error, max_memory=memory, jobs=self.jobs)
+        return Field(self.terrain, self.error, color=self.resources.color, max_memory=memory, jobs=self.jobs)
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
         if goal.tolerance is None:
@@ -170,7 +171,7 @@ class Smart(RightTriangleMeshes):
             names, ranges = names[ranges != NONE], ranges[ranges != NONE]
             ids = self._ids(level, names)
             slots = self._fetch(level, names, ids)
-            if self.options.boxes and self.metric.number == ANISOTROPIC and lens.focal > 0:
+            if lens.focal > 0:
                 self._weigh_boxes(camera, lens, level, names, slots, ranges)
             tree.slots[ids], tree.ranges[ids] = slots, ranges
             self._touched.append(ids)
@@ -198,7 +199,10 @@ class Smart(RightTriangleMeshes):
         self, camera: Camera, lens: CameraParameters, level: int, names: Index, slots: NDArray[np.int32],
         ranges: NDArray[np.int16],
     ) -> None:  # fmt: skip
-        """Lower the ranges of blocks where their boxes allow it."""
+        """Lower the ranges of blocks where their boxes allow it, and raise them where colours require it."""
+        boxed, colored = self.options.boxes and self.metric.number == ANISOTROPIC, self.color_tolerance < math.inf
+        if not (boxed or colored):
+            return
         (rows, cols), p = self.terrain.grid.shape, self.m + level
         row, col = (names << p).T
         reach = self.kept.reach[slots].T
@@ -206,7 +210,11 @@ class Smart(RightTriangleMeshes):
         boxes = Boxes(*(np.asarray(v, np.float64) for v in ends))
         away = distances(self.terrain, camera.view, camera.exaggeration, boxes)
         sides = np.stack([boxes.west, boxes.east, boxes.north, boxes.south, boxes.low, boxes.high], 1)
-        weigh_boxes(lens, self._ends, sides, away, math.sqrt(off_axis(camera.view)), ranges)
+        cosine = math.sqrt(off_axis(camera.view))
+        if boxed:
+            weigh_boxes(lens, self._ends, sides, away, cosine, ranges)
+        if colored:
+            weigh_colors(lens, self._ends, sides, away, cosine, self.kept.last[slots], ranges)
 
     def _fetch(self, level: int, names: Index, ids: Index) -> NDArray[np.int32]:
         """Keep the vertices of blocks; return their slots.
@@ -249,8 +257,8 @@ class Smart(RightTriangleMeshes):
 
             def work(start: int) -> None:
                 keep(
-                    self.field.pages, self.field.n, self._ends, self._shape, todo, start,  # noqa: B023
-                    min(start + SHARE, len(todo)), at, self.kept, absent, NEAR_PLACES,  # noqa: B023
+                    self.field.pages, self.field.n, self._ends, self.color_tolerance, self._shape, todo,  # noqa: B023
+                    start, min(start + SHARE, len(todo)), at, self.kept, absent, NEAR_PLACES,  # noqa: B023
                 )  # fmt: skip
 
             for_each(work, range(0, len(todo), SHARE), self.jobs)

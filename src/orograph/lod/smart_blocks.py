@@ -7,6 +7,9 @@ nested, and all that is kept of a block is a rank and a height for each of its v
 A block of exponent p has a side of 2^p samples. Its vertices of the finest spacing are drawn only where they are
 samples (blocks of level 0); else they say whether the block must be split: in a block that is drawn none of them is
 active.
+
+With a color tolerance a vertex whose colours are off by more has its sphere's radius as its error, if that is larger.
+Radii are nested and color errors saturated, so errors stay saturated.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
 from orograph.error.screen import outside
-from orograph.lod.criterion import exceeds, look_up, place_of
+from orograph.lod.criterion import color_error, exceeds, look_up, place_of
 from orograph.lod.smart_strip import NEAR, ZONES
 
 COARSEST = 16
@@ -75,6 +78,7 @@ class Kept(NamedTuple):
         reach: float32 (slots, 2), the lowest and the highest vertex, metres.
         least: uint8 (slots, 1 + near), the least rank of a vertex of the finest spacing: of all, and of those whose
             region touches each near zone.
+        last: uint8 (slots,), the largest rank of a vertex whose colours are off by more than γ; 0 where there is none.
     """
 
     ranks: NDArray[np.uint8]
@@ -83,6 +87,7 @@ class Kept(NamedTuple):
     steps: NDArray[np.uint8]
     least: NDArray[np.uint8]
     reach: NDArray[np.float32]
+    last: NDArray[np.uint8]
 
     @classmethod
     def room_for(cls, slots: int, vertices: int, ranges: int) -> Kept:
@@ -90,13 +95,13 @@ class Kept(NamedTuple):
         return cls(
             np.empty((slots, vertices), np.uint8), np.empty((slots, vertices), np.uint8),
             np.empty((slots, vertices), np.float32), np.empty((slots, ranges), np.uint8),
-            np.empty((slots, 1 + len(NEAR)), np.uint8), np.empty((slots, 2), np.float32),
+            np.empty((slots, 1 + len(NEAR)), np.uint8), np.empty((slots, 2), np.float32), np.empty(slots, np.uint8),
         )  # fmt: skip
 
     @staticmethod
     def bytes_of(vertices: int, ranges: int) -> int:
         """Of a block."""
-        return 6 * vertices + ranges + 9 + len(NEAR)
+        return 6 * vertices + ranges + 10 + len(NEAR)
 
 
 @inlined
@@ -149,11 +154,12 @@ def close(kept, slot, side):
 
 
 @leaf
-def keep(pages, n, ends, shape, names, begin, end, slots, kept, missed, near):
+def keep(pages, n, ends, gamma, shape, names, begin, end, slots, kept, missed, near):
     """Take over the vertices of blocks; ``missed[i]`` is whether pages of block i were absent.
 
     Args:
-        pages: ``field.Pages``. n: of the square. ends: ``thresholds``. shape: ``smart_strip.Shape``.
+        pages: ``field.Pages``. n: of the square. ends: ``thresholds``. gamma: the color tolerance.
+        shape: ``smart_strip.Shape``.
         names: int64 (k, 3), exponent, row and column; those in [begin, end) are kept at ``slots`` of ``kept``.
         near: ``NEAR_PLACES``.
     """
@@ -170,12 +176,16 @@ def keep(pages, n, ends, shape, names, begin, end, slots, kept, missed, near):
             least[slot, k] = NEVER
         for r in range(len(ends)):
             steps[slot, r] = 0
+        last: int = 0
         for v in range(side * side):
             row, col = row0 + v // side * step, col0 + v % side * step
             found, z, e, r, c = look_up(pages, row << 32 | col, _octave(row, col, n))
             if found == -1 or found == -2:
                 missed[i] = 1
-            rank = rank_of(np.float64(e), ends)
+            colored = r > 0 and color_error(c) > gamma
+            rank = rank_of(np.float64(max(e, r) if colored else e), ends)
+            if colored and rank < len(ends):
+                last = max(last, rank)
             kept.empty[slot, v] = r < 0
             gaps |= r < 0
             if c >= 0 and (r >= 0 or (row <= pages.edge[0] and col <= pages.edge[1])):
@@ -189,7 +199,7 @@ def keep(pages, n, ends, shape, names, begin, end, slots, kept, missed, near):
                         least[slot, 1 + k] = min(least[slot, 1 + k], rank)
             elif rank < len(ends):
                 steps[slot, rank] = 1
-        kept.reach[slot, 0], kept.reach[slot, 1] = low, high
+        kept.reach[slot, 0], kept.reach[slot, 1], kept.last[slot] = low, high, last
         if gaps:
             close(kept, slot, side)
         at = 0
@@ -243,11 +253,10 @@ def weigh(pages, camera, metric, cull, ends, names, ranges):
 
 
 @inlined
-def box_bound(camera, box, away, cosine, e):
-    """The bound in pixels for displacements of e metres of what is in view of a box, and within e of its heights.
+def nearest(camera, box, away, cosine, e):
+    """At most the depth of what is in view of a box, and within e metres of its heights.
 
-    Of a point in view the depth is at least its distance times the cosine of the picture's corner; the displacement
-    times depth² is convex over the footprint and does not change along the vertical.
+    Of a point in view the depth is at least its distance times the cosine of the picture's corner.
 
     Args:
         box: (west, east, north, south, low, high). away: at least the distance of the box from the eye, stretched
@@ -257,8 +266,19 @@ def box_bound(camera, box, away, cosine, e):
     right, down, up = camera.depth[0], camera.depth[1], camera.depth[2]
     w = camera.depth[3] + right * (west if right > 0 else east) + down * (north if down > 0 else south)
     w += up * (low - e if up > 0 else high + e)
-    w = max(max(w, (away - e * camera.exaggeration) * cosine), camera.near)
-    moved = w - e * abs(up)
+    return max(max(w, (away - e * camera.exaggeration) * cosine), camera.near)
+
+
+@inlined
+def box_bound(camera, box, away, cosine, e):
+    """The bound in pixels for displacements of e metres of what is in view of a box, and within e of its heights.
+
+    The displacement times depth² is convex over the footprint and does not change along the vertical. See ``nearest``
+    for the arguments.
+    """
+    west, east, north, south, _, _ = box
+    w = nearest(camera, box, away, cosine, e)
+    moved = w - e * abs(camera.depth[2])
     if not moved > 0.0:
         return np.inf
     most = 0.0
@@ -289,6 +309,27 @@ def weigh_boxes(camera, ends, boxes, away, cosine, ranges):
             else:
                 high = middle
         ranges[i] = low
+
+
+@leaf
+def weigh_colors(camera, ends, boxes, away, cosine, last, ranges):
+    """Raise ranges until they leave out no vertex whose colours count (``screen.color_exceeds``).
+
+    A vertex that is left out has a radius within the threshold. One out of view whose sphere is in view may be nearer
+    than all of its block that is in view, by a radius.
+
+    Args:
+        boxes: float64 (k, 6) and away (k,), as ``nearest`` has them. last: uint8 (k,), of ``Kept``.
+        ranges: int16 (k,); in and out.
+    """
+    for i in range(len(ranges)):
+        box = (boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4], boxes[i, 5])
+        w = nearest(camera, box, away[i], cosine, 0.0)
+        while ranges[i] < last[i]:
+            r = ends[ranges[i]] * camera.stretch
+            if r <= camera.texel * (w - 2.0 * r):
+                break
+            ranges[i] += 1
 
 
 @leaf

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel, leaf
-from orograph.triangulation.deviation import worst_crossing, worst_sample
+from orograph.triangulation.deviation import squares_within, worst_crossing
 from orograph.triangulation.mesh import (
     VERTICES,
     after,
@@ -87,8 +87,8 @@ def triangulate(m, heights, p, d, limit, surface):
                 parts = p.cost[i, k] + p.cost[k, j]
                 if parts >= best or turn_of(m, p.ring[i], p.ring[k], p.ring[j]) <= 0:
                     continue
-                error, _, _, squares = worst_sample(heights, m, p.ring[i], p.ring[k], p.ring[j])
-                if error <= limit and parts + squares < best:
+                squares = squares_within(heights, m, p.ring[i], p.ring[k], p.ring[j], limit, best)
+                if parts + squares < best:
                     best, third = parts + squares, k
             p.cost[i, j], p.third[i, j] = best, third
     return p.cost[0, d - 1]

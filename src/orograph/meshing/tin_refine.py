@@ -28,7 +28,7 @@ def is_free(m, x, y):
 def assess(m, heights, q, t, limit, surface):
     """Find the worst of a triangle, and put it into the heap if that is over the limit."""
     h = 3 * t
-    error, x, y, _ = worst_sample(heights, m, m.corner[h], m.corner[h + 1], m.corner[h + 2])
+    error, x, y = worst_sample(heights, m, m.corner[h], m.corner[h + 1], m.corner[h + 2])
     if surface:
         for k in range(3):
             # each edge is looked at from one side, the same whichever slots its triangles have

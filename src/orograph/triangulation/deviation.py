@@ -62,30 +62,47 @@ def facet_of(m, a, b, c):
     return Facet(x0, y0, x1, y1, x2, y2, z0, across, down, det)
 
 
+@inlined
+def row_of(f, y):
+    """The first and the last sample of a triangle in row y, and its plane's height at column 0 there."""
+    far = span(y, f.x0, f.y0, f.x2, f.y2)
+    near = span(y, f.x0, f.y0, f.x1, f.y1) if y < f.y1 or f.y1 == f.y2 else span(y, f.x1, f.y1, f.x2, f.y2)
+    first, last = np.int64(np.ceil(min(near, far) - FUZZ)), np.int64(np.floor(max(near, far) + FUZZ))
+    return first, last, f.z0 + f.down * (y - f.y0) - f.across * f.x0
+
+
 @leaf
 def worst_sample(heights, m, a, b, c):
-    """The largest deviation at the samples of a triangle, its outline included; where; and the sum of squares."""
-    x0, y0, x1, y1, x2, y2, z0, across, down, det = facet_of(m, a, b, c)
-    if abs(det) == 1:  # no other samples (Pick's theorem)
-        return 0.0, np.int64(x0), y0, 0.0
-    largest, at_x, at_y, squares = -1.0, np.int64(0), np.int64(0), 0.0
-    for y in range(y0, y2 + 1):
-        if y2 == y0:
-            break
-        far = span(y, x0, y0, x2, y2)
-        if y < y1 or y1 == y2:
-            near = span(y, x0, y0, x1, y1)
-        else:
-            near = span(y, x1, y1, x2, y2)
-        first = np.int64(np.ceil(min(near, far) - FUZZ))
-        last = np.int64(np.floor(max(near, far) + FUZZ))
-        plane = z0 + down * (y - y0) - across * x0
+    """The largest deviation at the samples of a triangle, its outline included; and where."""
+    f = facet_of(m, a, b, c)
+    if abs(f.det) == 1 or f.y0 == f.y2:  # no other samples (Pick's theorem)
+        return 0.0, np.int64(f.x0), f.y0
+    largest, at_x, at_y = -1.0, np.int64(0), np.int64(0)
+    for y in range(f.y0, f.y2 + 1):
+        first, last, plane = row_of(f, y)
         for x in range(first, last + 1):
-            off = abs(plane + across * x - heights[y, x])
-            squares += off * off
+            off = abs(plane + f.across * x - heights[y, x])
             if off > largest:
                 largest, at_x, at_y = off, np.int64(x), np.int64(y)
-    return largest, at_x, at_y, squares
+    return largest, at_x, at_y
+
+
+@leaf
+def squares_within(heights, m, a, b, c, limit, most):
+    """The sum of squared deviations at the samples of a triangle; inf where one is over the limit, or the sum reaches
+    ``most``."""
+    f = facet_of(m, a, b, c)
+    squares = 0.0
+    if abs(f.det) == 1 or f.y0 == f.y2:
+        return squares
+    for y in range(f.y0, f.y2 + 1):
+        first, last, plane = row_of(f, y)
+        for x in range(first, last + 1):
+            off = abs(plane + f.across * x - heights[y, x])
+            squares += off * off
+            if off > limit or squares >= most:
+                return np.inf
+    return squares
 
 
 @inlined
