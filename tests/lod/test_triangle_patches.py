@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
 import threading
 import time
+import weakref
 
 import numpy as np
 import plain
@@ -627,6 +629,21 @@ def test_pages_that_are_used_stay_while_others_come():
                 break
             time.sleep(0.005)
         assert np.array_equal(made.instances, whole.patches(view, 4.0).instances)
+
+
+def test_readers_end_with_their_method():
+    """A thread that held its method would keep all of its memory."""
+    t = plain.terrain(plain.rough(np.random.default_rng(18), (300, 200)))
+    method = plain.refiner(TrianglePatches, t, legs=2)
+    method.patches(plain.random_view(np.random.default_rng(19), t), 1.0, wait=False)
+    readers, gone = method.field._readers, weakref.ref(method.field)
+    method.field.finish()
+    assert readers
+    del method
+    gc.collect()
+    for reader in readers:
+        reader.join(5.0)
+    assert gone() is None and not any(reader.is_alive() for reader in readers)
 
 
 # ---- colours -------------------------------------------------------------------------------------------------------

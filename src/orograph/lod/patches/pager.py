@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from queue import SimpleQueue
 from typing import Any
 
@@ -26,6 +27,12 @@ READERS, REMOTE_READERS = 2, 8
 """Threads that read from a disk, and over a network."""
 
 
+Asks = SimpleQueue[tuple[int, int] | None]
+"""Pages and their slots; None ends a reader."""
+
+Answers = SimpleQueue[tuple[int, int, OrographError | None]]
+
+
 class Pager(Field):
     """A field whose pages can be read in the background. See ``Field`` for the arguments.
 
@@ -36,8 +43,8 @@ class Pager(Field):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self.failure: OrographError | None = None
-        self._asks: SimpleQueue[tuple[int, int]] = SimpleQueue()
-        self._answers: SimpleQueue[tuple[int, int, OrographError | None]] = SimpleQueue()
+        self._asks: Asks = SimpleQueue()
+        self._answers: Answers = SimpleQueue()
         self._under_way: set[int] = set()
         self._not_before: dict[int, float] = {}
         self._readers: list[threading.Thread] = []
@@ -90,21 +97,31 @@ class Pager(Field):
             self.enter()
 
     def _hire(self) -> None:
-        """Threads that end with the program, whatever they are waiting for."""
+        """Start the readers; they end with the field."""
         if not any(reader.is_alive() for reader in self._readers):  # none yet, or lost by a fork
             count = REMOTE_READERS if self.terrain.remote else READERS
-            self._readers = [threading.Thread(target=self._read, daemon=True) for _ in range(count)]
+            known = self._asks, self._answers, weakref.ref(self)
+            self._readers = [threading.Thread(target=_read, args=known, daemon=True) for _ in range(count)]
             for reader in self._readers:
                 reader.start()
+            weakref.finalize(self, _dismiss, self._asks, count)
 
-    def _read(self) -> None:
-        while True:
-            page, slot = self._asks.get()
-            try:
-                self._load((page, slot))
-            except OrographError as error:
-                self._answers.put((page, slot, error))
-            except Exception as error:
-                self._answers.put((page, slot, OrographError(f"A page could not be read: {error}.")))
-            else:
-                self._answers.put((page, slot, None))
+
+def _read(asks: Asks, answers: Answers, field: weakref.ref[Pager]) -> None:
+    """Read pages until the field is gone: a thread that held it would keep its memory for ever."""
+    while (asked := asks.get()) is not None and (pager := field()) is not None:
+        page, slot = asked
+        failure: OrographError | None = None
+        try:
+            pager._load((page, slot))
+        except OrographError as error:
+            failure = error
+        except Exception as error:
+            failure = OrographError(f"A page could not be read: {error}.")
+        del pager
+        answers.put((page, slot, failure))
+
+
+def _dismiss(asks: Asks, count: int) -> None:
+    for _ in range(count):
+        asks.put(None)
