@@ -8,11 +8,15 @@ import pickle
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from buckets import ENVIRONMENT, bucket_server
 from test_in_parts import files
 
 from orograph import store
+from orograph.dem import manifest
 from orograph.dem.gridding import PointRaster
+from orograph.store import handing
 from orograph.store.addresses import storage_at
 from orograph.store.build_state import BuildState, recipe_of
 from orograph.store.places import PLAN
@@ -73,6 +77,32 @@ def test_workers_take_over_the_triangulation(tmp_path, points, area, request):
     store.build(points, tmp_path / "s", **SIZES, **area).close()
     assert files(tmp_path / "s") == files(tmp_path / "whole")
     assert sizes[0] < 20_000  # what goes through the scheduler
+
+
+def test_workers_take_over_what_the_headers_say(tmp_path, monkeypatch, request):
+    (tmp_path / "tiles").mkdir()
+    rng, tiles = np.random.default_rng(1), [tmp_path / "tiles" / f"t{i}.tif" for i in range(4)]
+    for i, path in enumerate(tiles):
+        with rasterio.open(
+            path, "w", driver="GTiff", width=70, height=90, count=1, dtype="int16", nodata=-1, crs="EPSG:32632",
+            transform=Affine(30, 0, 500_000 + 30 * 70 * i, 0, -30, 5_000_000),
+        ) as file:  # fmt: skip
+            file.write(rng.integers(-1, 900, (90, 70)).astype(np.int16), 1)
+    monkeypatch.setattr(handing, "SEVERAL", 4)
+    monkeypatch.chdir(tmp_path)
+    how = {"shard": 64, "chunk": 16, "jobs": 1, "progress": False, "vertical_unit": "ft"}
+    store.build(tiles, tmp_path / "whole", **how).close()
+    request.getfixturevalue("by_workers")
+    seen, plain = [], manifest.open_named
+
+    def opened(path, *how, **more):
+        seen.append(path)
+        return plain(path, *how, **more)
+
+    monkeypatch.setattr(manifest, "open_named", opened)
+    store.build([f"tiles/{one.name}" for one in tiles], tmp_path / "s", **how).close()
+    assert len(seen) == 4  # by the process that builds
+    assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
 def test_in_a_bucket(tmp_path, points, monkeypatch, request):

@@ -1,24 +1,27 @@
 """How other processes get the source of a build: they open its files, and take over what took long to make of them.
 
-Such arrays (the triangulation of points, an example with its similar places) lie in ``parts/handed/source`` while the
-store is built. Workers map them: those of one machine share the memory.
+Such arrays (the triangulation of points, an example with its similar places, what the headers of many files say) lie in
+``parts/handed/source`` while the store is built. Workers map them: those of one machine share the memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.store.inputs import opened
+from orograph.store.inputs import LINES, opened
 from orograph.store.places import HANDED
 from orograph.store.source import HeightSource
 from orograph.store.storage import FolderStorage, Storage
 
 PLACE = f"{HANDED}/source"
+
+SEVERAL = 64
+"""Files that workers need not open for their headers."""
 
 Arrays = Mapping[str, NDArray[Any]]
 Kinds = dict[str, tuple[str, tuple[int, ...]]]
@@ -54,7 +57,20 @@ def again_of(raster: HeightSource) -> tuple[Again, Arrays] | None:
     if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
         files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
-    return Files(here, options), next((each.made() for each in _parts(raster) if hasattr(each, "made")), {})
+    made = next((each.made() for each in _parts(raster) if hasattr(each, "made")), None)
+    return Files(here, options), _headers(raster, named) if made is None else made
+
+
+def _headers(raster: HeightSource, named: Sequence[str]) -> Arrays:
+    """The lines of a manifest of a mosaic of many files, if it was not opened by one."""
+    from orograph.dem.describing import brief
+    from orograph.dem.source import Source
+
+    sources = getattr(raster, "sources", ())
+    if named or len(sources) < SEVERAL or not all(isinstance(source, Source) for source in sources):
+        return {}
+    text = "\n".join(brief(source, raster.reading) for source in sources)
+    return {LINES: np.frombuffer(text.encode(), np.uint8)}
 
 
 def _parts(raster: HeightSource) -> list[Any]:

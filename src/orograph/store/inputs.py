@@ -18,6 +18,9 @@ from orograph.store.source import HeightSource
 DEFAULTS: dict[str, Any] = {"band": 1, "resampling": "bilinear"}
 """Defaults of the options that are not None by default."""
 
+LINES = "lines"
+"""The name of what one process tells another of the headers of many files."""
+
 
 def inputs_of(source: HeightSource) -> dict[str, Any] | None:
     """The files and options that reopen a source (its ``recipe``); None for others."""
@@ -76,14 +79,18 @@ def opened(
     """The source of these files and options (``recipe`` lists them): points, or rasters.
 
     Args:
-        made: of points, what another process has made of them (``PointRaster.made``).
+        made: what another process has made of points (``PointRaster.made``), or ``LINES``: of a manifest of many files.
 
     Raises:
         ReadError: a file cannot be read.
     """
+    from orograph.dem.manifest import line_of
     from orograph.dem.mosaic import Mosaic
     from orograph.store.given import points_of
 
+    if made is not None and LINES in made:
+        lines = [line_of(row, None) for row in bytes(made[LINES]).decode().split("\n")]
+        return Mosaic.open(lines, progress=progress, **options)
     points = points_of(files, progress, options, made)
     return Mosaic.open(files, progress=progress, **options) if points is None else points
 
