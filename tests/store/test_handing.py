@@ -14,7 +14,7 @@ from buckets import ENVIRONMENT, bucket_server
 from test_in_parts import files
 
 from orograph import store
-from orograph.dem import manifest
+from orograph.dem import openers
 from orograph.dem.gridding import PointRaster
 from orograph.store import handing
 from orograph.store.addresses import storage_at
@@ -93,13 +93,13 @@ def test_workers_take_over_what_the_headers_say(tmp_path, monkeypatch, request):
     how = {"shard": 64, "chunk": 16, "jobs": 1, "progress": False, "vertical_unit": "ft"}
     store.build(tiles, tmp_path / "whole", **how).close()
     request.getfixturevalue("by_workers")
-    seen, plain = [], manifest.open_named
+    seen, plain = [], openers.open_named
 
     def opened(path, *how, **more):
         seen.append(path)
         return plain(path, *how, **more)
 
-    monkeypatch.setattr(manifest, "open_named", opened)
+    monkeypatch.setattr(openers, "open_named", opened)
     store.build([f"tiles/{one.name}" for one in tiles], tmp_path / "s", **how).close()
     assert len(seen) == 4  # by the process that builds
     assert files(tmp_path / "s") == files(tmp_path / "whole")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -21,40 +21,23 @@ from orograph.dem.asking import State, asked, known, url_of
 from orograph.dem.deciding import files_of
 from orograph.dem.folders import beside
 from orograph.dem.handles import Seen
-from orograph.dem.manifest import PLAIN, Line, checksum, open_named, plain, source_of, threads, unusual_of
+from orograph.dem.manifest import PLAIN, Line, checksum, open_named, plain, source_of, unusual_of
 from orograph.dem.remote import is_remote
 from orograph.dem.source import Source
 from orograph.dem.whole.files import absolute
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, wkt_of
-from orograph.parallel import map_ordered
 
 Described = tuple[str, ReadError | None]
 """A line of a manifest, and the error if the file cannot be opened."""
 
 
-def rows(
-    lines: Sequence[Line], options: Mapping[str, Any], folder: Path, jobs: int | None = None
-) -> Iterator[Described]:
-    """The lines of files in their current state, in order.
-
-    Args:
-        lines: what is already known. options: of ``Source.open``. folder: of the manifest.
-        jobs: files opened at once; None: as many as there are processors, or ``AT_ONCE`` for files on servers.
-    """
-    from orograph.dem import openers
-
-    jobs = jobs or threads(lines)
-    if openers.worthwhile(lines, jobs):
-        return openers.rows(lines, options, folder, jobs)
-    return map_ordered(lambda line: described(line, options, folder), lines, jobs)
-
-
 def described(line: Line, options: Mapping[str, Any], folder: Path | None) -> Described:
-    """The line of one file (arguments as of ``rows``).
+    """The line of a file in its current state.
 
     Args:
-        folder: None: names stay as they are, and the line has no more than what opens the file without its header.
+        line: what is already known. options: of ``Source.open``.
+        folder: of the manifest; None: names stay as they are, and the line has only what replaces the file's header.
     """
     unusual = unusual_of(options)
     source = line.source(unusual, ask=True)

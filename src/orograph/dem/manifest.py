@@ -25,7 +25,7 @@ from affine import Affine
 from orograph.dem.asking import State, asked, fetched, url_of
 from orograph.dem.asking import know as know_state
 from orograph.dem.deciding import know
-from orograph.dem.folders import beside, taken
+from orograph.dem.folders import beside
 from orograph.dem.handles import MANIFEST, Seen, is_manifest
 from orograph.dem.header import parsed_crs
 from orograph.dem.missing import Valid
@@ -36,11 +36,6 @@ from orograph.dem.whole.tiff import cut_off
 from orograph.documents import parse
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
-from orograph.parallel import cpu_count, map_ordered
-from orograph.progress import SILENT, Progress
-
-AT_ONCE = 16
-"""Files on servers opened at once."""
 
 PLAIN = tuple(
     one.name for one in fields(Source)
@@ -92,58 +87,6 @@ class Line(NamedTuple):
                 know_state(url, state)
         know(location, names)
         return source_of(self.path, location, header, seen)
-
-
-class Named(NamedTuple):
-    """The result of ``opened``.
-
-    Attributes:
-        sources, damaged: the files that could be opened, in order, and the errors of the others. files: how many in
-        all.
-        manifests: whether any of the names was one.
-    """
-
-    sources: list[Source]
-    damaged: list[ReadError]
-    files: int
-    manifests: bool
-
-
-def opened(
-    names: Sequence[str | os.PathLike[str] | Line], options: Mapping[str, Any], progress: Progress = SILENT
-) -> Named:
-    """Open files, those in folders, and those that manifests list (of these only changed ones).
-
-    Args:
-        names: also lines of manifests. options: of ``Source.open``. progress: gets reports on the files.
-
-    Raises:
-        ReadError: a manifest cannot be read.
-    """
-    from orograph.dem.openers import heard
-
-    lines: list[Line] = []
-    for name in names:
-        if isinstance(name, Line):
-            lines.append(name)
-        else:
-            lines += read(name) if is_manifest(name) else [Line(f, {}, None) for f in taken(name, progress)]
-    unusual = unusual_of(options)
-
-    def one(line: Line | ReadError) -> Source | ReadError:
-        try:
-            if isinstance(line, ReadError):
-                return line
-            return line.source(unusual) or open_named(line.path, options, whole=len(lines) > 1)
-        except ReadError as error:
-            return error
-
-    found = Named([], [], len(lines), any(is_manifest(name) for name in names if not isinstance(name, Line)))
-    with progress.task("Opening files", total=len(lines)) as task:
-        for each in map_ordered(one, heard(lines, options), threads(lines)):
-            found.damaged.append(each) if isinstance(each, ReadError) else found.sources.append(each)
-            task.advance()
-    return found
 
 
 def read(path: str | os.PathLike[str]) -> list[Line]:
@@ -265,9 +208,4 @@ def _meant(name: str, folder: Path | str | None) -> str:
     return os.path.join(folder, name)  # noqa: PTH118 (of mosaics thousands at a time)
 
 
-def threads(lines: Sequence[Line]) -> int:
-    """How many files are opened at once."""
-    return AT_ONCE if any(is_remote(line.path) for line in lines[:64]) else cpu_count()
-
-
-__all__ = ["MANIFEST", "Line", "Named", "is_manifest", "line_of", "opened", "read"]
+__all__ = ["MANIFEST", "Line", "is_manifest", "line_of", "read"]

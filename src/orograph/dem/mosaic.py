@@ -181,7 +181,7 @@ class Mosaic:
                 geoid grid is missing or does not cover it.
             UsageError: invalid options, or heights whose datum does not fit the conversion.
         """
-        from orograph.dem.manifest import opened
+        from orograph.dem.openers import opened
         from orograph.dem.source import Source
 
         names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)

@@ -61,7 +61,7 @@ def again_of(raster: HeightSource) -> tuple[Again, Arrays] | None:
     return Files(here, options), _headers(raster, named) if made is None else made
 
 
-def _headers(raster: HeightSource, named: Sequence[str]) -> Arrays:
+def _headers(raster: Any, named: Sequence[str]) -> Arrays:
     """The lines of a manifest of a mosaic of many files, if it was not opened by one."""
     from orograph.dem.describing import brief
     from orograph.dem.source import Source

@@ -54,10 +54,10 @@ def manifest(
         ReadError: files cannot be opened (the manifest is written, and names them), or none are found.
         UsageError: the name has the wrong ending. OutputError: the manifest cannot be written.
     """
-    from orograph.dem.describing import rows
     from orograph.dem.handles import MANIFEST, is_manifest
     from orograph.dem.manifest import read
     from orograph.dem.mosaic import unread
+    from orograph.dem.openers import rows
     from orograph.store.given import OF_FILES, check_names
 
     target = Path(path)
