@@ -160,7 +160,11 @@ def test_in_a_bucket(tmp_path, points, monkeypatch, request):
     with bucket_server() as server:
         for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": server.url}.items():
             monkeypatch.setenv(name, value)
+        store.build(points, "s3://terrain/q.oro", part=(1, 2), **SIZES)
         request.getfixturevalue("by_workers")
         store.build(points, "s3://terrain/p.oro", **SIZES).close()
-        place = storage_at("s3://terrain/p.oro")
-        assert {name: place.get(name) for name in place.listed()} == files(tmp_path / "whole")
+        store.build(points, "s3://terrain/q.oro", part=(2, 2), **SIZES)
+        store.build(points, "s3://terrain/q.oro", finish=True, **SIZES).close()
+        for name in ("p", "q"):
+            place = storage_at(f"s3://terrain/{name}.oro")
+            assert {name: place.get(name) for name in place.listed()} == files(tmp_path / "whole")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orograph.progress import Progress
 from orograph.store.given import files_of
 from orograph.store.inputs import LINES, opened, state_of
-from orograph.store.places import HANDED
+from orograph.store.places import HANDED, PLAN
 from orograph.store.source import HeightSource
 from orograph.store.storage import FolderStorage, Storage
 
@@ -125,7 +125,8 @@ def left_by_parts(
     storage: Storage, given: Any, options: Mapping[str, Any], progress: Progress
 ) -> HeightSource | None:  # fmt: skip
     """A source, with what another part has left of it; None if none has, or files have changed since."""
-    left = _left(storage)
+    begun = storage.get(PLAN) is not None  # which tells a bucket where in ``parts/`` to read
+    left = _left(storage) if begun else {}
     files = files_of(given) if left else None
     if files is None or left["state"] != _state(files, options):
         return None
