@@ -112,8 +112,8 @@ def leave_for_parts(storage: Storage, given: Any, options: Mapping[str, Any], ra
     Args:
         given, options: what ``raster`` was made of.
     """
-    files = files_of(given)
-    if files is None or getattr(raster, "skipped", ()):
+    files, skipped = files_of(given), bool(getattr(raster, "skipped", ""))
+    if files is None or skipped:
         return
     state = _state(files, options)
     found = None if _left(storage).get("state") == state else again_of(raster)
