@@ -1,19 +1,24 @@
 """What many inputs cost: a mosaic of so many tiny tiles of one projected CRS, made once, is opened, and built.
 
-    python bench/inputs.py FOLDER [COLUMNS ROWS]        makes the tiles (200 × 130 of 32² samples) and times them
+    python bench/inputs.py FOLDER [COLUMNS ROWS]        makes the tiles (200 × 130 of 32² samples) and times all steps
 
-Told are seconds, the most files that were open at once, and the process's peak memory.
+Told are seconds, the most files that all processes had open at once, and the peak memory of this process and of the
+largest of the others.
 """
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import resource
-import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import psutil
 
 SIDE = 32
 
@@ -43,54 +48,78 @@ def make(folder: Path, across: int, down: int) -> list[str]:
     return made
 
 
-class OpenFiles:
-    """The most file descriptors that this process has had open while this ran."""
+class Watch:
+    """The most files that this process and those it started have had open while this ran, and the most memory (MiB)
+    that this one and the largest of the others had."""
 
-    def __enter__(self) -> OpenFiles:
-        self.most, self._end = 0, threading.Event()
+    def __enter__(self) -> Watch:
+        self.files, self.own, self.others, self._end = 0, 0, 0, threading.Event()
         self._thread = threading.Thread(target=self._look)
         self._thread.start()
         return self
 
     def _look(self) -> None:
-        while not self._end.wait(0.05):
-            self.most = max(self.most, len(list(Path("/proc/self/fd").iterdir())))
+        own = psutil.Process()
+        while not self._end.wait(0.2):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                others = own.children(recursive=True)
+                self.files = max(self.files, sum(each.num_fds() for each in (own, *others)))
+                self.own = max(self.own, own.memory_info().rss >> 20)
+                self.others = max([self.others, *(each.memory_info().rss >> 20 for each in others)])
 
     def __exit__(self, *_: object) -> None:
         self._end.set()
         self._thread.join()
 
 
-def timed(label: str, work: object) -> object:
+def spent() -> float:
+    """Seconds of processor time of this process and of those it started that have ended."""
+    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
+def timed(label: str, work: Callable[[], object]) -> None:
     """Do it, and tell what it took."""
-    began, cpu = time.perf_counter(), time.process_time()
-    with OpenFiles() as files:
-        made = work()  # type: ignore[operator]
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
-    seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
+    began, cpu, own = time.perf_counter(), spent(), time.process_time()
+    with Watch() as seen:
+        work()
+    seconds, cpu, own = time.perf_counter() - began, spent() - cpu, time.process_time() - own
     print(
-        f"{label:28} {seconds:7.1f} s ({cpu:6.1f} s of processor), {files.most} files open, {peak} MiB at most",
+        f"{label:24} {seconds:6.1f} s, {cpu:6.1f} s of processors, {own:6.1f} of them this process's; {seen.files} "
+        f"files open, {seen.own} and {seen.others} MiB at most",
         flush=True,
     )
-    return made
 
 
-def main() -> None:
+def steps(files: list[str], folder: Path) -> dict[str, Callable[[], object]]:
+    """What is timed, by its name."""
     from orograph.dem.mosaic import Mosaic
     from orograph.store.build import build
     from orograph.verbs.manifest import manifest
 
-    folder = Path(sys.argv[1])
-    across, down = map(int, sys.argv[2:4] or (200, 130))
-    files = make(folder / "tiles", across, down)
     listed = folder / "tiles.manifest.geojsonl"
-    timed("manifest", lambda: manifest(files, listed, progress=False))
-    timed("manifest again", lambda: manifest(files, listed, progress=False))
-    timed("opening the manifest", lambda: Mosaic.open(listed))
-    timed("build of the manifest", lambda: build(listed, folder / "b.oro", overwrite=True, errors=(), progress=False))
-    mosaic = timed("opening", lambda: Mosaic.open(files))
-    timed("fingerprint", lambda: mosaic.fingerprint())
-    timed("build", lambda: build(files, folder / "a.oro", overwrite=True, errors=(), progress=False))
+    how: dict[str, Any] = {"overwrite": True, "errors": (), "progress": False}
+    return {
+        "opening": lambda: Mosaic.open(files),
+        "build": lambda: build(files, folder / "a.oro", **how),
+        "build, two workers": lambda: build(files, folder / "c.oro", workers=2, max_memory="3GiB", **how),
+        "manifest": lambda: manifest(files, listed, progress=False),
+        "manifest again": lambda: manifest(files, listed, progress=False),
+        "opening the manifest": lambda: Mosaic.open(listed),
+        "build of the manifest": lambda: build(listed, folder / "b.oro", **how),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("columns", type=int, nargs="?", default=200)
+    parser.add_argument("rows", type=int, nargs="?", default=130)
+    parser.add_argument("--only", action="append", help="a step, by its name; may be repeated")
+    given = parser.parse_args()
+    files = make(given.folder / "tiles", given.columns, given.rows)
+    for name, work in steps(files, given.folder).items():
+        if given.only is None or name in given.only:
+            timed(name, work)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from click.testing import CliRunner
 
 import orograph
 from orograph.cli import cli
-from orograph.dem import deciding, folders, handles
+from orograph.dem import deciding, folders, handles, openers
 from orograph.dem.mosaic import Mosaic
 from orograph.dem.source import Source
 from orograph.errors import OrographError, ReadError, UsageError
@@ -262,6 +264,54 @@ def test_the_command_line_tells_all(tiles: list[Path], tmp_path: Path) -> None:
     assert json.loads(done.stdout)["damaged"] == [f"{tiles[3]}: The file is empty."]
     done = CliRunner().invoke(cli, ["manifest", str(tmp_path / "tiles"), "-o", listed], standalone_mode=False)
     assert isinstance(done.exception, ReadError) and "t3.tif" in str(done.exception)
+
+
+@pytest.mark.parametrize("named", ["absolute", "relative"])
+def test_many_files_are_opened_by_other_processes(
+    named: str, tiles: list[Path], tmp_path: Path, opens: list[str], monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(tmp_path / "tiles")
+    monkeypatch.setattr(openers, "CHUNK", 3)
+    files: list[str] = [str(one) if named == "absolute" else f"../tiles/{one.name}" for one in tiles]
+    vrt = Path("all.vrt")
+    vrt.write_text(
+        '<VRTDataset rasterXSize="8" rasterYSize="6"><SRS>EPSG:32632</SRS><GeoTransform>500000,30,0,5000180,0,-30'
+        '</GeoTransform><VRTRasterBand dataType="Int16" band="1"><NoDataValue>-32768</NoDataValue><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">t0.tif</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>'
+    )
+    files += [str(vrt.absolute()) if named == "absolute" else str(vrt)]
+    plain = Mosaic.open(files)
+    manifest(files, tmp_path / "a.manifest.geojsonl", progress=False)
+    monkeypatch.setattr(openers, "MANY", 4)
+    fresh()
+    opens.clear()
+    found = Mosaic.open(files)
+    assert {Path(name).name for name in opens} == {"all.vrt", "t0.tif"}  # a VRT and its part, whenever it is used
+    assert [said(one) for one in found.sources] == [said(one) for one in plain.sources]
+    assert [one.path for one in found.sources] == files and found.fingerprint() == plain.fingerprint()
+    manifest(files, tmp_path / "b.manifest.geojsonl", progress=False)
+    assert (tmp_path / "a.manifest.geojsonl").read_text() == (tmp_path / "b.manifest.geojsonl").read_text()
+
+
+def test_errors_of_other_processes_are_those_of_this_one(tiles: list[Path], monkeypatch: Any) -> None:
+    tiles[1].write_bytes(b"II*\0 and nothing else")
+    tiles[2].unlink()
+    told = []
+    for many in (1000, 4):
+        monkeypatch.setattr(openers, "MANY", many)
+        with pytest.raises(ReadError) as damaged:
+            Mosaic.open(tiles)
+        with pytest.raises(UsageError) as wrong:
+            Mosaic.open(tiles, band=2)
+        told.append([str(damaged.value), str(wrong.value)])
+    assert told[0] == told[1] and "There is no band 2" in told[0][1]
+
+
+def test_what_processes_leave_undone_is_done_here(tiles: list[Path], opens: list[str], monkeypatch: Any) -> None:
+    monkeypatch.setattr(openers, "MANY", 4)
+    monkeypatch.setattr(openers, "piped", lambda _: subprocess.Popen(
+        [sys.executable, "-c", ""], stdin=subprocess.PIPE, stdout=subprocess.PIPE))  # fmt: skip
+    assert len(Mosaic.open(tiles).sources) == len(opens) == 4
 
 
 @pytest.mark.stress

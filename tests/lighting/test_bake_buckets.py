@@ -194,7 +194,7 @@ def test_workers_of_other_machines_make_what_one_process_makes(s3, area, tmp_pat
         bake(area, names, options, dask="tcp://elsewhere:8786")
     with store.open(area) as terrain:
         assert terrain.layers == () and terrain.check() == []
-    with pytest.raises(StoreError, match=r"Another bake into this store was interrupted.*`overwrite=True`"):
+    with pytest.raises(StoreError, match=r"by the workers of a cluster was interrupted.*with `dask`.*`overwrite=True`"):
         bake(area, names, options)
     left[0], s3.refuse = None, 0.05
     bake(area, names, options, dask="tcp://elsewhere:8786").close()

@@ -214,10 +214,10 @@ def test_an_older_store_is_refused_with_the_command_that_rebuilds_it(area):
 
 
 def test_what_may_be_secret_is_not_kept():
-    from orograph.store.inputs import _file
+    from orograph.store.inputs import state_of
     from orograph.store.layout import rebuild
 
-    said = _file("https://me:word@example.org/dem.tif?X-Amz-Signature=abc")
+    said = state_of("https://me:word@example.org/dem.tif?X-Amz-Signature=abc")
     assert said["path"] == "https://example.org/dem.tif"
     inputs = {"files": [{"path": "/a b.tif"}], "options": {"assume_crs": "EPSG:4326"}}
     again = rebuild({"inputs": inputs}, "s.oro")

@@ -122,8 +122,8 @@ class PointRaster:
         """What takes long to make of a file: for other processes (``taken_over``)."""
         grid = self.grid
         about = {
-            "path": self.path, "name": self.name, "vertical": self.vertical, "said": self._said, "bits": self.bits,
-            "shape": grid.shape, "transform": tuple(grid.transform)[:6],
+            "name": self.name, "vertical": self.vertical, "said": self._said, "bits": self.bits,
+            "options": self._options, "shape": grid.shape, "transform": tuple(grid.transform)[:6],
             "crs": None if grid.crs is None else grid.crs.to_wkt(),
         }  # fmt: skip
         s = self.surface
@@ -133,12 +133,12 @@ class PointRaster:
         }  # fmt: skip
 
     @classmethod
-    def taken_over(cls, made: Mapping[str, NDArray[Any]]) -> PointRaster:
-        """The raster that another process has made of a file."""
+    def taken_over(cls, made: Mapping[str, NDArray[Any]], path: str) -> PointRaster:
+        """The raster that another process has made of a file, which lies at ``path`` for this one."""
         about = json.loads(made["about"].tobytes())
         found = object.__new__(cls)
-        found.path, found.name, found.vertical = about["path"], about["name"], about["vertical"]
-        found.bits, found._said, found._options = about["bits"], about["said"], None
+        found.path, found.name, found.vertical = path, about["name"], about["vertical"]
+        found.bits, found._said, found._options = about["bits"], about["said"], about["options"]
         found.warnings, found.notes = [], []
         crs = None if about["crs"] is None else CRS.from_wkt(about["crs"])
         found.grid = Grid(tuple(about["shape"]), Affine(*about["transform"]), crs)

@@ -13,10 +13,11 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +38,9 @@ from orograph.geo.grid import Grid
 from orograph.geo.operations import approximation, same_body
 from orograph.geo.vertical import Geoid
 from orograph.progress import SILENT, Progress
+
+if TYPE_CHECKING:
+    from orograph.dem.manifest import Line
 
 UNEVEN = 1.1  # ratio of scales within a kept projection that is worth one, too
 FALSE_SCALE = 0.01  # scale error of a kept projection from which on it is worth a warning
@@ -62,10 +66,12 @@ class Mosaic:
         dtypes: the stored types of the sources, e.g. ("int16",).
         skipped: files that could not be opened and were left out, each with its cause.
         named: the names that it was opened by, if manifests were among them.
+        reading: the options of ``Source.open`` that its files were opened with.
     """
 
     skipped: tuple[str, ...] = ()
     named: tuple[str, ...] = ()
+    reading: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(
         self,
@@ -141,7 +147,7 @@ class Mosaic:
     @classmethod
     def open(
         cls,
-        paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str] | Line],
         *,
         crs: str | CRS | None = None,
         resolution: float | None = None,
@@ -157,8 +163,8 @@ class Mosaic:
         """Open files (headers only) and choose the grid that holds them all.
 
         Args:
-            paths: one file or many, folders of them (``dem.folders``), or manifests (``dem.manifest``); where several
-                on one lattice have a sample, the first given wins.
+            paths: one file or many, folders of them (``dem.folders``), or manifests or lines of them
+                (``dem.manifest``); where several on one lattice have a sample, the first given wins.
             crs: projected CRS of the terrain; one in feet is used with metre axes.
             resolution: metres between samples of the terrain.
             resampling: "nearest", "bilinear" or "cubic"; has no effect if samples are kept.
@@ -175,7 +181,7 @@ class Mosaic:
                 geoid grid is missing or does not cover it.
             UsageError: invalid options, or heights whose datum does not fit the conversion.
         """
-        from orograph.dem.manifest import opened
+        from orograph.dem.openers import opened
         from orograph.dem.source import Source
 
         names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
@@ -202,7 +208,8 @@ class Mosaic:
             clip=clip,
             options={name: value for name, value in options.items() if value != usual[name].default},
         )
-        made.named = tuple(os.fspath(name) for name in names) if found.manifests else ()
+        made.reading = {name: value for name, value in options.items() if value is not None}
+        made.named = tuple(str(name) for name in names) if found.manifests else ()
         made.skipped = tuple(f"{error.path}: {error.what}" for error in damaged)
         if damaged:
             made.warnings.append(f"{_count(damaged, found.files)} left out: {_listed(damaged)}")

@@ -71,11 +71,13 @@ def another(storage: Storage, there: bytes, anew: str) -> StoreError:
         there: its plan. anew: what is done to begin anew.
     """
     count = count_of(there)
-    said = "was interrupted" if count is None else f"was begun in {count} parts"
-    again = (
-        "Run it again with the same products and options to finish it" if count is None
-        else f"Run the parts of {count}, with the products and options of those before, and then finish"
-    )  # fmt: skip
+    said, again = "was interrupted", "Run it again with the same products and options to finish it"
+    if count is not None:
+        said = f"was begun in {count} parts"
+        again = f"Run the parts of {count}, with the products and options of those before, and then finish"
+    elif isinstance(storage, BucketStorage):  # where nobody else leaves a plan
+        said = "by the workers of a cluster was interrupted"
+        again = "Run it again with the same products and options, and with `dask`, to finish it"
     return StoreError(f"Another bake into this store {said}.", path=storage.url, remedy=f"{again}, or {anew}.")
 
 

@@ -9,6 +9,7 @@ happens under a lock (``lock``), from the first look at what is there to the las
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -169,6 +170,7 @@ def build(
         ReadError, UsageError: a source cannot be read or is not metric.
     """
     # (One long function: two thirds of it are its options and their descriptions.)
+    from orograph.store import handing
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)
@@ -184,13 +186,15 @@ def build(
         kinds = tuple(kind for kind in KINDS if kind in (*kinds, "midpoint"))  # chunks depend on it
     if quadtin is not None:
         quadtin = checked_quadtin(quadtin)
-    raster = source_of(source, progress, called="build", **options)
-    check_metric(raster.grid, raster.name)
-    if (check_void := getattr(raster, "check_void", None)) is not None:
-        check_void()
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # replace the link's target, not the link
+    storage = final if final.remote else FolderStorage(partial(final.url))
+    left = handing.left_by_parts(storage, source, options, progress) if part is not None or finish else None
+    raster = left or source_of(source, progress, called="build", **options)
+    check_metric(raster.grid, raster.name)
+    if (check_void := getattr(raster, "check_void", None)) is not None:
+        check_void()
     versions = check_keep(keep, update, final)
     if update:
         from orograph.store.bucket_updates import BucketUpdate
@@ -210,9 +214,9 @@ def build(
             f"{needed >> 20} MiB."
         )
     plan = plan_for(raster, shard, chunk, kinds, tins, chunked, quadtin, keep_lattices, coding)
-    storage = final if final.remote else FolderStorage(partial(final.url))
     if part is not None:
-        build_part(raster, final, storage, plan, coding, part_of(part), jobs, overwrite, progress)
+        leave = functools.partial(handing.leave_for_parts, given=source, options=options, raster=raster)
+        build_part(raster, final, storage, plan, coding, part_of(part), jobs, overwrite, progress, leave)
         return None
     with alone(final, "building this store"):
         if isinstance(final, FolderStorage):

@@ -154,7 +154,7 @@ def points_of(
 
     how = said_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
     area = {name: how.pop(name) for name in OF_AREAS if name in how}
-    raster = PointRaster.taken_over(made) if made else PointRaster.open(found[0], progress=progress, **how)
+    raster = PointRaster.taken_over(made, found[0]) if made else PointRaster.open(found[0], progress=progress, **how)
     return _part(raster, area)
 
 

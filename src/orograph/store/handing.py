@@ -1,24 +1,34 @@
 """How other processes get the source of a build: they open its files, and take over what took long to make of them.
 
-Such arrays (the triangulation of points, an example with its similar places) lie in ``parts/handed/source`` while the
-store is built. Workers map them: those of one machine share the memory.
+Such arrays (the triangulation of points, an example with its similar places, what the headers of many files say) lie in
+``parts/handed/source`` while the store is built. Workers map them: those of one machine share the memory. Parts of a
+build leave them there for parts that begin later, and for the end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.store.inputs import opened
-from orograph.store.places import HANDED
+from orograph.progress import Progress
+from orograph.store.given import files_of
+from orograph.store.inputs import LINES, opened, state_of
+from orograph.store.places import HANDED, PLAN
 from orograph.store.source import HeightSource
 from orograph.store.storage import FolderStorage, Storage
 
 PLACE = f"{HANDED}/source"
+LEFT = f"{PLACE}/left.json"
+"""What a part has left there, and of which files and options."""
+
+SEVERAL = 64
+"""Files that workers need not open for their headers."""
 
 Arrays = Mapping[str, NDArray[Any]]
 Kinds = dict[str, tuple[str, tuple[int, ...]]]
@@ -54,7 +64,20 @@ def again_of(raster: HeightSource) -> tuple[Again, Arrays] | None:
     if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
         files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
-    return Files(here, options), next((each.made() for each in _parts(raster) if hasattr(each, "made")), {})
+    made = next((each.made() for each in _parts(raster) if hasattr(each, "made")), None)
+    return Files(here, options), _headers(raster, named) if made is None else made
+
+
+def _headers(raster: Any, named: Sequence[str]) -> Arrays:
+    """The lines of a manifest of a mosaic of many files, if it was not opened by one."""
+    from orograph.dem.describing import brief
+    from orograph.dem.source import Source
+
+    sources = getattr(raster, "sources", ())
+    if named or len(sources) < SEVERAL or not all(isinstance(source, Source) for source in sources):
+        return {}
+    text = "\n".join(brief(source, raster.reading) for source in sources)
+    return {LINES: np.frombuffer(text.encode(), np.uint8)}
 
 
 def _parts(raster: HeightSource) -> list[Any]:
@@ -81,3 +104,43 @@ def take(storage: Storage, kinds: Kinds) -> dict[str, NDArray[Any]]:
         else:
             found[name] = np.frombuffer(bytearray(storage.get(key) or b""), dtype).reshape(shape)
     return found
+
+
+def leave_for_parts(storage: Storage, given: Any, options: Mapping[str, Any], raster: HeightSource) -> None:
+    """Leave for other parts of a build what took long to make of the files that were given, if anything did.
+
+    Args:
+        given, options: what ``raster`` was made of.
+    """
+    files, skipped = files_of(given), bool(getattr(raster, "skipped", ""))
+    if files is None or skipped:
+        return
+    state = _state(files, options)
+    found = None if _left(storage).get("state") == state else again_of(raster)
+    if found is not None and found[1]:
+        storage.put(LEFT, [json.dumps({"state": state, "kinds": leave(storage, found[1])}).encode()])
+
+
+def left_by_parts(
+    storage: Storage, given: Any, options: Mapping[str, Any], progress: Progress
+) -> HeightSource | None:  # fmt: skip
+    """A source, with what another part has left of it; None if none has, or files have changed since."""
+    begun = storage.get(PLAN) is not None  # which tells a bucket where in ``parts/`` to read
+    left = _left(storage) if begun else {}
+    files = files_of(given) if left else None
+    if files is None or left["state"] != _state(files, options):
+        return None
+    kinds = {name: (dtype, tuple(shape)) for name, (dtype, shape) in left["kinds"].items()}
+    said = {name: value for name, value in options.items() if value is not None}
+    return opened(files, said, progress, take(storage, kinds))
+
+
+def _left(storage: Storage) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(storage.get(LEFT) or b"{}")
+    return found
+
+
+def _state(files: Sequence[str], options: Mapping[str, Any]) -> str:
+    """A hash of the states of files on this disk, their names, and the options of reading."""
+    said = [state_of(path) for path in files], sorted((k, repr(v)) for k, v in options.items() if v is not None)
+    return hashlib.sha256(json.dumps(said).encode()).hexdigest()

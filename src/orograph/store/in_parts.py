@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -67,7 +67,7 @@ def share(tasks: Sequence[Spot], part: Part) -> Sequence[Spot]:
 
 def build_part(
     raster: HeightSource, final: Storage, storage: Storage, plan: dict[str, Any], coding: Coding | None,
-    part: Part, jobs: int, overwrite: bool, progress: Progress,
+    part: Part, jobs: int, overwrite: bool, progress: Progress, leave: Callable[[Storage], None],
 ) -> None:  # fmt: skip
     """Build a part of a store.
 
@@ -75,6 +75,7 @@ def build_part(
         final: where the store will be. storage: where it is built.
         plan: the build's plan. coding: how heights are encoded. jobs: threads.
         overwrite: whether the finished store may replace an existing one.
+        leave: leaves where the store is built what other parts need not make of the source.
 
     Raises:
         StoreError: a store, or another build, is there; or the sources have changed meanwhile.
@@ -87,6 +88,7 @@ def build_part(
         _begin(final, storage, data, count, overwrite)
         if isinstance(storage, FolderStorage):
             storage = FolderStorage(storage.path, many=True)
+        leave(storage)
         finest = Finest(raster, ShardWriter(storage), plan["shard"], plan["chunk"], coding)
         levels = levels_of(raster.grid.shape, plan["shard"], count)
         stage: Stage[Any] = Groups(finest, levels) if levels else Pyramid(finest)

@@ -18,6 +18,9 @@ from orograph.store.source import HeightSource
 DEFAULTS: dict[str, Any] = {"band": 1, "resampling": "bilinear"}
 """Defaults of the options that are not None by default."""
 
+LINES = "lines"
+"""The name of what one process tells another of the headers of many files."""
+
 
 def inputs_of(source: HeightSource) -> dict[str, Any] | None:
     """The files and options that reopen a source (its ``recipe``); None for others."""
@@ -27,10 +30,10 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
         return None
     files, options = found
     return {
-        "files": [_file(path) for path in files],
+        "files": [state_of(path) for path in files],
         "beside": [_beside(path) for path in files],
         "windows": [list(window) for window in getattr(source, "windows", ())],
-        "geoid": _file(options["geoid"]) if options.get("geoid") else None,
+        "geoid": state_of(options["geoid"]) if options.get("geoid") else None,
         "options": {k: v for k, v in options.items() if v is not None and v != DEFAULTS.get(k)},
     }
 
@@ -43,12 +46,15 @@ def _beside(path: str) -> list[dict[str, Any]]:
 
     if is_points(path):
         parts = (Path(path).with_suffix(suffix) for suffix in (".dbf", ".shx", ".prj", ".cpg"))
-        return [_file(str(part)) for part in parts if path.lower().endswith(".shp") and part.is_file()]
-    found = {file["path"]: file for file in map(_file, files_of(locate(path))) if file["size"] is not None}
-    return [file for name, file in found.items() if name not in (_file(path)["path"], _file(locate(path))["path"])]
+        return [state_of(str(part)) for part in parts if path.lower().endswith(".shp") and part.is_file()]
+    found = {file["path"]: file for file in map(state_of, files_of(locate(path))) if file["size"] is not None}
+    return [
+        file for name, file in found.items() if name not in (state_of(path)["path"], state_of(locate(path))["path"])
+    ]
 
 
-def _file(path: str) -> dict[str, Any]:
+def state_of(path: str) -> dict[str, Any]:
+    """A file with its size and time of change, as it is recorded; None where they are unknown."""
     from orograph.dem.asking import known
     from orograph.dem.whole.files import absolute, on_disk
 
@@ -76,14 +82,18 @@ def opened(
     """The source of these files and options (``recipe`` lists them): points, or rasters.
 
     Args:
-        made: of points, what another process has made of them (``PointRaster.made``).
+        made: what another process has made of points (``PointRaster.made``), or ``LINES``: of a manifest of many files.
 
     Raises:
         ReadError: a file cannot be read.
     """
+    from orograph.dem.manifest import line_of
     from orograph.dem.mosaic import Mosaic
     from orograph.store.given import points_of
 
+    if made is not None and LINES in made:
+        lines = [line_of(row, None) for row in bytes(made[LINES]).decode().split("\n")]
+        return Mosaic.open(lines, progress=progress, **options)
     points = points_of(files, progress, options, made)
     return Mosaic.open(files, progress=progress, **options) if points is None else points
 
@@ -100,7 +110,7 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
     for file, name in found:
         if file["size"] is None:
             continue
-        now = _file(file["path"])
+        now = state_of(file["path"])
         if "etag" in file:
             if (told_now := asked(file["path"])) is None:
                 continue  # (nothing tells)

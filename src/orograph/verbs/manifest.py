@@ -55,8 +55,9 @@ def manifest(
         UsageError: the name has the wrong ending. OutputError: the manifest cannot be written.
     """
     from orograph.dem.handles import MANIFEST, is_manifest
-    from orograph.dem.manifest import read, rows
+    from orograph.dem.manifest import read
     from orograph.dem.mosaic import unread
+    from orograph.dem.openers import rows
     from orograph.store.given import OF_FILES, check_names
 
     target = Path(path)
@@ -110,7 +111,7 @@ def named(files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> l
         if is_manifest(name):
             lines.update((line.path, line) for line in read(name))
         else:
-            lines.update((found, Line(found, {}, Path())) for found in _expanded(name))
+            lines.update((found, Line(found, {}, None)) for found in _expanded(name))
     return list(lines.values())
 
 
