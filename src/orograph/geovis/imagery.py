@@ -106,11 +106,7 @@ class Bands:
         names = [c.name for c in file.colorinterp]
         data = [i + 1 for i, name in enumerate(names) if name != "alpha"]
         if layer.colormap is not None:
-            if layer.band > file.count:
-                raise ReadError(
-                    f"It has no band {layer.band}.", path=file.name, remedy=f"There are bands 1 to {file.count}."
-                )
-            colors: tuple[int, ...] = (layer.band,)
+            colors: tuple[int, ...] = (_number_of(layer.band, file),)
         elif all(c in names for c in ("red", "green", "blue")):
             colors = tuple(names.index(c) + 1 for c in ("red", "green", "blue"))
         else:
@@ -152,9 +148,29 @@ class Bands:
             return replace(self, table=table.colors, span=table.span, classes=codes)
         return replace(self, span=given or _span(values))
 
+    def coded(self, file: Any, window: ImageWindow) -> list[int]:
+        """The values that a raster with a colour table has in a window, the most frequent first."""
+        found, counts = np.unique(_sampled(file, self, window), return_counts=True)
+        return [int(k) for k in found[np.argsort(-counts, kind="stable")]]
+
     def factors(self, file: Any) -> list[int]:
         """Pixels along the side of a texel of the file's overviews, finest first."""
         return [int(f) for f in file.overviews(self.colors[0])]
+
+
+def _number_of(band: int | str, file: Any) -> int:
+    """The number of a band, from 1, which may be given by its name.
+
+    Raises:
+        ReadError: there is no such band.
+    """
+    names = [name for name in file.descriptions if name]
+    if isinstance(band, str) and band in names:
+        return int(file.descriptions.index(band)) + 1
+    if isinstance(band, str) or band > file.count:
+        there = f"bands 1 to {file.count}" + (f", called {', '.join(names[:12])}" if names else "")
+        raise ReadError(f"It has no band {band}.", path=file.name, remedy=f"There are {there}.")
+    return band
 
 
 def read_into(out: Bytes, location: str, window: ImageWindow, bands: Bands) -> None:
