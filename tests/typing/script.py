@@ -147,6 +147,11 @@ print(orograph.doctor()["orograph"])
 widget = orograph.view(terrain)
 print(widget)
 
+try:
+    orograph.read("absent.tif")
+except orograph.errors.OrographError as error:
+    print(error.what, error.remedy)
+
 # What is misspelt, or of the wrong kind, is found before it runs (an ignored line with nothing wrong is an error).
 orograph.render(terrain, exageration=1.5)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
 orograph.render(terrain, bbox="7,45,8,46", light="rays")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
