@@ -230,6 +230,11 @@ def unreadable(location: str, error: BaseException) -> ReadError:
             f"The server did not give a tile: {why}.", path=_service(location),
             remedy="Try again later: what it gave already is kept.",
         )  # fmt: skip
+    if location.endswith(".xml") and any("ReadBlockFromFile" in text for text in _messages(error)):
+        return ReadError(
+            "The server's tiles are no images, or not as wide as expected.", path=_service(location),
+            remedy="Tiles have 256 pixels along a side, unless the URL ends in #512 or so.",
+        )  # fmt: skip
     return ReadError(
         f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
     )
@@ -243,13 +248,18 @@ def _service(location: str) -> str:
 
 def asked_in_vain(error: BaseException) -> str:
     """What GDAL's tile driver says of a server, "" if it was not at fault."""
+    for text in _messages(error):
+        if found := re.search(r"HTTP status code: (\d+), error: ([^\n]*)", text):
+            return f"status {found[1]}" if found[1] != "0" else found[2].strip().rstrip(".")
+    return ""
+
+
+def _messages(error: BaseException) -> Iterator[str]:
+    """What an error and its causes say."""
     inner: BaseException | None = error
     while inner is not None:
-        found = re.search(r"HTTP status code: (\d+), error: ([^\n]*)", str(inner))
-        if found:
-            return f"status {found[1]}" if found[1] != "0" else found[2].strip().rstrip(".")
+        yield str(inner)
         inner = inner.__cause__ or inner.__context__
-    return ""
 
 
 def _around(window: ImageWindow, width: int) -> list[tuple[int, int]]:
