@@ -39,7 +39,7 @@ def _itemsize(dtype: str) -> int:
     return 4 if dtype == "complex_int16" else np.dtype(dtype).itemsize
 
 
-def check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
+def check_band(dataset: Any, band: Any, path: str | os.PathLike[str]) -> None:
     if isinstance(band, str) and band in dataset.descriptions:
         number = dataset.descriptions.index(band) + 1
         raise UsageError(

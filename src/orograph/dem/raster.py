@@ -67,7 +67,7 @@ class Dem:
         Raises:
             UsageError: the grid is rotated.
         """
-        from orograph.dem.dataarray import laid_out
+        from orograph.dem.labelled import laid_out
 
         return laid_out(self.heights, self.grid, self.name, {"units": "m", "long_name": "height"})
 

@@ -108,7 +108,7 @@ class Map:
 
     def to_xarray(self) -> xr.DataArray:
         """A DataArray with the dimensions (band,) y, x; one band has no dimension of its own."""
-        from orograph.dem.dataarray import laid_out
+        from orograph.dem.labelled import laid_out
 
         first = self.bands[0]
         attrs = {"units": first.unit, "long_name": first.doc}
