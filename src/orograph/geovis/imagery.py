@@ -225,7 +225,7 @@ def pieces(location: str, window: ImageWindow, bands: Bands) -> Iterator[tuple[i
 
 def unreadable(location: str, error: BaseException) -> ReadError:
     """What is said of an image that GDAL fails to read."""
-    if location.endswith(".xml") and (why := asked_in_vain(error)):
+    if location.endswith(".xml") and (why := server_failure(error)):
         return ReadError(
             f"The server did not give a tile: {why}.", path=_service(location),
             remedy="Try again later: what it gave already is kept.",
@@ -246,7 +246,7 @@ def _service(location: str) -> str:
     return found[1] if found else location
 
 
-def asked_in_vain(error: BaseException) -> str:
+def server_failure(error: BaseException) -> str:
     """What GDAL's tile driver says of a server, "" if it was not at fault."""
     for text in _messages(error):
         if found := re.search(r"HTTP status code: (\d+), error: ([^\n]*)", text):
