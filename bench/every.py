@@ -3,10 +3,9 @@
     python bench/every.py [--quick] [--data ../shared/data] [NAME...]
 
 ``--quick`` runs those of the summary in docs/benchmarks.md in a small form: on two cores in less than ten minutes,
-of which half goes
-to compiling in a fresh clone. It shows the tables and that they can be made; its numbers are those of small terrains
-and few rounds. The others have a small form, too, and run if they are named. A benchmark that takes longer than it may
-there is stopped, and that is said. The exit code is 1 if one failed; one that lacks something has not.
+of which half goes to compiling in a fresh clone. It shows the tables and that they can be made; its numbers are those
+of small terrains and few rounds. The others have a small form, too, and run if they are named. A benchmark that exceeds
+its time there is stopped, and that is reported. The exit code is 1 if one failed, not if one lacks something.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ class Bench:
     """A benchmark.
 
     Attributes:
-        quick: its options in the quick form. told: whether the summary in docs/benchmarks.md gives its result, or that page
-        first of all. data: whether it takes ``--data``. path: of the open data, its argument.
+        quick: its options in the quick form. told: whether the summary in docs/benchmarks.md gives its result, or
+        that page first of all. data: whether it takes ``--data``. path: of the open data, its argument.
         modules, programs: without which it cannot run. gpu: whether it draws on one (a software adapter counts).
         least: of the open data, without which there is nothing to measure.
     """
