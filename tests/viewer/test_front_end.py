@@ -125,6 +125,7 @@ def camera(page) -> dict:
         page.wait_for_timeout(100)
         text = page.evaluate("navigator.clipboard.readText()")
         if text:
+            assert text.startswith("{"), f"{text!r} is copied, not the view"
             return json.loads(text)
     raise AssertionError("nothing is copied")
 
