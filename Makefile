@@ -12,7 +12,7 @@ help:
 	@echo 'make test   install what the tests need, and run them'
 	@echo 'make test-all  also the long ones: fuzzing, kills, concurrent runs'
 	@echo 'make check  ruff, mypy and the direction of imports'
-	@echo 'make bench  the benchmarks, as tables; QUICK=1: those of the README in small forms, ten minutes at most'
+	@echo 'make bench  the benchmarks, as tables; QUICK=1: the main ones in small forms, ten minutes at most'
 	@echo 'make docs   the documentation site, its gallery and tutorials run, in site/'
 	@echo 'make clean  remove .venv/ and what was made'
 

@@ -2,10 +2,10 @@
 
     python bench/every.py [--quick] [--data ../shared/data] [NAME...]
 
-``--quick`` runs those of the README's table in a small form: on two cores in less than ten minutes, of which half goes
-to compiling in a fresh clone. It shows the tables and that they can be made; its numbers are those of small terrains
-and few rounds. The others have a small form, too, and run if they are named. A benchmark that takes longer than it may
-there is stopped, and that is said. The exit code is 1 if one failed; one that lacks something has not.
+``--quick`` runs those of the summary in docs/benchmarks.md in a small form: on two cores in less than ten minutes,
+of which half goes to compiling in a fresh clone. It shows the tables and that they can be made; its numbers are those
+of small terrains and few rounds. The others have a small form, too, and run if they are named. A benchmark that exceeds
+its time there is stopped, and that is reported. The exit code is 1 if one failed, not if one lacks something.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Bench:
     """A benchmark.
 
     Attributes:
-        quick: its options in the quick form. told: whether the README tells its result, or docs/benchmarks.md
-        first of all. data: whether it takes ``--data``. path: of the open data, its argument.
+        quick: its options in the quick form. told: whether the summary in docs/benchmarks.md gives its result, or
+        that page first of all. data: whether it takes ``--data``. path: of the open data, its argument.
         modules, programs: without which it cannot run. gpu: whether it draws on one (a software adapter counts).
         least: of the open data, without which there is nothing to measure.
     """
@@ -142,7 +142,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", help="only these")
     parser.add_argument(
-        "--quick", action="store_true", help="small forms of those in the README, less than ten minutes in all"
+        "--quick", action="store_true", help="small forms of those in the summary, less than ten minutes in all"
     )
     parser.add_argument("--data", type=Path, default=HERE.parents[1] / "shared" / "data")
     given = parser.parse_args()
@@ -162,7 +162,7 @@ def main() -> None:
         print(f"({time.perf_counter() - began:.0f} s)", flush=True)
     if others := [name for name in BENCHES if name not in names and not given.names]:
         print(
-            f"Left out of the short form, for the README does not tell them (name one to run it): {', '.join(others)}"
+            f"Left out of the short form, for the summary does not give them (name one to run it): {', '.join(others)}"
         )
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")

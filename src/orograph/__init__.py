@@ -18,6 +18,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orograph import errors
     from orograph import measuring as measure
     from orograph.dem import Dem, read
     from orograph.fetching import fetch
@@ -87,6 +88,7 @@ __all__ = [
     "contours",
     "difference",
     "doctor",
+    "errors",
     "export",
     "fetch",
     "info",
@@ -134,6 +136,7 @@ _HOMES = {
     "contours": "orograph.verbs.contours",
     "difference": "orograph.verbs.difference",
     "doctor": "orograph.verbs.doctor",
+    "errors": "orograph.errors:",
     "export": "orograph.verbs.export",
     "fetch": "orograph.fetching",
     "info": "orograph.verbs.info",

@@ -179,6 +179,7 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
         (("slope", "-o", "a.tif", "--sigm", "1"), 2, "Did you mean one of: '--sigma'"),
         (("slope", "--level=1", "-o", "a.tif", "--sigma", "1"), 2, "No such option '--level'"),
         (("los", A, B, "-x"), 2, "No such option '-x'"),
+        (("profile", "--from", A, "--to", B), 2, "Points follow the file"),
         (("profile", A), 2, "at least 2 points, not 1"),
         (("profile", A, B, "-o", "a.txt"), 2, ".csv"),
         (("profile", A, B, "-o", "no/a.png"), 4, "folder"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gzip
 import os
 import shutil
@@ -17,6 +18,7 @@ import rasterio
 from affine import Affine
 from pyproj import CRS
 
+import orograph
 from orograph.dem import Dem, Source, read
 from orograph.dem import handles as handle_pool
 from orograph.dem import source as source_module
@@ -396,3 +398,15 @@ def test_dem_holds_what_it_says() -> None:
         Dem(np.zeros((2, 3)), grid)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="grid"):
         Dem(np.zeros((3, 2), np.float32), grid)
+
+
+def test_a_dem_says_what_to_use() -> None:
+    grid = Grid((2, 3), Affine(30, 0, 0, 0, -30, 0), CRS.from_epsg(32611))
+    dem = Dem(np.arange(6, dtype=np.float32).reshape(2, 3), grid)
+    again = orograph.terrain(dem.to_xarray())
+    np.testing.assert_array_equal(again.read(0, 0, 2, 0, 3), dem.heights)
+    assert again.grid == grid and copy.deepcopy(dem) is not dem
+    for name, here in (("plot", "render"), ("save", "export"), ("values", "heights"), ("crs", "grid.crs")):
+        with pytest.raises(AttributeError, match=here):
+            getattr(dem, name)
+    assert not hasattr(dem, "__geo_interface__")

@@ -32,9 +32,9 @@ def colour(z: int, x: int, y: int) -> tuple[int, int, int]:
     return 40 + 12 * z, 60 + 37 * x % 180, 60 + 53 * y % 180
 
 
-def encoded(z: int, x: int, y: int) -> bytes:
+def encoded(z: int, x: int, y: int, side: int = 256) -> bytes:
     out = io.BytesIO()
-    Image.new("RGB", (256, 256), colour(z, x, y)).save(out, "png")
+    Image.new("RGB", (side, side), colour(z, x, y)).save(out, "png")
     return out.getvalue()
 
 
@@ -62,7 +62,7 @@ class Handler(BaseHTTPRequestHandler):
             self.send_error(self.server.mood)
             return
         z, x, y = (int(v) for v in re.findall(r"\d+", self.path))
-        body = encoded(z, x, y)
+        body = encoded(z, x, y, 512 if "wide" in self.path else 256)
         self.send_response(200)
         self.send_header("Content-Type", "image/png")
         self.send_header("Content-Length", str(len(body)))
@@ -186,12 +186,27 @@ def test_a_server_that_fails_is_told(server, ground) -> None:
         plan(ground, orograph.basemap(server.url.replace("{y}.png", "{y}.jpg")))
 
 
+def test_wide_tiles(server, ground) -> None:
+    wide = server.url.replace("{y}.png", "{y}.png?wide")
+    with pytest.raises(ReadError, match="as wide as expected") as error:
+        plan(ground, orograph.basemap(wide))
+    assert "#512" in error.value.remedy
+    assert Basemap.of("xyz:http://a.b/{z}/{x}/{y}@2x.png").side == 512
+    seen = np.unique(np.asarray(plan(ground, orograph.basemap(f"{wide}#512"))).reshape(-1, 3), axis=0)
+    assert len(seen) > 1
+    for path in ("tiles/{z}/{x}/{y}.png", "http://a.b/{z}/{x}/{y}.png"):
+        with pytest.raises(UsageError, match="pattern") as told:
+            plan(ground, Layer(path))
+        assert told.value.remedy == f"Write xyz:{path}."
+
+
 def test_names_of_the_catalogue() -> None:
     found = Basemap.of("xyz:Esri.WorldImagery")
     assert "{z}" in found.url and "{y}/{x}" in found.url and "Esri" in found.attribution
     assert Basemap.of("xyz:openstreetmap mapnik").name == "OpenStreetMap.Mapnik"
     assert "apikey=abc" in Basemap.of("xyz:Thunderforest.Outdoors?apikey=abc").url
     for name, words in (("Thunderforest.Outdoors", "needs a token"), ("OpenTopMap", "Did you mean OpenTopoMap"),
+                        (str(Path(__file__).parent), "/{z}/{x}/{y}.png"), ("http://a.b/{z}/{x}/{y}#x", "such as #512"),
                         ("http://a.b/{z}/{x}.png", "have {z}, {x} and {y}"),
                         ("OpenTopoMap?key=1", "has no parameter 'key'")):  # fmt: skip
         with pytest.raises(UsageError, match=re.escape(words)):

@@ -92,6 +92,15 @@ def test_arrays_with_a_place(ground: orograph.Terrain, tmp_path: Path) -> None:
             np.testing.assert_array_equal(picture(ground, given), truth)
 
 
+def test_maps_of_light_are_layers(ground: orograph.Terrain) -> None:
+    dem = orograph.Dem(np.add.outer(np.arange(41.0), np.arange(51.0) ** 2).astype(np.float32), ground.grid)
+    steep = orograph.light(dem, "slope")
+    np.testing.assert_array_equal(
+        picture(ground, orograph.Layer(steep, colormap="magma")),
+        picture(ground, orograph.Layer(steep.to_xarray(), colormap="magma")),
+    )
+
+
 def test_maps_of_matplotlib(ground: orograph.Terrain) -> None:
     matplotlib = pytest.importorskip("matplotlib")
     from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize

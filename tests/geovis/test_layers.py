@@ -149,3 +149,16 @@ def test_its_own_nodata_and_range(tmp_path: Path) -> None:
     assert np.abs(srgb(got[20:, :, :3]) - expected[..., :3]).max() < 0.02
     with pytest.raises(ReadError, match="no band 3"):
         at_samples(Layer(path, colormap="viridis", band=3))
+
+
+def test_bands_by_name(tmp_path: Path) -> None:
+    values = np.linspace(0, 1, 10_000, dtype=np.float32).reshape(100, 100)
+    path = raster(tmp_path / "r.tif", np.stack([0 * values, values]))
+    with rasterio.open(path, "r+") as file:
+        file.descriptions = ("hillshade", "slope")
+    named = Layer.parse(f"{path},colormap=viridis,band=slope")
+    np.testing.assert_array_equal(at_samples(named), at_samples(Layer(path, colormap="viridis", band=2)))
+    assert Layer.from_dict(named.to_dict()) == named
+    with pytest.raises(ReadError, match="no band steep") as error:
+        at_samples(Layer(path, colormap="viridis", band="steep"))
+    assert "hillshade, slope" in error.value.remedy

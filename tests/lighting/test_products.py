@@ -36,6 +36,18 @@ def grid_of(heights, epsg=32611):
     return Grid(heights.shape, Affine(CELL, 0, 5e5, 0, -CELL, 4e6), CRS.from_epsg(epsg))
 
 
+def test_several_products_are_bands_of_one_result(heights):
+    dem = Dem(heights, grid_of(heights))
+    several = ("slope", "normal", "sky-view-factor", "openness")
+    made = lighting.make(dem, several, azimuths=8)
+    alone = [lighting.make(dem, name, azimuths=8) for name in several]
+    np.testing.assert_array_equal(made.values, np.concatenate([one.values for one in alone]))
+    assert [band.name for band in made.bands][:3] == ["slope", "normal east", "normal north"]
+    np.testing.assert_array_equal(lighting.make(heights, "slope,aspect", cell=CELL)[0], made.values[0])
+    with pytest.raises(UsageError, match="no product"):
+        lighting.make(dem, ["slope", "beauty"])
+
+
 def test_what_comes_back_is_what_was_given(heights, tmp_path):
     xr = pytest.importorskip("xarray")
     dem = Dem(heights, grid_of(heights))

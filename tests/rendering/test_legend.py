@@ -81,15 +81,43 @@ def test_layers_are_explained(monkeypatch, tmp_path):
     (scale,) = keys.scales
     assert (scale.words, scale.low, scale.high) == ("rain of may (K)", 20, 80)
     np.testing.assert_array_equal(scale.colors[0], [68, 1, 84])
+    with rasterio.open(path, "r+") as file:
+        file.descriptions = ("rain",)
+    assert told(monkeypatch, plan(ground, layers=(over,)))["legend"].scales[0].label == "rain"
     thin = Layer(str(path), colormap="magma", range=(0, 100), opacity=0.3, name="Heat")
     keys = told(monkeypatch, plan(ground, layers=(over, thin)))["legend"]
-    assert [one.label for one in keys.scales] == ["Heat", "rain of may"]
+    assert [one.label for one in keys.scales] == ["Heat", "rain"]
     keys = told(monkeypatch, plan(ground, layers=(thin,)))["legend"]
     assert [one.label for one in keys.scales] == ["Heat", "Height"]
     classes = Layer((values > 50).astype(np.uint8) + 1, colormap={1: "#00ff00", 2: "#0000ff"}, name="Cover")
     keys = told(monkeypatch, plan(ground, layers=(classes,)))["legend"]
     assert keys.scales == () and [words for words, _ in keys.swatches] == ["Cover", "1", "2"]
     np.testing.assert_array_equal(dict(keys.swatches)["1"], [0, 255, 0])
+
+
+@pytest.mark.parametrize(
+    ("codes", "meanings", "words"),
+    [((11, 42, 90), {}, ["cover", "11", "42", "90"]),
+     ((11, 42, 90), {"flag_values": "11, 42", "flag_meanings": "open_water forest"},
+      ["cover", "open water", "forest", "90"]),
+     ((0, 1, 2), {}, None)],
+)  # fmt: skip
+def test_classes_of_a_colour_table_are_explained(monkeypatch, tmp_path, codes, meanings, words):
+    """Land cover has a legend; an image of numbered colours has none."""
+    import rasterio
+
+    ground, path = terrain(hills(200, 400)), tmp_path / "cover.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=410, height=200, count=1, dtype="uint8", crs="EPSG:32611",
+                       transform=NORTH_UP) as file:  # fmt: skip
+        file.write(np.resize(np.repeat(codes, 20), (200, 410)).astype(np.uint8), 1)
+        file.write_colormap(1, {code: (code, 100, 200, 255) for code in codes})
+        file.update_tags(1, **meanings)
+    keys = told(monkeypatch, plan(ground, layers=(Layer(str(path), opacity=0.6),)))["legend"]
+    if words is None:
+        assert keys is None
+    else:
+        assert [word for word, _ in keys.swatches] == words
+        np.testing.assert_array_equal(keys.swatches[1][1], [codes[0], 100, 200])
 
 
 def test_counts_do_not_depend_on_threads(monkeypatch):

@@ -47,7 +47,9 @@ print(path.stem)
 listed = orograph.manifest("tiles", "tiles.manifest.geojsonl", skip_damaged=True)
 print(listed.files, listed.damaged)
 fetched = orograph.fetch((7.5, 45.9, 7.8, 46.1), product="copernicus-30", output="area.tif")
-print(fetched)
+print(fetched.grid)
+area_dem: Dem = orograph.fetch(at=(7.65, 45.98), radius=5_000)
+print(area_dem.heights.max())
 facts = orograph.info("dem.tif", exact=True)
 print(facts["kind"], facts["shape"])
 
@@ -137,11 +139,18 @@ tour.save("tour.json")
 film = orograph.movie(terrain, "m.mp4", tour, fps=25)
 print(film)
 hills = orograph.synth(size=257, seed=7)
-print(hills)
+print(hills.heights.max())
+print(orograph.synth("hills.tif", size=(513, 257)).stem)
+print(orograph.synth(exemplar="lidar.tif", jitter=[0.5, 0.2]).grid)
 print(orograph.methods())
 print(orograph.doctor()["orograph"])
 widget = orograph.view(terrain)
 print(widget)
+
+try:
+    orograph.read("absent.tif")
+except orograph.errors.OrographError as error:
+    print(error.what, error.remedy)
 
 # What is misspelt, or of the wrong kind, is found before it runs (an ignored line with nothing wrong is an error).
 orograph.render(terrain, exageration=1.5)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import os
 import shutil
@@ -41,6 +42,16 @@ def test_checkers_know_the_options_that_there_are():
         words = set(one.annotation.split(" | "))
         if given[name] != "Any" and words <= {"bool", "int", "float", "str", "None"}:
             assert words <= set(given[name].split(" | ")) | ({"int"} if "Amount" in given[name] else set()), name
+
+
+def test_overloads_have_the_options_that_there_are():
+    from orograph.fetching.api import Fetching, fetch
+    from orograph.verbs.synth import Synthesis, synth
+
+    for function, options, said in ((synth, Synthesis, {"output"}), (fetch, Fetching, {"area", "product", "output"})):
+        parameters = inspect.signature(function).parameters
+        written = {name: kind.__forward_arg__ for name, kind in options.__annotations__.items()}
+        assert written == {name: one.annotation for name, one in parameters.items() if name not in said}
 
 
 @pytest.mark.stress

@@ -38,9 +38,8 @@ from orograph.cli.sections import Verb
 from orograph.scene import given
 
 if TYPE_CHECKING:
-    from orograph.lighting.context import Context, Options, Values
+    from orograph.lighting.context import Context, Values
     from orograph.lighting.products import Product
-    from orograph.lighting.raster import Band
     from orograph.lighting.raster_resume import Checkpoint
     from orograph.lighting.sun import Sun
 
@@ -143,7 +142,7 @@ def command(
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.lighting.context import Context, Options
-        from orograph.lighting.products import product
+        from orograph.lighting.products import described, product
         from orograph.lighting.raster import write
         from orograph.lighting.raster_resume import identity
         from orograph.lighting.sun import Sun
@@ -170,7 +169,7 @@ def command(
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
     if resume and set(wanted) <= set(AT_ONCE):
         progress.warn(f"--resume does not apply to {', '.join(wanted)}: such maps are made in one go, in seconds.")
-    bands = _bands(products, chosen)
+    bands = described(products, chosen)
     plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
     with _kept(output, plan) if resume else nullcontext() as kept:
         context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
@@ -219,18 +218,6 @@ def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, in
     counts = [len(each.bands(context.options)) for each in products]
     for k, row, col, values in produce(context, products):
         yield sum(counts[:k]), row, col, values
-
-
-def _bands(products: list[Product], options: Options) -> list[Band]:
-    """The bands of a file; with several products, each name includes its product."""
-    from dataclasses import replace
-
-    found: list[Band] = []
-    for each in products:
-        for band in each.described(options):
-            own = len(products) == 1 or band.name.startswith(each.name)
-            found.append(band if own else replace(band, name=f"{each.name} {band.name}"))
-    return found
 
 
 def _tags(context: Context, wanted: list[str], sun: Sun) -> dict[str, str]:

@@ -17,7 +17,22 @@ SAID = {
 """Options that people try, and what says it here."""
 
 POINTS = frozenset(
-    ("at", "point", "points", "place", "location", "coords", "coordinates", "observer", "start", "lat", "lon")
+    (
+        "at",
+        "point",
+        "points",
+        "place",
+        "location",
+        "coords",
+        "coordinates",
+        "observer",
+        "start",
+        "end",
+        "from",
+        "to",
+        "lat",
+        "lon",
+    )
 )
 """Options that people try for the points of a measurement."""
 

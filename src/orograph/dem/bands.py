@@ -39,7 +39,14 @@ def _itemsize(dtype: str) -> int:
     return 4 if dtype == "complex_int16" else np.dtype(dtype).itemsize
 
 
-def check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
+def check_band(dataset: Any, band: Any, path: str | os.PathLike[str]) -> None:
+    if isinstance(band, str) and band in dataset.descriptions:
+        number = dataset.descriptions.index(band) + 1
+        raise UsageError(
+            f"A band is given by its number: {band} is {number}.", path=path, remedy=f"Give `band={number}`."
+        )
+    if not isinstance(band, int):
+        raise UsageError(f"A band is given by its number, from 1, not {band!r}.", path=path)
     if not 1 <= band <= dataset.count:
         raise UsageError(
             f"There is no band {band}: {_list_bands(dataset)}.", path=path, remedy="Choose another with `band`."

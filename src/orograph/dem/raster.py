@@ -6,7 +6,7 @@ Validity is NaN-ness: a sample that has no height is NaN, and nothing else is. U
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,18 @@ from numpy.typing import NDArray
 from orograph._named import named
 from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line, relief
 from orograph.geo.grid import Grid
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MEANT = {
+    **dict.fromkeys(("plot", "show", "render"), "orograph.render(dem)"),
+    **dict.fromkeys(("save", "write", "to_file", "to_raster"), 'orograph.export(dem, "dem.tif")'),
+    **dict.fromkeys(("values", "data", "array", "z"), "dem.heights"),
+    **{name: f"dem.grid.{name}" for name in ("crs", "transform", "shape")},
+    **dict.fromkeys(("bounds", "extent"), "dem.grid.bounds()"),
+}
+"""Names of attributes in other libraries, and what to use here."""
 
 MAX_READ_BYTES = 2 << 30
 """Default maximum bytes of heights (float32): 536 million heights, e.g. 23170²."""
@@ -49,6 +61,16 @@ class Dem:
         """(rows, cols) bool: True where there is a height."""
         return ~np.isnan(self.heights)
 
+    def to_xarray(self) -> xr.DataArray:
+        """The heights as a DataArray with the dimensions y, x.
+
+        Raises:
+            UsageError: the grid is rotated.
+        """
+        from orograph.dem.labelled import laid_out
+
+        return laid_out(self.heights, self.grid, self.name, {"units": "m", "long_name": "height"})
+
     def _told(self) -> list[Row]:
         finite = self.valid.any()
         low, high = (float(f(self.heights)) for f in (np.nanmin, np.nanmax)) if finite else (np.nan, np.nan)
@@ -65,3 +87,9 @@ class Dem:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.heights, dtype, copy=copy)
+
+    if not TYPE_CHECKING:  # (type checkers look for names themselves)
+
+        def __getattr__(self, name: str) -> Any:
+            remedy = f" Use {MEANT[name]}." if name in MEANT else ""
+            raise AttributeError(f"A Dem has no attribute {name!r}.{remedy}", name=name, obj=self)

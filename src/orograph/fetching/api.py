@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 from orograph._named import answering
 from orograph.errors import UsageError
@@ -19,6 +19,37 @@ if TYPE_CHECKING:
     from orograph.dem.raster import Dem
     from orograph.dem.undulation import Direction
     from orograph.store.stored import StoredTerrain
+
+
+class Fetching(TypedDict, total=False):
+    """The options of ``fetch`` as type checkers and editors know them; a test compares them."""
+
+    bbox: Any
+    at: Any
+    radius: float | None
+    geojson: Any
+    zoom: int | None
+    absent: str | None
+    table: str | os.PathLike[str] | None
+    to_vertical: Direction | None
+    geoid: Any
+    most: Amount | None
+    connections: int
+    overwrite: bool
+    resume: bool
+    max_memory: Amount | None
+    jobs: int | None
+    progress: Progress | bool | None
+
+
+@overload
+def fetch(area: Any = None, product: str = ..., *, output: None = None, **options: Unpack[Fetching]) -> Dem: ...
+
+
+@overload
+def fetch(
+    area: Any = None, product: str = ..., *, output: str | os.PathLike[str] | None, **options: Unpack[Fetching]
+) -> Dem | StoredTerrain: ...
 
 
 @answering

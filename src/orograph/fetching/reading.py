@@ -157,13 +157,13 @@ class Reader:
             self.stale.append(tile.key)  # there is no network: the cached record must do
             return known
         else:
-            known = self._judged(kept, known, answer)
+            known = self._record_of(kept, known, answer)
         if known.status == "there" and known.header is None:
             known = replace(known, header=self._opened(tile))
             kept.put_record(known)
         return known
 
-    def _judged(self, kept: KeptTile, known: Record | None, answer: Answer) -> Record:
+    def _record_of(self, kept: KeptTile, known: Record | None, answer: Answer) -> Record:
         """A tile's record by its server's answer."""
         tile = kept.tile
         if answer.there:

@@ -26,6 +26,8 @@ WORLD = 20037508.342789244
 """Metres from the middle of Web Mercator to its border."""
 FINEST = 18
 """Finest zoom of a service that does not declare one."""
+SIDE = 256
+"""Pixels along a side of a tile, likewise."""
 PATIENCE, CONNECTIONS = 15, 4
 """Seconds to wait for an answer; simultaneous requests for tiles."""
 
@@ -61,23 +63,25 @@ class Basemap:
     attribution: str = ""
     coarsest: int = 0
     finest: int = FINEST
-    side: int = 256
+    side: int = SIDE
     bottom: bool = False
 
     @classmethod
     def of(cls, text: str) -> Basemap:
-        """The service of ``xyz:NAME`` or ``xyz:URL``; ``?key=value&…`` after a name supplies the service's parameters.
+        """The service of ``xyz:NAME`` or ``xyz:URL``; ``?key=value&…`` after a name supplies the service's parameters,
+        ``#512`` after a URL says how many pixels wide its tiles are.
 
         Raises:
             UsageError: there is no such service, or it needs a token.
         """
         what = text.removeprefix(PREFIX)
         if "{" in what:
+            what, side = _sized(what)
             lacking = [part for part in ("{z}", "{x}") if part not in what]
             if lacking or not ("{y}" in what or "{-y}" in what):
                 raise UsageError(f"A URL of tiles must have {{z}}, {{x}} and {{y}}: {what}.")
             name = re.sub(r"^\w+://(www\.)?", "", what).partition("/")[0] if "://" in what else Path(what).parts[0]
-            return cls(name, what.replace("{-y}", "{y}"), bottom="{-y}" in what)
+            return cls(name, what.replace("{-y}", "{y}"), side=side, bottom="{-y}" in what)
         name, _, said = what.partition("?")
         return _of_catalogue(name, dict(part.partition("=")[::2] for part in said.split("&") if part))
 
@@ -99,9 +103,19 @@ def location_of(path: str) -> str:
         if "://" not in found.url:
             return str(of_folder(found.url, bottom=found.bottom))
         return str(_described(found))
+    if "{z}" in path and "{x}" in path:
+        raise UsageError("This is the pattern of a tile service's names.", path=path, remedy=f"Write {PREFIX}{path}.")
     if path.lower().endswith(".pmtiles") and "://" not in path:
         return str(of_pmtiles(Path(path)))
     return path
+
+
+def _sized(url: str) -> tuple[str, int]:
+    """A URL and the pixels along a side of its tiles: 512 after ``#512``, and of tiles for fine screens (``@2x``)."""
+    url, hash_, side = url.partition("#")
+    if hash_ and not (side.isdigit() and 16 <= int(side) <= 4096):
+        raise UsageError(f"After # comes the width of a tile in pixels, such as #512, not {side!r}.")
+    return url, int(side) if hash_ else 512 if "@2x" in url else SIDE
 
 
 def _described(found: Basemap) -> Path:
@@ -126,6 +140,8 @@ def _of_catalogue(name: str, said: dict[str, str]) -> Basemap:
     except ValueError:
         close = difflib.get_close_matches(name, every, 3, 0.5)
         remedy = f"Did you mean {' or '.join(close)}?" if close else "See https://xyzservices.readthedocs.io."
+        if Path(name).is_dir():
+            remedy = f"For a folder of tiles write {PREFIX}{name}/{{z}}/{{x}}/{{y}}.png."
         raise UsageError(f"There is no tile service {name!r}.", remedy=remedy) from None
     found = found.copy()
     unknown = sorted(set(said) - set(found))
@@ -144,5 +160,5 @@ def _of_catalogue(name: str, said: dict[str, str]) -> Basemap:
     bottom = "{-y}" in found["url"] or bool(found.get("tms"))
     return Basemap(
         found.name, url, found.get("attribution", ""), int(found.get("min_zoom", 0)),
-        int(found.get("max_zoom", FINEST)), int(found.get("tileSize", 256) or 256), bottom,
+        int(found.get("max_zoom", FINEST)), int(found.get("tileSize") or SIDE), bottom,
     )  # fmt: skip

@@ -61,7 +61,8 @@ def held(given: Any, transform: Any = None, crs: Any = None) -> tuple[str, Held 
 
     Args:
         given: an array (rows, cols), or of colours (rows, cols, 3 or 4) or (3 or 4, rows, cols): bytes, or numbers from
-            0 to 1; an ``xarray.DataArray`` of such; an open rasterio dataset. What a mask hides, and NaN, is clear.
+            0 to 1; an ``xarray.DataArray`` of such, or what becomes one by ``to_xarray()`` (a map of light); an open
+            rasterio dataset. What a mask hides, and NaN, is clear.
         transform, crs: where an array lies; without them it spans the terrain.
 
     Raises:
@@ -77,6 +78,8 @@ def held(given: Any, transform: Any = None, crs: Any = None) -> tuple[str, Held 
         copy(given, kept.path, driver="GTiff")
         return kept.path, kept
     name = "array"
+    if hasattr(given, "to_xarray"):  # a map of light, a viewshed, a difference
+        given = given.to_xarray()
     xarray = sys.modules.get("xarray")
     if xarray is not None and isinstance(given, xarray.DataArray):
         from orograph.dem.dataarray import place_of

@@ -106,11 +106,7 @@ class Bands:
         names = [c.name for c in file.colorinterp]
         data = [i + 1 for i, name in enumerate(names) if name != "alpha"]
         if layer.colormap is not None:
-            if layer.band > file.count:
-                raise ReadError(
-                    f"It has no band {layer.band}.", path=file.name, remedy=f"There are bands 1 to {file.count}."
-                )
-            colors: tuple[int, ...] = (layer.band,)
+            colors: tuple[int, ...] = (_number_of(layer.band, file),)
         elif all(c in names for c in ("red", "green", "blue")):
             colors = tuple(names.index(c) + 1 for c in ("red", "green", "blue"))
         else:
@@ -152,9 +148,29 @@ class Bands:
             return replace(self, table=table.colors, span=table.span, classes=codes)
         return replace(self, span=given or _span(values))
 
+    def coded(self, file: Any, window: ImageWindow) -> list[int]:
+        """The values that a raster with a colour table has in a window, the most frequent first."""
+        found, counts = np.unique(_sampled(file, self, window), return_counts=True)
+        return [int(k) for k in found[np.argsort(-counts, kind="stable")]]
+
     def factors(self, file: Any) -> list[int]:
         """Pixels along the side of a texel of the file's overviews, finest first."""
         return [int(f) for f in file.overviews(self.colors[0])]
+
+
+def _number_of(band: int | str, file: Any) -> int:
+    """The number of a band, from 1, which may be given by its name.
+
+    Raises:
+        ReadError: there is no such band.
+    """
+    names = [name for name in file.descriptions if name]
+    if isinstance(band, str) and band in names:
+        return int(file.descriptions.index(band)) + 1
+    if isinstance(band, str) or band > file.count:
+        there = f"bands 1 to {file.count}" + (f", called {', '.join(names[:12])}" if names else "")
+        raise ReadError(f"It has no band {band}.", path=file.name, remedy=f"There are {there}.")
+    return band
 
 
 def read_into(out: Bytes, location: str, window: ImageWindow, bands: Bands) -> None:
@@ -209,10 +225,15 @@ def pieces(location: str, window: ImageWindow, bands: Bands) -> Iterator[tuple[i
 
 def unreadable(location: str, error: BaseException) -> ReadError:
     """What is said of an image that GDAL fails to read."""
-    if location.endswith(".xml") and (why := asked_in_vain(error)):
+    if location.endswith(".xml") and (why := server_failure(error)):
         return ReadError(
             f"The server did not give a tile: {why}.", path=_service(location),
             remedy="Try again later: what it gave already is kept.",
+        )  # fmt: skip
+    if location.endswith(".xml") and any("ReadBlockFromFile" in text for text in _messages(error)):
+        return ReadError(
+            "The server's tiles are no images, or not as wide as expected.", path=_service(location),
+            remedy="Tiles have 256 pixels along a side, unless the URL ends in #512 or so.",
         )  # fmt: skip
     return ReadError(
         f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
@@ -225,15 +246,20 @@ def _service(location: str) -> str:
     return found[1] if found else location
 
 
-def asked_in_vain(error: BaseException) -> str:
+def server_failure(error: BaseException) -> str:
     """What GDAL's tile driver says of a server, "" if it was not at fault."""
+    for text in _messages(error):
+        if found := re.search(r"HTTP status code: (\d+), error: ([^\n]*)", text):
+            return f"status {found[1]}" if found[1] != "0" else found[2].strip().rstrip(".")
+    return ""
+
+
+def _messages(error: BaseException) -> Iterator[str]:
+    """What an error and its causes say."""
     inner: BaseException | None = error
     while inner is not None:
-        found = re.search(r"HTTP status code: (\d+), error: ([^\n]*)", str(inner))
-        if found:
-            return f"status {found[1]}" if found[1] != "0" else found[2].strip().rstrip(".")
+        yield str(inner)
         inner = inner.__cause__ or inner.__context__
-    return ""
 
 
 def _around(window: ImageWindow, width: int) -> list[tuple[int, int]]:

@@ -59,7 +59,7 @@ class Layer:
             matplotlib's or cmap's; colours by value, {1: "green", 2: "#08f"}. None: the image's own colours.
         range: the values that become the ends of the colour map; None: those of the norm or the classes, else the 2nd
             and 98th percentile over the terrain.
-        band: which band is coloured, from 1.
+        band: which band is coloured: its number, from 1, or its name.
         nodata: the value that means "nothing here", instead of the one the file declares.
         transform, crs: where an array lies (not kept: they are the file's in memory).
         norm: matplotlib's, of the colour map (not kept: it is folded into it).
@@ -76,7 +76,7 @@ class Layer:
     blend: Blend = "normal"
     colormap: Any = None
     range: tuple[float, float] | None = None
-    band: int = 1
+    band: int | str = 1
     nodata: float | None = None
     held: Held | None = field(default=None, repr=False, compare=False)
     key: Legend | None = field(default=None, repr=False, compare=False)
@@ -103,7 +103,7 @@ class Layer:
             raise self._error(f"The opacity must be a number from 0 to 1, not {self.opacity:g}.")
         if self.blend not in get_args(Blend):
             raise self._error(f"Unknown blend {self.blend!r}; the blends are {', '.join(get_args(Blend))}.")
-        if self.band < 1:
+        if isinstance(self.band, int) and self.band < 1:
             raise self._error(f"Bands are counted from 1; there is no band {self.band}.")
         if self.range is not None:
             low, high = (float(v) for v in self.range)
@@ -210,10 +210,7 @@ class Layer:
                 if key in given:
                     given[key] = _number(given[key], key)
             if "band" in given:
-                band = _number(given["band"], "band")
-                if band != int(band):
-                    raise UsageError(f"A band must be an integer, not {band:g}.")
-                given["band"] = int(band)
+                given["band"] = _band(given["band"])
             if "visible" in given:
                 given["visible"] = _truth(given["visible"])
             if "range" in given:
@@ -239,6 +236,16 @@ class Layer:
 
 
 FIELDS = tuple(f.name for f in fields(Layer) if f.compare)
+
+
+def _band(given: Any) -> int | str:
+    """A band's number or name, from JSON or the command line."""
+    if isinstance(given, str) and not given.strip().lstrip("+-").replace(".", "", 1).isdigit():
+        return given
+    band = _number(given, "band")
+    if band != int(band):
+        raise UsageError(f"A band must be an integer or a name, not {band:g}.")
+    return int(band)
 
 
 def keyed(text: str) -> tuple[str, dict[str, str]]:

@@ -256,10 +256,10 @@ def water_in(
         spacing: metres between the terrain's samples.
         heights: (rows, cols) of the window, whose first sample is (row0, col0).
     """
-    return _judged(terrain, spacing, level, row0, col0, heights) > 0
+    return _verdicts(terrain, spacing, level, row0, col0, heights) > 0
 
 
-def _judged(
+def _verdicts(
     terrain: Means, spacing: float, level: int, row0: int, col0: int, heights: NDArray[np.float32]
 ) -> NDArray[np.int8]:
     """Verdicts (see ``judge``) on a window. What reaches its border is what it is in a window of the next coarser level
@@ -278,7 +278,7 @@ def _judged(
     if level < last:
         r0, c0 = max((row0 - rows // 2) // step, 0), max((col0 - cols // 2) // step, 0)
         r1, c1 = min((row1 + rows // 2) // step + 1, r1), min((col1 + cols // 2) // step + 1, c1)
-    around = _judged(terrain, spacing, above, r0, c0, terrain.read_mean(above, r0, r1, c0, c1))
+    around = _verdicts(terrain, spacing, above, r0, c0, terrain.read_mean(above, r0, r1, c0, c1))
     r, c = np.nonzero(open_area)
     number = open_area[r, c]
     votes = np.bincount(number, around[(r + row0) // step - r0, (c + col0) // step - c0], len(verdicts))

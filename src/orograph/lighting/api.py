@@ -29,12 +29,13 @@ from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
 from orograph.lighting.context import MEMORY, Context, Options
-from orograph.lighting.products import compute, product
+from orograph.lighting.products import compute, described, product
 from orograph.lighting.raster import Band, write
 from orograph.lighting.rho import Rho
 from orograph.lighting.sun import Given, sun_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.several import words
 from orograph.store.given import READING, is_array_like, is_rows, the_heights
 from orograph.store.opening import terrain as terrain_given
 from orograph.store.terrain import Terrain
@@ -107,26 +108,18 @@ class Map:
 
     def to_xarray(self) -> xr.DataArray:
         """A DataArray with the dimensions (band,) y, x; one band has no dimension of its own."""
-        import xarray as xr
+        from orograph.dem.labelled import laid_out
 
-        grid, first = self.grid, self.bands[0]
-        if grid.transform.b or grid.transform.d:
-            raise UsageError("A rotated grid has no coordinates along its rows and columns.")
-        x, _ = grid.xy(np.arange(grid.cols), 0)
-        _, y = grid.xy(0, np.arange(grid.rows))
-        coords: dict[str, Any] = {"y": y, "x": x}
-        if grid.crs is not None:
-            coords["spatial_ref"] = ((), 0, {"crs_wkt": grid.crs.to_wkt(), "spatial_ref": grid.crs.to_wkt()})
+        first = self.bands[0]
         attrs = {"units": first.unit, "long_name": first.doc}
         if len(self.bands) == 1:
-            return xr.DataArray(self.values[0], coords, ("y", "x"), first.name, attrs)
-        coords["band"] = [b.name for b in self.bands]
-        return xr.DataArray(self.values, coords, ("band", "y", "x"), None, attrs)
+            return laid_out(self.values[0], self.grid, first.name, attrs)
+        return laid_out(self.values, self.grid, None, attrs).assign_coords(band=[band.name for band in self.bands])
 
 
 def make(
     data: Any,
-    name: str = "",
+    name: str | Sequence[str] = "",
     *,
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
@@ -139,7 +132,8 @@ def make(
     Args:
         data: heights: an array (rows, cols), metres, NaN where missing, or whatever else ``orograph.terrain`` takes: a
             path, a list of them, a Dem, a Terrain, a DataArray, an open rasterio dataset…
-        name: "slope", "sky-view-factor"…: ``products.names()``; it must be given.
+        name: "slope", "sky-view-factor"…: ``products.names()``; it must be given. Several, in a sequence or a text
+            ("slope,aspect"), become bands of one result.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
         jobs: threads; None: all processors. max_memory: bytes the process should stay within.
@@ -157,7 +151,8 @@ def make(
         ReadError: the data lack something that is needed.
     """
     progress, max_memory = reporting(progress), bytes_of(max_memory)
-    wanted = product(name)
+    names = words(name) or ("",)
+    wanted = [product(each) for each in names]
     reading = {k: options.pop(k) for k in READING if k in options}
     chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})
     data = the_heights(data)
@@ -180,10 +175,10 @@ def make(
         sun = sun_of(options["sun"], terrain.grid)
         more = chosen.more if isinstance(options["sun"], tuple) else {"diameter": sun.diameter, **chosen.more}
         chosen = replace(chosen, sun=(sun.azimuth, sun.altitude), more=more)
-    values = compute(Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress), name)
+    values = compute(Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress), *names)
     if is_array:
         return values[0] if len(values) == 1 else values
-    made = Map(values, terrain.grid, wanted.described(chosen))
+    made = Map(values, terrain.grid, tuple(described(wanted, chosen)))
     return _like(made.to_xarray(), data) if is_xarray else made
 
 

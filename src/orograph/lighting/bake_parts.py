@@ -89,7 +89,7 @@ def make(
     # (In a folder of its own: another part on this machine may end first, and clear what it has swept.)
     here = storage if isinstance(storage, FolderStorage) else scratch(storage, plan, str(index).encode())
     recipe = recipe_of(here, storage.named(), options, made, plan, shard, BASE + room // jobs)
-    begin(storage, plan, _anew(storage))
+    begin(storage, plan, _restart_remedy(storage))
     group(here)
     state = recipe.open()
     if here is not storage:
@@ -133,7 +133,7 @@ def check_none(storage: Storage, before: Record, overwrite: bool, own: bytes | N
         raise another(storage, there, "begin anew with `overwrite=True`")
 
 
-def _anew(storage: Place) -> str:
+def _restart_remedy(storage: Place) -> str:
     if isinstance(storage, FolderStorage):
         return f"remove {storage.path / PARTIAL} to begin anew"
     return "bake in one process with `overwrite=True`, which removes it"
@@ -162,7 +162,7 @@ def finish(storage: Place, before: Record, made: list[LayerRecord], progress: Pr
             remedy="Run it again with the same products and options, and without `finish`.",
         )  # fmt: skip
     if there != plan_text(made, count):
-        raise another(storage, there, _anew(storage))
+        raise another(storage, there, _restart_remedy(storage))
     writer = ShardWriter(partial_of(storage))
     gather(layer_stages(writer, before, made), count, storage.url, progress)
     take_place(storage, before, made, writer.digests, progress)

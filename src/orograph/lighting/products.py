@@ -13,8 +13,10 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from orograph.errors import UsageError
 
@@ -129,8 +131,26 @@ def product(name: str) -> Product:
     return next(p for p in found if p.name == name)
 
 
-def compute(context: Context, name: str) -> Values:
-    """A product as a whole, in memory: (bands, rows, cols) float32."""
-    from orograph.lighting.gather import whole
+def compute(context: Context, *names: str) -> Values:
+    """Products as a whole, in memory: (bands, rows, cols) float32; those with the same sweep share it."""
+    from orograph.lighting.gather import produce, whole
 
-    return whole(context, product(name))
+    if len(names) == 1:
+        return whole(context, product(names[0]))
+    products = [product(name) for name in names]
+    counts = [len(each.bands(context.options)) for each in products]
+    out = np.empty((sum(counts), *context.shape), np.float32)
+    for k, row, col, values in produce(context, products):
+        first = sum(counts[:k])
+        out[first : first + counts[k], row : row + values.shape[1], col : col + values.shape[2]] = values
+    return out
+
+
+def described(products: Sequence[Product], options: Options) -> list[Band]:
+    """The bands of products; where there are several, each name includes its product's."""
+    found: list[Band] = []
+    for each in products:
+        for band in each.described(options):
+            own = len(products) == 1 or band.name.startswith(each.name)
+            found.append(band if own else replace(band, name=f"{each.name} {band.name}"))
+    return found

@@ -37,12 +37,16 @@ from orograph.viewpoint import View
 AROUND = "view=orograph.camera.around(terrain, size, azimuth=225, pitch=30, distance=None)"
 STANDING = "view=orograph.camera.standing(terrain, size, (lon, lat, height), (lon, lat))"
 CAMERA = {
-    **dict.fromkeys(("azimuth", "pitch", "distance", "from", "from_"), AROUND),
+    **dict.fromkeys(("azimuth", "azim", "pitch", "elev", "tilt", "distance", "side", "from", "from_"), AROUND),
     **dict.fromkeys(("lonlat", "look_at"), STANDING),
-    "projection": 'view="plan", or view=orograph.camera.plan(terrain, size)',
-    **dict.fromkeys(("eye", "target", "fov", "fov_y", "up", "camera"), "view=orograph.View(eye, target, fov_y=30)"),
+    **dict.fromkeys(("projection", "plan", "map"), 'view="plan", or view=orograph.camera.plan(terrain, size)'),
+    **dict.fromkeys(("eye", "target", "fov", "fov_y", "up"), "view=orograph.View(eye, target, fov_y=30)"),
+    "camera": 'view="plan" for a map, view=orograph.View(eye, target, fov_y=30), or made by orograph.camera',
 }
 """Command-line options that are part of a view here."""
+
+PLACED = frozenset({"extent", "bounds", "coords"})
+"""Names that people give the place of an array."""
 
 SAVED = frozenset({"output", "out", "path", "filename", "outfile", "save"})
 """Names that people give a file to write."""
@@ -138,6 +142,8 @@ def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()
         known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
         if name in CAMERA:
             remedy = f"Here the camera is given as a view: {CAMERA[name]}."
+        elif name in PLACED:
+            remedy = "An array lies where its transform= and crs= say; bbox= draws a part of the ground."
         elif name in SAVED:
             remedy = "Save the result: `picture.save('relief.png')`."
         elif name in FLAGS or name in MEANT:

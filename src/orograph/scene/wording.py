@@ -32,7 +32,7 @@ ELSEWHERE = {
     **dict.fromkeys(("flyover", "animate", "film", "video"), "movie"),
     **dict.fromkeys(("mesh", "triangulate"), "tessellate"),
     **dict.fromkeys(("widget", "explore", "viewer"), "view"),
-    **dict.fromkeys(("write", "save", "to_tif", "to_geotiff"), "export"),
+    **dict.fromkeys(("write", "save", "convert", "to_tif", "to_geotiff"), "export"),
     **dict.fromkeys(("elevation", "elevations", "height", "heights", "sample", "interp"), "measure.heights"),
     **{one: f"measure.{one}" for one in ("profile", "viewshed", "line_of_sight", "flood", "area", "pick")},
     **dict.fromkeys(("los", "intervisibility"), "measure.line_of_sight"),

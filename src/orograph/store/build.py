@@ -225,31 +225,31 @@ def build(
         resume = resume or finish
         in_bucket = BucketUpdate(final, versions, progress) if update and isinstance(final, BucketStorage) else None
         if in_bucket is not None:
-            plan, going_on, complete = in_bucket.begin(plan, raster, coding)
+            plan, continued, complete = in_bucket.begin(plan, raster, coding)
         elif update:
             assert isinstance(final, FolderStorage) and isinstance(storage, FolderStorage)
-            plan, going_on, complete = begin(final, storage, plan, raster, coding, progress)
+            plan, continued, complete = begin(final, storage, plan, raster, coding, progress)
         elif overwrite and not finish:
             check_replaceable(final, storage)
-            complete = going_on = False
+            complete = continued = False
         else:
             plan, complete = compared(final, storage, plan, resume)
-            going_on = resume and begun(storage)
+            continued = resume and begun(storage)
         if complete:
             if in_bucket is not None:
                 in_bucket.prune()
             elif update:
                 prune(Path(final.url), versions, progress)
             return open(url, storage_options=storage_options)
-        if not going_on and not update:
+        if not continued and not update:
             if not final.remote or begun(storage) or is_store(final):
                 storage.remove(ROOT)  # first, so that a half-removed store does not look complete
                 storage.remove()
             storage.put(PLAN, [dumps(plan)])
         if in_bucket is not None or not storage.exists(ROOT):
-            label = "Building the store" if not going_on else "Updating the store" if update else "Resuming the store"
+            label = "Building the store" if not continued else "Updating the store" if update else "Resuming the store"
             at_once = AtOnce(jobs, max_memory, BASE, 4 * 4 * plan["shard"] ** 2 + READER)
-            how = going_on, update, workers, dask
+            how = continued, update, workers, dask
             with executor_of(raster, storage, storage_options, plan, coding, at_once, *how) as does:
                 executor = Gathering(final.url, count, does) if count else does
                 expect("build")
@@ -258,7 +258,7 @@ def build(
                 in_bucket.publish(record)
                 return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
             publish_record(storage, record)
-        if isinstance(storage, FolderStorage) and (going_on or workers is not None or dask is not None):
+        if isinstance(storage, FolderStorage) and (continued or workers is not None or dask is not None):
             storage.sweep()
         for each in [f"{PARTS}/{name}" for name in ALL_AGAIN] if update else [PARTS]:
             storage.remove(each)

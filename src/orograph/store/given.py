@@ -103,7 +103,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
             return points
         from orograph.dem.mosaic import Mosaic
 
-        return Mosaic.open(files, progress=progress, **said_of_rasters(said))
+        return Mosaic.open(files, progress=progress, **options_of_rasters(said))
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
         return _part(source, _fitting(said, OF_AREAS, "a Terrain, which has already been read"))
@@ -152,13 +152,13 @@ def points_of(
         )  # fmt: skip
     from orograph.dem.gridding import PointRaster
 
-    how = said_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
+    how = options_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
     area = {name: how.pop(name) for name in OF_AREAS if name in how}
     raster = PointRaster.taken_over(made, found[0]) if made else PointRaster.open(found[0], progress=progress, **how)
     return _part(raster, area)
 
 
-def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
+def options_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
     """The given options of reading that apply to a raster's file.
 
     Raises:
@@ -167,7 +167,7 @@ def said_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
     return _fitting({k: v for k, v in said.items() if v is not None}, OF_FILES, "files of rasters")
 
 
-def said_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
+def options_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
     """The given options of reading, for ``Mosaic.open``.
 
     Raises:
@@ -176,7 +176,7 @@ def said_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
     return _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
 
 
-def said_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
+def options_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
     """The given options of reading that apply to a file of points, and ``more``.
 
     Raises:

@@ -18,7 +18,7 @@ from orograph.errors import OrographError, StoreBusyError, StoreError, UsageErro
 from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
 from orograph.store.build import build, in_memory
-from orograph.store.given import OF_AREAS, points_of, said_of_rasters, source_of
+from orograph.store.given import OF_AREAS, options_of_rasters, points_of, source_of
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 
@@ -90,7 +90,7 @@ def prepare(
         for warning in getattr(points, "warnings", ()):
             progress.warn(warning)
         return in_memory(points, progress)
-    mosaic = Mosaic.open(paths, progress=progress, **said_of_rasters(said))
+    mosaic = Mosaic.open(paths, progress=progress, **options_of_rasters(said))
     return of_mosaic(mosaic, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
 
 

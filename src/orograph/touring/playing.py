@@ -203,7 +203,7 @@ def _played(one: Dataset, grid: Grid, frames: int, fps: float) -> Played:
     if made.span is not None:
         first, last = (written(moment) for moment in made.span)
         known = [time for time in times_in(one) if first <= time <= last]
-        told |= _span_told(made.span, len(known), "nearest" if classes else "linear")
+        told |= _span_text(made.span, len(known), "nearest" if classes else "linear")
         words.append("nearest of its times" if classes else "linear between its times")
     if not classes:
         keys = {made.key(round(k), frames - 1) for k in np.linspace(0, frames - 1, LOOKED_AT)}
@@ -231,18 +231,18 @@ def _track(one: Dataset, moving: tuple[float, float]) -> Played:
     """Tracks, whose scale is of all their samples whatever the moment."""
     span = span_within([written(moment) for moment in moving], str(one.time))
     name = one.name or one.variable or "tracks"
-    return Played(one, span, told={"name": name, **_span_told(span, 0, "linear")})
+    return Played(one, span, told={"name": name, **_span_text(span, 0, "linear")})
 
 
 def _events(one: Dataset, moving: tuple[float, float]) -> Played:
     """Points that happen: each is seen for a while after its time."""
     span = span_within([written(moment) for moment in moving], str(one.time))
     trail = trail_of(one, span)
-    told = {"name": one.name or one.variable or "points", **_span_told(span, 0, "events"), "trail_s": trail}
+    told = {"name": one.name or one.variable or "points", **_span_text(span, 0, "events"), "trail_s": trail}
     return Played(one.but(trail=f"{trail:.10g}s"), span, told=told)
 
 
-def _span_told(span: tuple[float, float], times: int, between: str) -> dict[str, Any]:
+def _span_text(span: tuple[float, float], times: int, between: str) -> dict[str, Any]:
     return {"from": written(span[0]), "to": written(span[1]), "times": times, "between": between}
 
 

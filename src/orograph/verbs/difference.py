@@ -174,7 +174,7 @@ class Difference:
             ("mean", f"mean {s.mean:+.4g} m, median {s.median:+.4g} m"),
             ("spread", f"rms {s.rms:.4g} m, NMAD {s.nmad:.4g} m"),
             ("range", f"{s.low:+.4g} to {s.high:+.4g} m" + (f" ({every})" if every else "")),
-            *self._told_detected(),
+            *self._detection_text(),
             ("gain", f"gain {cubic(s.gain)}{errors[0]} on {square(s.gain_area)}"),
             ("loss", f"loss {cubic(s.loss)}{errors[1]} on {square(s.loss_area)}"),
             ("net", f"net {'+' if s.net > 0 else ''}{cubic(s.net)}{errors[2]}"),
@@ -186,7 +186,7 @@ class Difference:
             return None
         return np.where(np.abs(sure) > self._doubt.times, self.values, np.float32(np.nan))
 
-    def _told_detected(self) -> list[Row]:
+    def _detection_text(self) -> list[Row]:
         found, s = self.statistics.detected, self.statistics
         if found is None:
             return []

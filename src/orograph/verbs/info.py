@@ -109,10 +109,10 @@ def _dem_facts(
     from orograph.dem.inspect import crs_text, spacing_metres, suspicions
     from orograph.dem.source import Source
     from orograph.dem.statistics import statistics
-    from orograph.store.given import said_of_files
+    from orograph.store.given import options_of_files
     from orograph.store.terrain import exponent, level_count
 
-    with Source.open(path, **said_of_files(options)) as opened:
+    with Source.open(path, **options_of_files(options)) as opened:
         source: Any = opened if area is None else area.cut([opened])[0]
         spacing = spacing_metres(source.grid)
         found = statistics(source, spacing[0], exact=exact, jobs=jobs, progress=progress)

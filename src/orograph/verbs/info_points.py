@@ -24,10 +24,10 @@ def facts_of_points(path: str, progress: Progress, options: Mapping[str, Any]) -
     from orograph.dem.inspect import crs_text
     from orograph.dem.scattered import read_scattered
     from orograph.errors import ReadError, UsageError
-    from orograph.store.given import said_of_points
+    from orograph.store.given import options_of_points
 
     with progress.task("Reading points"):
-        points = read_scattered(path, **said_of_points(options))
+        points = read_scattered(path, **options_of_points(options))
         warnings, size, spacing, flat = list(points.warnings), None, 0.0, None
         try:
             x, y, flat = in_plane(points, None)

@@ -28,7 +28,7 @@ from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
 from orograph.touring.make import still
 from orograph.verbs.filming import MEMORY, By, Shot, shoot_by
-from orograph.verbs.ways import WAY, check_passage, check_tour, chosen, said_of, tour_of
+from orograph.verbs.ways import WAY, check_passage, check_tour, chosen, parsed_path, tour_of
 from orograph.viewpoint import View
 
 
@@ -83,7 +83,7 @@ def movie(
     """
     heard = reporting(progress)
     reading = {name: options.pop(name) for name in READING if name in options}
-    way = said_of({name: options.pop(name) for name in WAY if name in options})
+    way = parsed_path({name: options.pop(name) for name in WAY if name in options})
     check_names(options, "movie", (*WAY, *inspect.signature(movie).parameters))
     options, passage = given.standing(options)
     check_options(options)

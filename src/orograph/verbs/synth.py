@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 from orograph._named import answering
 from orograph.dem.header import copyright_tags
@@ -30,6 +30,44 @@ MEMORY = 1 << 30
 
 STORE = ".oro"
 """The ending of a store's name."""
+
+
+class Synthesis(TypedDict, total=False):
+    """The options of ``synth`` as type checkers and editors know them; a test compares them."""
+
+    size: int | str | tuple[int, int]
+    seed: int
+    spacing: float | None
+    crs: Any
+    relief: float | None
+    roughness: float | None
+    exemplar: Any
+    jitter: float | Sequence[float] | None
+    passes: float | Sequence[float] | None
+    over: Any
+    ground: Any
+    compress: str
+    overwrite: bool
+    resume: bool
+    jobs: int | None
+    max_memory: Amount
+    workers: int | None
+    dask: Any
+    part: str | tuple[int, int] | None
+    finish: bool
+    progress: Progress | bool | None
+
+
+@overload
+def synth(output: None = None, **options: Unpack[Synthesis]) -> Dem: ...
+
+
+@overload
+def synth(output: str | os.PathLike[str], **options: Unpack[Synthesis]) -> Path: ...
+
+
+@overload
+def synth(output: str | os.PathLike[str] | None, **options: Unpack[Synthesis]) -> Dem | Path: ...
 
 
 @answering

@@ -11,7 +11,7 @@ from orograph.scene.bearings import Bearing
 from orograph.scene.sizes import Size, size_of
 from orograph.several import Numbers
 from orograph.store.opening import terrain as opened
-from orograph.verbs.ways import check_tour, chosen, said_of, tour_of
+from orograph.verbs.ways import check_tour, chosen, parsed_path, tour_of
 
 if TYPE_CHECKING:
     from orograph.touring.tour import Tour
@@ -69,7 +69,7 @@ def tour(
         UsageError: options contradict each other. ReadError: the line cannot be read.
     """
     max_memory, size = bytes_of(max_memory), size_of(size)
-    options = said_of({
+    options = parsed_path({
         "orbit": orbit, "turntable": turntable, "still": still, "plan": plan,
         "line": line, "points": points, "around": around,
         "azimuth": azimuth, "pitch": pitch, "distance": distance, "fov": fov, "seconds": seconds,

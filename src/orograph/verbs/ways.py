@@ -29,7 +29,7 @@ def chosen(options: Mapping[str, Any]) -> list[str]:
     return [kind for kind in KINDS if options[kind]] or ["orbit"] * (options["around"] is not None)
 
 
-def said_of(options: Mapping[str, Any]) -> dict[str, Any]:
+def parsed_path(options: Mapping[str, Any]) -> dict[str, Any]:
     """The path that options describe, with places parsed from text ("7.6,45.9,2000")."""
     flags = dict.fromkeys(("orbit", "turntable", "still", "plan"), False)
     way = {**dict.fromkeys(WAY), **flags, "points": (), **options}

@@ -2,6 +2,7 @@
 
 - Jupyter may handle the page's messages in another thread (*subshells*, ipykernel 7), where ``rendercanvas`` would also
   draw; its scheduler waits in the loop of the thread that made it, and is never woken. So all messages go to that loop.
+- A cell has the keyboard as soon as it was clicked: no key that follows goes elsewhere.
 - While the cell has the keyboard, the browser does not get the keys that it would use itself (Tab, F1, F12, Ctrl +
   digit).
 - The clipboard is the page's: copied text is sent there, and pasted text comes with the page's own event (a page cannot
@@ -26,6 +27,10 @@ SCRIPT = """
     const signal = this._abortController.signal
     const element = this._focusElement
     const seconds = () => performance.now() / 1000
+    // The widget gets the keyboard by a timer, 25 ms after a press; a key may come first.
+    this.viewElement.addEventListener('pointerup', (event) => {
+      if (event.pointerType === 'mouse') { element.focus({ preventScroll: true, focusVisible: false }) }
+    }, { signal })
     element.addEventListener('keydown', (event) => {
       const control = event.ctrlKey || event.metaKey
       if (control && event.key.toLowerCase() === 'v') {

@@ -86,8 +86,8 @@ class Flying:
         for key in keys:
             wanted[:3] += np.array(MOVES.get(key, (0, 0, 0))) * pace
             wanted[3:] += np.array(TURNS.get(key, (0, 0))) * TURN
-        going_on = self._kept is not None and view == self._drawn and self._kept.exaggeration == exaggeration
-        pose = self._kept if going_on and self._kept is not None else Pose.of(view, exaggeration)
+        unchanged = self._kept is not None and view == self._drawn and self._kept.exaggeration == exaggeration
+        pose = self._kept if unchanged and self._kept is not None else Pose.of(view, exaggeration)
         self.rest += seconds
         ticks = math.floor(self.rest / TICK + 1e-9)
         keep = math.exp(-TICK / RESPONSE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
 from orograph.rendering.survey import stride
 from orograph.scene.aids import interval_of
 from orograph.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from orograph.geovis.laying import Laid
 
 Array = NDArray[np.float64]
 
@@ -130,15 +133,36 @@ def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
 
     laid = Laid.open(layer.content, grid)
     table, (low, high) = laid.bands.table, laid.bands.span
+    if laid.bands.palette is not None:
+        return _of_colour_table(laid)
     if table is None:
         return []
     if laid.bands.classes or (isinstance(layer.colormap, Table) and layer.colormap.classes):
         there = np.flatnonzero(table[:, 3]) if table.shape[1] == 4 else np.arange(len(table))
         return [(layer.title, None), *((str(round(low + k)), table[k, :3]) for k in there[:MOST_CLASSES])]
     with HANDLES.borrow(laid.location) as file:
-        unit = (file.units[layer.band - 1] or "").strip()
+        band = laid.bands.colors[0] - 1
+        unit, called = (file.units[band] or "").strip(), (file.descriptions[band] or "").strip()
     beyond = layer.range is None and getattr(layer.colormap, "span", None) is None  # (the ends are percentiles)
-    return Scale(low, high, table[:, :3], written_unit(unit), layer.title, beyond, beyond)
+    return Scale(low, high, table[:, :3], written_unit(unit), layer.name or called or layer.title, beyond, beyond)
+
+
+def _of_colour_table(laid: Laid) -> list[tuple[str, Any]]:
+    """Swatches of the commonest classes of a raster with a colour table; [] if its numbers only stand for colours: they
+    have no names, and no gaps, or are many."""
+    from orograph.dem.handles import HANDLES
+    from orograph.geovis.data.attribute_table import named_beside
+    from orograph.geovis.data.classes import MOST, ClassTable
+
+    colors, band = laid.bands.palette, laid.bands.colors[0]
+    with HANDLES.borrow(laid.location) as file:
+        codes, tags = laid.bands.coded(file, laid.area), file.tags(band)
+    names = ClassTable.of_tags(tags, None, named_beside(laid.location, band)).names
+    gaps = len(codes) > 1 and max(codes) - min(codes) >= len(codes)
+    if colors is None or len(codes) > MOST or not (gaps or any(code in names for code in codes)):
+        return []
+    there = sorted(codes[:MOST_CLASSES])
+    return [(laid.layer.title, None), *((names.get(k, str(k)), colors[k, :3]) for k in there)]
 
 
 def _crs_name(crs: Any) -> str | None:
