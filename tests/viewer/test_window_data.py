@@ -85,10 +85,10 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     old = shown.painted[0]
     panel.change(window, priority=Priority.parse("T-D-U+"))  # a thread paints it, coarsely and finely; frames take that
     assert shown.painted[0] is old
-    hand.until(lambda: shown.painted[0] is not old)
+    hand.until(lambda: shown.painted[0] is not old, 300)
     coarse = shown.painted[0]
     assert coarse.sign == "glyphs"
-    hand.until(lambda: not window.session.settings.finer.coming)
+    hand.until(lambda: not window.session.settings.finer.coming, 300)
     assert max(shown.painted[0].over.shape) > max(coarse.over.shape)
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - before).mean() > 3
