@@ -171,6 +171,7 @@ def question(m: Maker) -> None:
     """Where is it above 7 °C with 90 % certainty?"""
     m.until(lambda: m.session.settings.shown and m.session.settings.shown.painted)
     data.exceed(m.window, 7.0)
+    m.until(lambda: not m.session.settings.painting)
     name = "P(2 metre temperature > 7 °C)"
     plot.select(m.window, ranges={name: (0.9, 1.0)})
     m.window.texts["plot x"] = name

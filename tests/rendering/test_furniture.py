@@ -190,6 +190,19 @@ def test_insets_are_where_the_pieces_stand() -> None:
     assert max(furniture.insets((60, 40))) <= furniture.MOST_INSET
 
 
+def test_a_long_note_has_room() -> None:
+    """A note of data that takes two lines beside the legend."""
+    note = "Temperature: mean of 31 at 12 h, sizes begin at 7.3 °C, ± standard deviation"
+    size, legend = (900, 640), Legend((), (), note=note)
+    _, right, top, bottom = furniture.insets(size, keys=(legend,))
+    assert bottom > furniture.insets(size)[3]
+    free = np.zeros((640, 900), bool)
+    free[round(top * 640) : round((1 - bottom) * 640), : round((1 - right) * 900)] = True
+    sheet = np.full((640, 900, 3), furniture.PAPER, np.uint8)
+    told = {**ALL, "subtitle": None, "note": f"{furniture.PLAIN_NOTE} · {note}"}
+    assert not (furnish(sheet, ground=free, paper=True, **told) == furniture.EDGE).all(2).any()
+
+
 def test_pieces_go_where_less_ground_is() -> None:
     ground = np.zeros((720, 1280), bool)
     ground[360:, 640:] = True  # at the legend's usual corner

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -129,10 +130,11 @@ def test_a_time_is_read_once_however_often_it_is_shown(terrain, series, reads):
 def test_the_old_picture_stays_until_the_new_one_is_made(terrain, series):
     settings = Settings(terrain, data=Dataset(series, time="T06"), priority="T+D+U-")
     before, layers = settings.shown.painted, tuple(settings.layers)
-    done: list[None] = []
+    ready = threading.Event()
     Path(series).rename(series + ".gone")
+    settings.show(terrain, time=TIMES[3], finer=ready.set)
     with pytest.raises(Exception, match="series"):
-        settings.show(terrain, time=TIMES[3], finer=lambda: done.append(None))
+        assert ready.wait(300) and settings.finish()
     assert settings.shown.painted is before and tuple(settings.layers) == layers and settings.shown.time == ""
 
 

@@ -120,8 +120,13 @@ class Analyst(Hand):
             self.key("Enter")
             self.frames(4)
 
+    def painted(self) -> None:
+        """Until what is chosen is shown."""
+        self.until(lambda: not self.window.session.settings.painting, 300)
+
     def choose(self, label: str, words: str) -> None:
         """Open a list and click one of its lines."""
+        self.painted()
         names = self.window.brush.names(self.window.session.terrain, self.window.session.settings.shown)
         if label == "##plot y":
             names = ["(histogram)", *names]
@@ -188,6 +193,7 @@ def analyst(opened: Analyst) -> Analyst:
     if shown.exceeds is not None or shown.time:
         shown.exceeds = None
         panel.change(window, time="")
+        opened.painted()
     return opened
 
 
@@ -223,12 +229,14 @@ def test_when_is_it_warmest_at_a_place(analyst, truth):
     for hour in range(24):
         analyst.push(">##later")
         analyst.until(lambda hour=hour: shown.time == f"2019-03-01T{hour:02d}:00")
+        analyst.painted()
         hours.append((shown.at(*place)[0].value, shown.time))  # (what the read-out would say)
     warmest = max(hours)[1]
     while shown.time > warmest:
         before = shown.time
         analyst.push("<##earlier")
         analyst.until(lambda before=before: shown.time < before)
+        analyst.painted()
     assert shown.time == warmest and analyst.point(SUMMIT).value == pytest.approx(max(hours)[0], abs=0.1)
     own = [float(truth.over(hour, *truth.place(SUMMIT))) for hour in truth.hours[:24]]
     np.testing.assert_allclose([value for value, _ in hours], own, atol=0.1)

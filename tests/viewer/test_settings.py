@@ -17,7 +17,8 @@ from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed, position
 from orograph.scene.parts import HOMES, OPTIONS
 from orograph.store.prepare import prepare
-from orograph.viewer.settings import Settings, SunSetting
+from orograph.viewer.settings import Settings
+from orograph.viewer.sun_setting import SunSetting
 
 
 @pytest.fixture(scope="module")
@@ -209,9 +210,10 @@ def test_times_of_a_series_share_a_scale_and_say_their_values():
 
 @pytest.fixture
 def stepwise(monkeypatch):
-    """Settings over data, and what its thread waits for before it paints finely."""
+    """Settings over data, and what its thread waits for before it paints."""
     from orograph.viewer import settings as module
 
+    monkeypatch.setattr(module, "PAINTED", (800, 450))
     terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
     values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
     settings = Settings(terrain, data=orograph.Dataset(values, name="load"), priority="T+D+U-")
@@ -219,7 +221,7 @@ def stepwise(monkeypatch):
 
     def held_up(options, terrain, size):
         if threading.current_thread() is not threading.main_thread():
-            assert size == module.PAINTED and gate.acquire(timeout=30)
+            assert gate.acquire(timeout=300)
         return carried_out(options, terrain, size)
 
     monkeypatch.setattr(module, "_carried_out", held_up)
@@ -230,23 +232,40 @@ def texels(settings):
     return max(settings.shown.painted[0].over.shape)
 
 
-def test_data_are_painted_coarsely_at_once_and_finely_after(stepwise):
+def asked(terrain, settings, marks):
+    """A priority that a thread paints; the event that tells of each painting."""
+    ready = threading.Event()
+    settings.show(terrain, priority=Priority.parse(marks), finer=ready.set)
+    return ready
+
+
+def taken(settings, gate, ready):
+    """Let the thread paint once, and take it; returns whether it counted."""
+    gate.release()
+    assert ready.wait(300)
+    ready.clear()
+    return settings.finish()
+
+
+def test_data_are_painted_by_a_thread_coarsely_and_then_finely(stepwise):
     terrain, settings, gate = stepwise
-    whole, ready = texels(settings), threading.Event()
+    whole = texels(settings)
     settings.show(terrain, priority=Priority.parse("T-D-U-"))
     truth = settings.shown.painted[0]
     settings.show(terrain, priority=Priority.parse("T+D+U-"))
     settings.layers = [replace(settings.layers[0], opacity=0.5)]
-    settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=ready.set)
-    assert texels(settings) < whole and settings.shown.painted[0].style == "segmented"
+    before, light = settings.shown.painted, settings.light
+    ready = asked(terrain, settings, "T-D-U-")
+    assert settings.shown.painted is before and settings.light == light  # the old picture stays
     assert settings.finer.coming and not settings.finish()
+    assert taken(settings, gate, ready) and settings.finer.coming and settings.light == "none"
+    assert texels(settings) < whole and settings.shown.painted[0].style == "segmented"
     # What is set before the thread is ready stays.
     (coarse,) = settings.layers
     other = Layer("x.tif", visible=False)
     settings.layers = [replace(coarse, visible=False), other]
     settings.light = "ao"
-    gate.release()
-    assert ready.wait(30) and settings.finish()
+    assert taken(settings, gate, ready)
     fine, last = settings.layers
     assert (fine.opacity, fine.visible, fine.name) == (0.5, False, coarse.name) and fine.path != coarse.path
     assert last is other and settings.light == "ao"
@@ -257,25 +276,35 @@ def test_data_are_painted_coarsely_at_once_and_finely_after(stepwise):
     assert [layer.opacity for layer in settings.layers] == [0.5, 1.0] and len(settings.layers) == 2
 
 
-def test_what_is_superseded_is_not_shown_finely(stepwise):
+def test_what_is_set_while_data_are_painted_stays(stepwise):
     terrain, settings, gate = stepwise
-    first, second = threading.Event(), threading.Event()
-    settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=first.set)
-    settings.show(terrain, priority=Priority.parse("T+D+U-"), finer=second.set)
+    ready = asked(terrain, settings, "T-D-U-")
+    settings.light, settings.exaggeration = "ao", 3.0
+    settings.layers = [Layer("x.tif", visible=False), replace(settings.layers[0], opacity=0.25)]
+    assert taken(settings, gate, ready)
+    assert (settings.light, settings.exaggeration) == ("ao", 3.0) and settings.contours is not None
+    assert [layer.opacity for layer in settings.layers] == [1.0, 0.25]
+    settings.show(terrain, priority=Priority.parse("T+D+U-"))
+    assert settings.light == "ao" and settings.contours is None
     gate.release()
-    assert first.wait(30) and not settings.finish() and settings.finer.coming
-    gate.release()
-    assert second.wait(30) and settings.finish()
-    assert settings.shown.painted[0].style == "continuous"
-    # Neither is what was under way as time began to pass, nor as all was painted at once.
+
+
+def test_what_is_superseded_is_not_shown(stepwise):
+    terrain, settings, gate = stepwise
+    before = settings.shown.painted
+    first, second = asked(terrain, settings, "T-D-U-"), asked(terrain, settings, "T+D-U+")
+    assert not taken(settings, gate, first) and settings.finer.coming and settings.shown.painted is before
+    assert taken(settings, gate, second) and settings.shown.painted[0].style == "segmented"
+    assert taken(settings, gate, second)
+    # Nor is a fine painting as time begins to pass, or as all is painted at once.
     for supersede in (lambda: setattr(settings.shown, "playing", True), lambda: settings.show(terrain)):
         settings.shown.playing = False
-        ready = threading.Event()
-        settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=ready.set)
+        ready = asked(terrain, settings, "T-D-U-")
+        assert taken(settings, gate, ready)
         supersede()
         before = settings.shown.painted
         gate.release()
-        assert ready.wait(30) and not settings.finish()
+        assert ready.wait(300) and not settings.finish()
         assert settings.shown.painted is before and not settings.finer.coming
 
 
@@ -292,8 +321,9 @@ def test_what_a_thread_cannot_paint_is_said(stepwise, monkeypatch):
 
     monkeypatch.setattr(module, "_carried_out", failing)
     ready = threading.Event()
-    settings.show(terrain, finer=ready.set)
-    before = settings.shown.painted
+    before, priority = settings.shown.painted, settings.shown.priority
+    settings.show(terrain, priority=Priority.parse("T-D-U-"), finer=ready.set)
     with pytest.raises(UsageError, match="It is gone"):
-        assert ready.wait(30) and settings.finish()
-    assert settings.shown.painted is before and not settings.finer.coming and not settings.finish()
+        assert ready.wait(300) and settings.finish()
+    assert settings.shown.painted is before and settings.shown.priority == priority
+    assert not settings.finer.coming and not settings.finish()

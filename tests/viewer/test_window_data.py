@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 import traitlets
@@ -26,6 +28,13 @@ def give(window, *data, priority="T+D+U-"):
     settings.shown = ShownData(data, Priority.parse(priority))
     settings.show(window.session.terrain)
     window.touch()
+
+
+def painted(window):
+    """Until the thread has painted what was chosen."""
+    while window.session.settings.finer.coming:
+        panel.finish(window)
+        time.sleep(0.01)
 
 
 def bar(window):
@@ -72,13 +81,17 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     assert found.value == pytest.approx(9 * float(col) / (cols - 1), abs=1.0)
     assert 0.05 < found.sigma < 1.2
     assert "warmth" in found.words and "±" in found.words
-    panel.change(window, priority=Priority.parse("T-D-U+"))
-    coarse = window.session.settings.shown.painted[0]  # a thread paints it finely, and a frame takes it
+    shown = window.session.settings.shown
+    old = shown.painted[0]
+    panel.change(window, priority=Priority.parse("T-D-U+"))  # a thread paints it, coarsely and finely; frames take that
+    assert shown.painted[0] is old
+    hand.until(lambda: shown.painted[0] is not old, 300)
+    coarse = shown.painted[0]
+    assert coarse.sign == "glyphs"
+    hand.until(lambda: not window.session.settings.finer.coming, 300)
+    assert max(shown.painted[0].over.shape) > max(coarse.over.shape)
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - before).mean() > 3
-    assert window.session.settings.shown.painted[0].sign == "glyphs"
-    hand.until(lambda: not window.session.settings.finer.coming)
-    assert max(window.session.settings.shown.painted[0].over.shape) > max(coarse.over.shape)
     panel.change(window, time="1999")
     assert any("no time" in message.text for message in window.session.messages.shown)
 
@@ -103,6 +116,7 @@ def test_time_goes_step_by_step_between_and_by_itself(window, hand):
     x, y = (float(v) for v in window.session.nav.centre()[:2])
 
     def value():
+        painted(window)
         return shown.at(x, y)[0].value
 
     panel.step(window, 1)
@@ -115,9 +129,11 @@ def test_time_goes_step_by_step_between_and_by_itself(window, hand):
     panel.change(window, time=shown.at_part(0.25))
     assert value() == pytest.approx(5) and "linear between" in shown.told
     shown.playing = True
-    assert panel.advance(window, panel.PLAYED / 2)
-    assert shown.part == pytest.approx(0.75, abs=1e-3) and value() == pytest.approx(15, abs=0.05)
-    hand.until(lambda: shown.part != pytest.approx(0.75, abs=1e-3))  # frames go on by themselves
+    assert panel.advance(window, panel.PLAYED)
+    assert not panel.advance(window, panel.PLAYED)  # the thread reads and paints, and asks for a frame then
+    part = 0.25 + panel.LONGEST / panel.PLAYED
+    assert shown.part == pytest.approx(part, abs=1e-3) and value() == pytest.approx(20 * part, abs=0.05)
+    hand.until(lambda: shown.part != pytest.approx(part, abs=1e-3))  # frames go on by themselves
     shown.playing = False
     assert not panel.advance(window, 1.0)
     hand.rest()
@@ -175,6 +191,7 @@ def test_how_probably_values_are_above_one(window):
     shown, terrain = settings.shown, window.session.terrain
     assert list(window.brush.names(terrain, shown)) == ["Height", "warmth", "± warmth"]
     panel.exceed(window, 6.0)
+    painted(window)
     x, y = (float(v[0]) for v in terrain.grid.xy(np.array([(cols - 1) / 2]), np.array([(rows - 1) / 2])))
     (found,) = shown.at(x, y)
     assert found.name == "P(warmth > 6 K)" and found.value == pytest.approx(0.5, abs=0.01)  # 4.5, 5.5, 6.5, 7.5
@@ -183,6 +200,8 @@ def test_how_probably_values_are_above_one(window):
     truth = np.abs(ground.x - ground.x.min()) / np.ptp(ground.x) * 9 > 6
     assert (window.brush.holds(ground) == truth).mean() > 0.95
     panel.exceed(window, None)
+    painted(window)
     assert shown.at(x, y)[0].name == "warmth"
     panel.exceed(window, float("nan"))
+    painted(window)
     assert shown.exceeds is None and any("to exceed must be a number" in m.text for m in window.session.messages.shown)

@@ -38,8 +38,9 @@ BOUNCE = 0.10
 
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-LIFTED = np.float32(0.2)
-"""The least luminance of what is around a contour line, so that lines are as legible in shadow as in light."""
+LIFTED, LETTERED = np.float32(0.2), np.float32(0.3)
+"""The least luminance of what is around a contour line and around a label, which are so as legible in shadow as in
+light."""
 
 
 def illumination(sun: Sun) -> tuple[Array, Colors, Colors]:
@@ -63,11 +64,11 @@ def hatching(px: Array, py: Array) -> Colors:
     return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
 
 
-def lifting(ground: Colors) -> Colors:
-    """How much paper (n,), 0 to 1, the casing of a contour line needs over ground of these colours (n, 3): in shadow as
-    much as gives it ``LIFTED``, in light none."""
+def lifting(ground: Colors, least: np.float32) -> Colors:
+    """How much paper (n,), 0 to 1, ground of these colours (n, 3) needs to have the luminance ``least``; in light
+    none."""
     bright = ground @ LUMINANCE
-    return np.asarray(np.maximum(LIFTED - bright, 0) / np.maximum(PAPER @ LUMINANCE - bright, LIFTED), np.float32)
+    return np.asarray(np.maximum(least - bright, 0) / np.maximum(PAPER @ LUMINANCE - bright, least), np.float32)
 
 
 def ink(contours: Contours) -> Colors:

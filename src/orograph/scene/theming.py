@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 FINER, LEAST, MOST = 1.6, 1024, 3072
 """Texels along the longer side of painted data: this many per pixel of the picture, within these bounds."""
 
-CASED, INK = 0.45, (0.17, 0.13, 0.10)
+CASED, INK = 0.6, (0.17, 0.13, 0.10)
 """Opacity of the casing of lines over data, and the colour of contour lines of terrain without priority."""
 
-PAPER = "#f4f2ec"
-"""The tint of ground under data."""
+PAPER = "#e4e0d4"
+"""The tint of ground under data: a little darker than the paper around, so that the terrain's extent is seen."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,8 @@ class ShownData:
         times: of the data that have any, ISO 8601 in UTC, in order. span: their first and last moment, including
             tracks and points, seconds since 1970; None: no times. limits: the part of it that is played: by default the
             span that the data choose (``time=A..B``). time: the time that is shown; "": as given.
-        playing: whether time passes. turns: the members in turn, or None.
+        playing: whether time passes. waited: seconds for which it has passed since what is shown was chosen.
+        turns: the members in turn, or None.
         exceeds: show the probability that the first raster's values exceed this one;
             None: show its values.
         painted: what is painted, bottom to top. things: what stands, or None.
@@ -88,9 +89,10 @@ class ShownData:
         ends += seconds_of(self.times[:1] + self.times[-1:], "", "").tolist()
         self.span = (min(ends), max(ends)) if len(self.times) > 1 or self._moving else None
         self.limits = self._chosen()
-        self.time, self.playing = "", False
+        self.time, self.playing, self.waited = "", False, 0.0
         self.turns = Turns.of(data)
         self.exceeds: float | None = None
+        self._settled = self._chosen_now
         self.painted: tuple[Shown, ...] = ()
         self.things: Things | None = None
         self._spans: dict[int, tuple[float, float]] = {}
@@ -102,6 +104,20 @@ class ShownData:
                 known = [written(end) for end in self._moving[k]] if k in self._moving else times_in(one)
                 return span_within(known, one.time) if len(known) > 1 else self.span
         return self.span
+
+    @property
+    def _chosen_now(self) -> tuple[Priority, str, float | None, bool]:
+        return self.priority, self.time, self.exceeds, self.turns is not None and self.turns.on
+
+    def settle(self) -> None:
+        """What is chosen is shown."""
+        self._settled = self._chosen_now
+
+    def revert(self) -> None:
+        """Choose what is shown: what was chosen cannot be."""
+        self.priority, self.time, self.exceeds, on = self._settled
+        if self.turns is not None:
+            self.turns.on = on
 
     @property
     def changing(self) -> bool:

@@ -1,25 +1,21 @@
 """The settings behind the panels: light, colours, exaggeration, detail. No GUI; the result is a ``Scene``.
 
-The sun is placed by hand, or it is the real sun at a time and the terrain's place (``lighting.sun``), and a day can be
-played. Times are shown in a zone of whole hours from UTC, initially that of the place's longitude. Units: degrees,
-pixels, seconds.
+Data are read and painted by a thread, and replace those before when they are painted. Units: degrees, pixels, seconds.
 """
 
 from __future__ import annotations
 
-import datetime
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any
 
-from orograph.errors import OrographError, UsageError
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shared import Kept, sharing
 from orograph.geovis.data.standing import Things
 from orograph.geovis.layers import Layer
-from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
 from orograph.scene.flying import BASE
 from orograph.scene.methods import mesh_choice
@@ -29,11 +25,11 @@ from orograph.scene.theming import Themed, themed
 from orograph.store.terrain import Terrain
 from orograph.viewer.data import ShownData
 from orograph.viewer.refining import Refining
+from orograph.viewer.sun_setting import SunSetting
 from orograph.viewer.variants import Made, Variants
 from orograph.viewpoint import View
 
 DEFAULT_TOLERANCE = 1.0
-DAY = 86_400.0
 HAZE = 1.5
 PAINTED = (1920, 1080)
 """Size of a window for which data are painted, pixels."""
@@ -41,103 +37,22 @@ PLAYED = (640, 360)
 """The same while time passes and data are painted repeatedly."""
 THEMED = ("layers", "data", "priority")
 """Options that make up a theme."""
-PLAY = 3600.0
-"""Speed of a played day: seconds of the sun's time per second."""
-
-
-@dataclass(slots=True)
-class SunSetting:
-    """Where the light comes from.
-
-    Attributes:
-        mode: "placed" (azimuth, altitude) or "moment" (when).
-        azimuth, altitude: degrees, from grid north.
-        when: a time in ``zone``.
-        playing: whether time passes; ``speed``: seconds per second.
-        place: (longitude, latitude) of the terrain's middle; None if only placed suns make sense.
-        trouble: why there is no place.
-    """
-
-    mode: Literal["placed", "moment"] = "placed"
-    azimuth: float = 315.0
-    altitude: float = 45.0
-    when: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
-    playing: bool = False
-    speed: float = PLAY
-    place: tuple[float, float] | None = None
-    trouble: str = ""
-
-    @classmethod
-    def over(cls, terrain: Terrain, given: Any = None) -> SunSetting:
-        """The light for a terrain; ``given``: a sun as ``sun_of`` takes it."""
-        light = cls()
-        try:
-            light.place = place(terrain.grid)
-            light.zone = round(light.place[0] / 15.0)
-            light.when = light.when.replace(hour=12, minute=0, second=0, microsecond=0)
-        except OrographError as error:
-            light.trouble = str(error)
-        if isinstance(given, Moment):
-            if light.place is None:
-                raise UsageError(light.trouble)
-            light.mode, light.when = "moment", given.when
-        elif given is not None:
-            sun = sun_of(given, terrain.grid)
-            light.azimuth, light.altitude = sun.azimuth % 360.0, sun.altitude
-        return light
-
-    @property
-    def zone(self) -> float:
-        """Hours that ``when`` is ahead of UTC."""
-        offset = self.when.utcoffset()
-        return 0.0 if offset is None else offset.total_seconds() / 3600.0
-
-    @zone.setter
-    def zone(self, hours: float) -> None:
-        self.when = self.when.astimezone(datetime.timezone(datetime.timedelta(hours=hours)))
-
-    @property
-    def hour(self) -> float:
-        """Hours since midnight, in the zone."""
-        w = self.when
-        return w.hour + w.minute / 60.0 + w.second / 3600.0
-
-    @hour.setter
-    def hour(self, hours: float) -> None:
-        minutes = min(max(round(hours * 60.0), 0), 24 * 60 - 1)
-        self.when = self.when.replace(hour=minutes // 60, minute=minutes % 60, second=0, microsecond=0)
-
-    @property
-    def day(self) -> int:
-        """Day of the year, from 1."""
-        return self.when.timetuple().tm_yday
-
-    @day.setter
-    def day(self, number: int) -> None:
-        first = self.when.replace(month=1, day=1)
-        last = (first.replace(year=first.year + 1) - first).days
-        self.when = first + datetime.timedelta(days=min(max(number, 1), last) - 1)
-
-    def advance(self, seconds: float) -> bool:
-        """Advance time; returns whether the light moved. A played day starts again at its end."""
-        if not (self.playing and self.mode == "moment"):
-            return False
-        begin = self.when.replace(hour=0, minute=0, second=0, microsecond=0)
-        gone = (self.when - begin).total_seconds() + seconds * self.speed
-        self.when = begin + datetime.timedelta(seconds=math.fmod(gone, DAY))
-        return True
-
-    def sun(self, terrain: Terrain) -> Sun:
-        """The sun over the terrain."""
-        if self.mode == "moment" and self.place is not None:
-            return Moment(self.when).over(terrain.grid)
-        return Sun(self.azimuth, self.altitude)
 
 
 def _carried_out(options: dict[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[Themed, Made]:
     """A theme applied, and the variants, for a window of ``size`` pixels."""
     with sharing():
         return themed(options, terrain, size), Variants.made(options, terrain, size)
+
+
+@dataclass(frozen=True, slots=True)
+class Painting:
+    """Data painted over a terrain: of which options, and the theme and the variants that they make."""
+
+    given: dict[str, Any]
+    terrain: Terrain
+    theme: Themed
+    variants: Made
 
 
 def _as_set(layer: Layer, old: Layer) -> Layer:
@@ -162,7 +77,7 @@ class Settings:
         method: as in ``Scene``; "auto": patches, the window's own.
         shown: data, their priorities and times; None: there are none.
         variants: focus, flight and ghosted surfaces, drawn over the scene.
-        finer: data that a thread paints finely; ``finish`` takes them.
+        finer: data that a thread paints; ``finish`` takes them.
         kept: what was read of data, for the next time or priority.
         frozen: the view for which the mesh is made while the camera flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
@@ -186,7 +101,9 @@ class Settings:
         self.kept = Kept()
         self._own: tuple[Layer, ...] = ()
         self._replaced: dict[str, tuple[Any, Any]] = {}
-        self.finer: Refining[tuple[Themed, Made]] = Refining()
+        self.finer: Refining[Painting] = Refining()
+        self._then: Callable[[], None] = lambda: None
+        self._again = False
         self.panels = self.furniture = True
         own = {"sun", *vars(self)}
         self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
@@ -222,11 +139,12 @@ class Settings:
 
         Args:
             priority, time: the new ones; None: unchanged.
-            finer: paint data coarsely at once, and finely in a thread, which calls this when ``finish`` is due. None:
-                painting is complete when this returns.
+            finer: a thread reads and paints the data, coarsely and then finely, and calls this whenever ``finish`` is
+                due; until then everything stays as it is. None: painting is complete when this returns.
 
         Raises:
-            UsageError: there is no such time. Others: as ``scene.theming.themed``; nothing changes.
+            UsageError: there is no such time. Others: as ``scene.theming.themed`` (with ``finer`` from ``finish``);
+                nothing changes.
         """
         shown = self.shown
         if shown is None:
@@ -234,69 +152,100 @@ class Settings:
             return
         if self.flight is not None and priority is not None:
             raise UsageError("A flight sets the priority.", remedy="Open the window without it.")
-        before = shown.priority, shown.time
-        try:
-            shown.priority = priority or shown.priority
-            shown.choose(shown.time if time is None else time)
-            own = {layer.path: k for k, layer in enumerate(self._own)}
-            held = {own[one.path]: (at, one) for at, one in enumerate(self.layers) if one.path in own}
-            base = dict(self.options)
-            base["layers"] = [one for one in self.layers if one.path not in own]
-            for name, (old, new) in self._replaced.items():
-                if base[name] is new:
-                    base[name] = old
-            coarse = shown.changing or finer is not None
+        shown.choose(shown.time if time is None else time)
+        shown.priority = priority or shown.priority
+        base = self._base()
+
+        def paint(size: tuple[int, int]) -> Painting:
             with sharing(self.kept):
-                now = {"layers": tuple(base["layers"]), "data": shown.current(terrain), "priority": shown.priority}
-                given = base | now
-                theme, variants = _carried_out(given, terrain, PLAYED if coarse else PAINTED)
+                given = {**base, "data": shown.current(terrain), "priority": shown.priority}
+                return Painting(given, terrain, *_carried_out(given, terrain, size))
+
+        self.finer.drop()
+        if finer is not None:
+            self._then, self._again = finer, False
+            self.finer.wish(lambda: paint(PLAYED), finer)
+            return
+        try:
+            made = paint(PLAYED if shown.changing else PAINTED)
         except Exception:
-            shown.priority, shown.time = before
+            shown.revert()
             raise
-        stack: list[Layer] = base["layers"]
-        self._own = theme.options["layers"][len(stack) :]
-        for k, layer in enumerate(self._own):
-            at, old = held.get(k, (len(stack), None))
-            if old is not None:
-                layer = _as_set(layer, old)
-            stack.insert(at, layer)
-        changed = {name: value for name, value in theme.options.items() if name in base and name not in THEMED}
-        self._replaced = {name: (base[name], new) for name, new in changed.items() if new is not base[name]}
-        shown.painted, shown.things = theme.painted, theme.things
-        self.variants.take(variants)
-        self.options = {**base, **changed, "layers": stack}
-        if finer is not None and coarse and not shown.changing:
-
-            def fine() -> tuple[Themed, Made]:
-                with sharing(self.kept):
-                    return _carried_out(given, terrain, PAINTED)
-
-            self.finer.wish(fine, finer)
-        else:
-            self.finer.drop()
+        self._put(made)
 
     def finish(self) -> bool:
-        """Take what a thread has painted finely, if it is ready and still current; returns whether it was. Layers keep
-        their place in the stack and their current settings.
+        """Take what a thread has painted, if it is ready and still current; returns whether it was. Layers keep their
+        place in the stack and their current settings.
 
         Raises:
-            As ``show``; the coarse picture stays.
+            As ``show``; the picture stays.
         """
         shown = self.shown
-        if shown is None or shown.changing:
+        if shown is None or (shown.changing and self._again):
             self.finer.drop()
-        made = self.finer.take()
+        try:
+            made = self.finer.take()
+        except Exception:
+            if shown is not None:
+                shown.revert()
+            raise
         if made is None or shown is None:
             return False
-        theme, variants = made
-        fine = theme.options["layers"][-len(self._own) :] if self._own else ()
-        new = {old.path: layer for old, layer in zip(self._own, fine, strict=True)}
-        self._own = fine
-        stack = (_as_set(new[one.path], one) if one.path in new else one for one in self.layers)
-        self.options["layers"] = list(stack)
-        shown.painted, shown.things = theme.painted, theme.things
-        self.variants.take(variants)
+        self._put(made, self._again)
+        if not self._again and not shown.changing:
+            given, terrain = made.given, made.terrain
+
+            def fine() -> Painting:
+                with sharing(self.kept):
+                    return Painting(given, terrain, *_carried_out(given, terrain, PAINTED))
+
+            self._again = True
+            self.finer.wish(fine, self._then)
         return True
+
+    @property
+    def painting(self) -> bool:
+        """Whether other data are chosen than are shown: the thread has not painted them yet."""
+        return self.finer.coming and not self._again
+
+    def _base(self) -> dict[str, Any]:
+        """The options without what a priority has set and without the data's layers."""
+        base, own = dict(self.options), {layer.path for layer in self._own}
+        base["layers"] = tuple(one for one in self.layers if one.path not in own)
+        for name, (old, new) in self._replaced.items():
+            if base[name] is new:
+                base[name] = old
+        return base
+
+    def _put(self, made: Painting, again: bool = False) -> None:
+        """Show what was painted.
+
+        Args:
+            again: it is the same as before, painted finely: only layers change.
+        """
+        assert self.shown is not None
+        layers = made.theme.options["layers"][len(made.given["layers"]) :]
+        number = {layer.path: k for k, layer in enumerate(self._own)}
+        held = {number[one.path]: one for one in self.layers if one.path in number}
+        stack = [
+            one if one.path not in number else _as_set(layers[number[one.path]], one)
+            for one in self.layers
+            if one.path not in number or number[one.path] < len(layers)
+        ]
+        base = self.options
+        if not again:
+            stack += [layer for k, layer in enumerate(layers) if k not in held]
+            base, theme = self._base(), made.theme.options
+            changed = {
+                name: theme[name] for name, given in made.given.items()
+                if name not in THEMED and theme[name] is not given and base[name] is given
+            }  # fmt: skip
+            self._replaced = {name: (base[name], new) for name, new in changed.items()}
+            base = {**base, **changed}
+        self._own, self.options = layers, {**base, "layers": stack}
+        self.shown.painted, self.shown.things = made.theme.painted, made.theme.things
+        self.shown.settle()
+        self.variants.take(made.variants)
 
     def __getattr__(self, name: str) -> Any:
         if name == "options" or name not in self.options:

@@ -95,11 +95,11 @@ fn line_rate(depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32
   return max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
 }
 
-// How much paper the casing of a line needs over ground of this color (rendering/palette.py).
-fn lifting(ground: vec3<f32>) -> f32 {
+// How much paper ground of this color needs to have a luminance (rendering/palette.py).
+fn lifting(ground: vec3<f32>, least: f32) -> f32 {
   let weights = vec3<f32>(0.2126, 0.7152, 0.0722);
   let bright = dot(ground, weights);
-  return max(0.2 - bright, 0.0) / max(dot(shade.paper.rgb, weights) - bright, 0.2);
+  return max(least - bright, 0.0) / max(dot(shade.paper.rgb, weights) - bright, least);
 }
 
 // Parts of a pixel that contour lines and their casing cover: the height's derivative along the screen's axes on the tangent plane says how

@@ -49,7 +49,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(12) var<storage, read> suns: array<Sun>;
 @group(1) @binding(13) var<storage, read> lamps: array<Lamp>;
 @group(1) @binding(14) var given: texture_2d<f32>;    // slopes of the drawn surface, metres per metre
-@group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines around it are left out
+@group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink and halo
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 @group(1) @binding(17) var breaks_near: texture_2d<f32>;   // the heaviest of 8 × 8 pixels
 @group(1) @binding(18) var field: texture_2d<f32>;    // the terrain's own heights, metres
@@ -259,12 +259,12 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
     if ((FLAGS & 32768u) != 0u) {
       height = smooth_height(hit.place, hit.footprint, ray.direction, height, (FLAGS & 16384u) == 0u);
     }
-    let casing = max(shade.casing.x, lifting(color));
+    let casing = max(shade.casing.x, lifting(color, 0.2));
     var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own, casing > 0.0);
     cover *= (1.0 - seen.wet) * vec2<f32>(shade.contour.w, casing);
     if ((FLAGS & 4096u) != 0u) {   // labels: rendering/cpu/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
-      color = mix(color, vec3<f32>(1.0), max(0.16, casing) * letters.g);
+      color = mix(color, shade.paper.rgb, max(shade.casing.x, lifting(color, 0.3)) * letters.g);
       cover = cover * (1.0 - letters.g) + vec2<f32>(letters.r * min(1.0, shade.contour.w + 0.3), 0.0);
     }
     color = mix(mix(color, shade.paper.rgb, cover.y), shade.contour_colour.rgb, cover.x);

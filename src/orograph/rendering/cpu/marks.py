@@ -20,7 +20,7 @@ from orograph.rendering.lines.contour_kernels import AROUND, WIDE, Seen, line_co
 from orograph.rendering.lines.label_type import Lettering
 from orograph.rendering.lines.labels import Placer
 from orograph.rendering.lines.smooth import smoothed
-from orograph.rendering.palette import PAPER, ink, lifting
+from orograph.rendering.palette import LETTERED, LIFTED, PAPER, ink, lifting
 from orograph.rendering.rays import Hits
 from orograph.scene.contours import CASING
 from orograph.scene.scene import Scene
@@ -32,8 +32,8 @@ Colors = NDArray[np.float32]
 RIM = 8
 """Margin in pixels of a tile's sheet of labels, which antialiasing reads."""
 
-GLOW, STRONGER = 0.16, 0.3
-"""How much lighter the ground is under a label, and how much more opaque a label is than lines."""
+STRONGER = 0.3
+"""How much more opaque a label is than lines."""
 
 
 class Lines:
@@ -89,7 +89,7 @@ class Lines:
         about = px, py, hits.t, seen, self._basis, self._lines
         line_cover(*about, maps.water, maps.place, 0.0, cover)
         light = np.zeros_like(cover)
-        casing = np.maximum(lifting(out), np.float32(c.casing or 0))
+        casing = np.maximum(lifting(out, LIFTED), np.float32(c.casing or 0))
         if (casing > 0).any():
             line_cover(*about, maps.water, maps.place, CASING, light)
             light *= casing
@@ -104,8 +104,8 @@ class Lines:
             found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
             letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
             gaps = np.flatnonzero(letters[:, 1] > 0)
-            glow = np.maximum(casing[gaps], np.float32(GLOW))
-            out[gaps] += (glow * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            halo = np.maximum(lifting(out[gaps], LETTERED), np.float32(c.casing or 0))
+            out[gaps] += (halo * letters[gaps, 1])[:, None] * (PAPER - out[gaps])
             light *= 1 - letters[:, 1]
             cover *= 1 - letters[:, 1]
             cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))

@@ -56,6 +56,9 @@ TALL, TALLER = 0.56, 0.84
 USUAL = Legend((Scale(-5000.0, 5000.0, np.zeros((2, 3))),), (("Water", (0, 0, 0)), ("No data", (0, 0, 0))))
 """A legend of typical width."""
 
+PLAIN_NOTE = "Light from 315°, 45° high · heights ×40 · scale at the picture's middle · WGS 84 / UTM zone 30N"
+"""A long note of a picture without data."""
+
 MOVED = 0.01
 """A piece leaves its usual corner only if that frees this part of the picture's ground."""
 
@@ -86,7 +89,9 @@ def insets(
     title = heading("A", None, style, far)
     column = key(usual, style, 6.5)
     beside = size[0] - 2 * style.margin - math.ceil(column.width) - style.gap
-    base = foot(1.0, "A", credit, style, far, 1.0, beside) or foot(1.0, "A", None, style, far, 1.0)
+    told = [one.note for one in keys if one.note]
+    note = " · ".join([PLAIN_NOTE, *told]) if told else "A"
+    base = foot(1.0, note, credit, style, far, 1.0, beside) or foot(1.0, note, None, style, far, 1.0, beside)
     edge = style.margin + style.gap
     right = (column.width + edge) / size[0]
     top, bottom = ((piece.height + edge) / size[1] if piece else 0.0 for piece in (title, base))

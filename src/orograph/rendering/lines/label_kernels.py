@@ -6,9 +6,6 @@ import numpy as np
 
 from orograph._numba import kernel
 
-SOFT = 2.5
-"""Pixels over which lines end at a label."""
-
 
 @kernel
 def ramp(low, high, x):
@@ -106,14 +103,14 @@ def stand(order, places, widths, values, opacity, apart, same):
 
 
 @kernel
-def set_labels(places, opacity, first, shapes, pool, scale, pad, left, top, out):
+def set_labels(places, opacity, first, shapes, pool, scale, left, top, out):
     """Set type on a sheet.
 
     Args:
         places: (n, 3) middle x, y (pixels of the whole picture) and angle. opacity: (n,).
-        first, shapes: where each label's type begins in ``pool`` (uint8), and its (rows, cols), ``scale`` of them a
-            pixel. pad: pixels around it where lines are left out.
-        left, top: the sheet's first pixel. out: (rows, cols, 2) uint8: ink, and where lines are left out; added to.
+        first, shapes: where each label's type begins in ``pool`` (uint8: ink and halo by turns), and its (rows, cols),
+            ``scale`` of them a pixel.
+        left, top: the sheet's first pixel. out: (rows, cols, 2) uint8: ink and halo; added to.
     """
     rows, cols = out.shape[0], out.shape[1]
     for i in range(len(places)):
@@ -121,7 +118,7 @@ def set_labels(places, opacity, first, shapes, pool, scale, pad, left, top, out)
             continue
         tall, wide = shapes[i, 0], shapes[i, 1]
         c, s = np.cos(places[i, 2]), np.sin(places[i, 2])
-        half_w, half_h = 0.5 * wide / scale + pad, 0.5 * tall / scale + pad
+        half_w, half_h = 0.5 * wide / scale, 0.5 * tall / scale
         reach_x = abs(c) * half_w + abs(s) * half_h + 1.0
         reach_y = abs(s) * half_w + abs(c) * half_h + 1.0
         mx, my = places[i, 0] - left, places[i, 1] - top
@@ -129,17 +126,16 @@ def set_labels(places, opacity, first, shapes, pool, scale, pad, left, top, out)
             for x in range(max(int(np.floor(mx - reach_x)), 0), min(int(np.ceil(mx + reach_x)) + 1, cols)):
                 dx, dy = x + 0.5 - mx, y + 0.5 - my
                 u, v = c * dx + s * dy, c * dy - s * dx
-                gap = (min(half_w - abs(u), half_h - abs(v)) + 1.0) / SOFT
-                if gap <= 0.0:
-                    continue
-                out[y, x, 1] = max(out[y, x, 1], np.uint8(255.0 * min(gap, 1.0) * opacity[i]))
                 fx, fy = u * scale + 0.5 * wide - 0.5, v * scale + 0.5 * tall - 0.5
                 ix, iy = int(np.floor(fx)), int(np.floor(fy))
                 fx, fy = fx - ix, fy - iy
-                ink = 0.0
+                ink, halo = 0.0, 0.0
                 for ky in range(2):
                     for kx in range(2):
                         if 0 <= iy + ky < tall and 0 <= ix + kx < wide:
                             w = (fy if ky else 1.0 - fy) * (fx if kx else 1.0 - fx)
-                            ink += w * pool[first[i] + (iy + ky) * wide + ix + kx]
+                            at = first[i] + 2 * ((iy + ky) * wide + ix + kx)
+                            ink += w * pool[at]
+                            halo += w * pool[at + 1]
                 out[y, x, 0] = max(out[y, x, 0], np.uint8(ink * opacity[i]))
+                out[y, x, 1] = max(out[y, x, 1], np.uint8(halo * opacity[i]))

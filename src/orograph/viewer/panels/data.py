@@ -25,6 +25,8 @@ SWITCHES = (
 HIGH, STEPS = 14.0, 48
 PLAYED = 20.0
 """Seconds in which the data's whole time span is played."""
+LONGEST = 0.5
+"""Seconds of that which pass at most from one picture to the next, however long reading takes."""
 
 
 def draw(window: Window) -> None:
@@ -34,7 +36,7 @@ def draw(window: Window) -> None:
     if shown is None:
         imgui.text_wrapped("There are no data: give some when opening the window.")
         return
-    imgui.text_unformatted("priority")
+    imgui.text_unformatted("priority" + (" (being painted)" if settings.painting else ""))
     if told := settings.variants.told:
         imgui.text_wrapped(f"{told} (as the camera is high and fast)")
     for name, what in () if told else SWITCHES:
@@ -59,10 +61,14 @@ def change(window: Window, **changes: Any) -> None:
 
 
 def finish(window: Window) -> None:
-    """Show the finer data that the thread has painted, if ready; errors appear in the window."""
+    """Show the data that the thread has painted, if ready; errors appear in the window."""
+    settings = window.session.settings
     try:
-        if window.session.settings.finish():
+        if settings.finish():
             window.touch()
+            turns = None if settings.shown is None else settings.shown.turns
+            if turns is not None and turns.on and not turns.members:
+                window.session.messages.say("There are no members at this time.")
     except (OrographError, OSError) as error:
         window.session.messages.say(str(error))
         window.touch()
@@ -113,8 +119,6 @@ def turn(window: Window, on: bool) -> None:
         return
     shown.turns.on = on
     change(window)
-    if on and not shown.turns.members:
-        window.session.messages.say("There are no members at this time.")
 
 
 def exceed(window: Window, value: float | None) -> None:
@@ -122,13 +126,8 @@ def exceed(window: Window, value: float | None) -> None:
     shown = window.session.settings.shown
     if shown is None:
         return
-    before, shown.exceeds = shown.exceeds, value
-    try:
-        window.session.settings.show(window.session.terrain, finer=window.refresh)
-    except (OrographError, OSError) as error:
-        shown.exceeds = before
-        window.session.messages.say(str(error))
-    window.touch()
+    shown.exceeds = value
+    change(window)
 
 
 def _times(window: Window) -> None:
@@ -219,9 +218,13 @@ def advance(window: Window, seconds: float) -> bool:
     shown = window.session.settings.shown
     if shown is None or not shown.changing:
         return False
+    shown.waited += seconds
+    if window.session.settings.finer.coming:  # (the thread asks for the next frame; members are seen from then on)
+        return False
+    passed, shown.waited = min(shown.waited, LONGEST), 0.0
     turned = shown.turns is not None and shown.turns.advance(seconds)
     if shown.playing:
-        change(window, time=shown.play(seconds / PLAYED))
+        change(window, time=shown.play(passed / PLAYED))
     elif turned:
         change(window)
     return True

@@ -27,7 +27,7 @@ class Letters:
     """The labels of a terrain's contour lines.
 
     Attributes:
-        view: of a texture, two bytes per pixel: ink, and where lines are left out; None if no label is shown.
+        view: of a texture, two bytes per pixel: ink and halo; None if no label is shown.
         state: changes whenever what is shown may have changed, apart from the camera.
     """
 
