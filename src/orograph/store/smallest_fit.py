@@ -62,7 +62,7 @@ def _add_row(whole, skip, row, col0, stride, before, features, shares, counted, 
 def fitted_weights(whole, skips, row0, col0, spread, weights):
     """Fit the weights (NEIGHBOURS,) int64, in 1/4096, for samples whose rows and columns are ``spread`` apart."""
     rows, cols = skips.shape
-    step = spread * max(rows * cols // (spread * spread * SAMPLED), 1)
+    step = spread * max(rows * cols // (spread * SAMPLED), 1)  # (classes of a nested chunk share the samples)
     features, before = features_of(AROUND, cols // spread), np.zeros(NEIGHBOURS + 1)
     width = features.shape[1]
     shares, counted = np.zeros(width), np.zeros(width, np.int32)
