@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from llvmlite import ir
-from numba.core import types
+from numba.core import cgutils, types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -197,6 +197,18 @@ def some(typing: Any, marks: Any) -> Any:
         return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
     return types.boolean(marks), lowered
+
+
+@operation
+def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """a · b + c of floats, rounded once."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = VECTORS["float"]
+        kind = ir.FunctionType(vector, (vector,) * 3)
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.fma.v8f64"), args)
+
+    return FLOATS(a, b, c), lowered
 
 
 @operation

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -277,6 +280,29 @@ def test_other_readers(tmp_path, error):
         by_hand = np.where(numbers == said["_FillValue"], np.nan, numbers * said["scale_factor"] + said["add_offset"])
         np.testing.assert_array_equal(by_hand.astype(np.float32), ours)
         assert said["scale_factor"] == (step if path == "heights/0" else step / 4)
+
+
+def test_zarrita_reads_them(tmp_path):
+    """zarrita.js, where NODE_PATH (or ./node_modules) has it: ``npm install zarrita``."""
+    modules = Path(os.environ.get("NODE_PATH", "node_modules")).absolute()
+    if shutil.which("node") is None or not (modules / "zarrita").is_dir():
+        pytest.skip("there is no zarrita")
+    (tmp_path / "node_modules").symlink_to(modules)
+    terrain = store.build(source(HEIGHTS), tmp_path / "s", max_error=0.1, errors=(), **SIZES)
+    (tmp_path / "read.mjs").write_text(
+        "import * as zarr from 'zarrita'; import { FileSystemStore } from '@zarrita/storage';\n"
+        "import { writeFileSync } from 'fs';\n"
+        "const root = zarr.root(new FileSystemStore('s'));\n"
+        "for (const [name, path] of [['heights', 'heights/0/height'], ['means', 'mean/1/height']]) {\n"
+        "  const array = await zarr.open(root.resolve(path), { kind: 'array' });\n"
+        "  const { data } = await zarr.get(array), { scale_factor, _FillValue } = array.attrs;\n"
+        "  writeFileSync(name, Float32Array.from(data, (n) => n === _FillValue ? NaN : n * scale_factor));\n"
+        "}\n"
+    )
+    subprocess.run(["node", "read.mjs"], cwd=tmp_path, check=True, timeout=60)
+    for name, ours in (("heights", full(terrain)), ("means", terrain.read_mean(1, 0, 150, 0, 130))):
+        found = np.frombuffer((tmp_path / name).read_bytes(), np.float32).reshape(ours.shape)
+        np.testing.assert_array_equal(found, ours)
 
 
 def test_command_line(tmp_path):

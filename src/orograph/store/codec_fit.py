@@ -1,64 +1,160 @@
-"""What the encoders of *compact* and *smallest* fit with: sums of least squares, vectors of eight at a time.
+"""What the encoders of *compact* and *smallest* fit with: least squares, samples of a row side by side.
 
-Sums are added up in the order of the samples, whatever the processor, so that the same samples are the same bytes.
+Sums are added up in an order that does not depend on the processor, so that the same samples are the same bytes.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from orograph._lanes import LANES, load, store
-from orograph._numba import inlined, kernel
-from orograph.store.codec_head import MISSING
+from orograph._lanes import LANES, fused, load, store
+from orograph._numba import kernel
+from orograph.store.codec_head import NEIGHBOURS, TOTAL
+
+FOUR = 4  # products that are added up at once
+AROUND = NEIGHBOURS + 1  # features of a prediction: differences of the samples around from N, and that of the sample
 
 
-@inlined
-def differences(far, near, line, j, d):
-    """What the eleven samples around the one at ``j`` of ``line`` differ from the one above it by; whether all are
-    there.
+@kernel
+def cleared(count):
+    """So many zeros, at an address that vectors of eight load fastest from."""
+    room = np.zeros(count + LANES)
+    at = -(room.ctypes.data // 8) % LANES
+    return room[at : at + count]
+
+
+@kernel
+def features_of(count, samples):
+    """Room for ``count`` features (a multiple of ``FOUR``) of so many samples: zeros, a row for each."""
+    width = -(-max(samples, 1) // LANES) * LANES
+    return cleared(count * width).reshape(count, width)
+
+
+@kernel
+def sums_of(count):
+    """Room for the sums of all products of two of ``count`` features, eight partial ones each."""
+    return cleared(count * count * LANES)
+
+
+@kernel
+def add_products(features, shares, scratch, sums):
+    """Add up the products of features.
 
     Args:
-        far, near: the two rows above. d: (11 or more,) float64, becomes the differences, in the order of the weights.
+        features: from ``features_of``. shares: (width,) float64, what each sample counts. scratch: like ``shares``.
+        sums: from ``sums_of``; at and below the diagonal they are right.
     """
-    n = near[np.uint64(j)]
-    a, b = line[np.uint64(j - 1)], line[np.uint64(j - 2)]
-    d[0], d[1] = float(a) - n, float(b) - n
-    lowest = min(min(n, a), b)
-    for k in range(2):
-        a, b = near[np.uint64(j - 2 + k)], near[np.uint64(j + 1 + k)]
-        d[2 + k], d[4 + k] = float(a) - n, float(b) - n
-        lowest = min(min(lowest, a), b)
-    for k in range(5):
-        a = far[np.uint64(j - 2 + k)]
-        d[6 + k] = float(a) - n
-        lowest = min(lowest, a)
-    return lowest != MISSING
-
-
-@inlined
-def tally(matrix, right, stride, count, d, share, sought):
-    """Add a sample to the normal equations: to what lies at and below the diagonal (and to some of what is above it).
-
-    Args:
-        matrix: flat float64, rows of ``stride``, a multiple of eight. right: (stride,) float64.
-        d: (stride,) float64, of which ``count`` are those of the sample, and the others 0.
-    """
-    for at in range(0, count, LANES):
-        store(right, at, load(right, at) + load(d, at) * share * sought)
+    count, width = features.shape
+    flat = features.reshape(count * width)
     for k in range(count):
-        part = share * d[np.uint64(k)]
-        for at in range(0, k + 1, LANES):
-            here = k * stride + at
-            store(matrix, here, load(matrix, here) + load(d, at) * part)
+        own = features[k]
+        for i in range(width):
+            scratch[i] = own[i] * shares[i]
+        for m in range(0, k + 1, FOUR):
+            here, at = (k * count + m) * LANES, m * width
+            s0, s1 = load(sums, here), load(sums, here + LANES)
+            s2, s3 = load(sums, here + 2 * LANES), load(sums, here + 3 * LANES)
+            for i in range(0, width, LANES):
+                part = load(scratch, i)
+                s0, s1 = fused(part, load(flat, at + i), s0), fused(part, load(flat, at + width + i), s1)
+                s2 = fused(part, load(flat, at + 2 * width + i), s2)
+                s3 = fused(part, load(flat, at + 3 * width + i), s3)
+            store(sums, here, s0)
+            store(sums, here + LANES, s1)
+            store(sums, here + 2 * LANES, s2)
+            store(sums, here + 3 * LANES, s3)
+
+
+@kernel
+def totals(sums, count):
+    """The sums of all products, (count, count) float64."""
+    found = np.empty((count, count))
+    for k in range(count):
+        for m in range(k + 1):
+            total, at = 0.0, (k * count + m) * LANES
+            for i in range(LANES):
+                total += sums[at + i]
+            found[k, m] = found[m, k] = total
+    return found
+
+
+@kernel
+def _put_differences(source, near, stride, count, out):
+    """Differences of ``count`` samples from those of the row above, 1 or 2 apart."""
+    if stride == 1:
+        for i in range(count):
+            out[i] = float(source[i]) - float(near[i])
+    else:
+        for i in range(count):
+            out[i] = float(source[2 * i]) - float(near[2 * i])
+
+
+@kernel
+def put_surroundings(far, near, line, first, stride, count, features):
+    """What the samples around those of a row differ from the one above by, in the order of the weights, and what the
+    sample itself does.
+
+    Args:
+        far, near: the two rows above. first, stride, count: which samples, 1 or 2 apart. features: (``AROUND``, …).
+    """
+    above = near[first:]
+    for k in range(2):
+        _put_differences(line[first - 1 - k :], above, stride, count, features[k])
+        _put_differences(near[first - 2 + k :], above, stride, count, features[2 + k])
+        _put_differences(near[first + 1 + k :], above, stride, count, features[4 + k])
+    for k in range(5):
+        _put_differences(far[first - 2 + k :], above, stride, count, features[6 + k])
+    _put_differences(line[first:], above, stride, count, features[NEIGHBOURS])
+
+
+@kernel
+def put_shares(features, counted, shares):
+    """What samples count: a cliff must not outvote the plain. Return how many of them count.
+
+    Args:
+        counted: (width,) int32, 0 for samples that do not.
+    """
+    w, nw, ne, n = features[0], features[3], features[4], features[8]
+    used = 0
+    for i in range(shares.size):
+        rough = abs(w[i]) + abs(nw[i]) + abs(ne[i]) + abs(n[i])
+        shares[i] = counted[i] / (2.0 + rough)
+        used += counted[i]
+    return used
+
+
+@kernel
+def weights_of(sums, used, least):
+    """The weights of a prediction, (NEIGHBOURS,) float64, drawn towards those of a plane, W + N - NW.
+
+    Args:
+        used: the number of samples. least: how strongly, relative to the sums.
+    """
+    every = totals(sums, AROUND)
+    matrix, right = every[:NEIGHBOURS, :NEIGHBOURS].copy(), every[NEIGHBOURS, :NEIGHBOURS].copy()
+    trace = 0.0
+    for k in range(NEIGHBOURS):
+        trace += matrix[k, k]
+    ridge = trace * (least + (0.1 / used if used else 0.0)) + 1e-3
+    for k in range(NEIGHBOURS):
+        matrix[k, k] += ridge
+    right[0] += ridge
+    right[3] -= ridge
+    solved(matrix, right)
+    return right
+
+
+@kernel
+def rounded_weights(real, weights):
+    """Weights in 1/4096, as they are written."""
+    for k in range(NEIGHBOURS):
+        weights[k] = np.int64(np.floor(min(max(real[k], -7.9), 7.9) * TOTAL + 0.5))
 
 
 @kernel
 def solved(matrix, right):
-    """Solve a positive definite system, of which the lower triangle is given, in place."""
+    """Solve a positive definite system, in place."""
     n = right.size
-    for k in range(n):
-        for m in range(k):
-            matrix[m, k] = matrix[k, m]
     for k in range(n):
         for m in range(k + 1, n):
             share = matrix[m, k] / matrix[k, k]

@@ -9,9 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._lanes import LANES as LANES8
 from orograph._numba import inlined, kernel, shared
-from orograph.store.codec_fit import differences, solved, tally
+from orograph.store.codec_fit import (
+    AROUND,
+    add_products,
+    features_of,
+    put_shares,
+    put_surroundings,
+    rounded_weights,
+    sums_of,
+    weights_of,
+)
 from orograph.store.codec_head import (
     BITS,
     DEEPEST,
@@ -38,46 +46,33 @@ from orograph.store.compact_decode import (
 
 SAMPLED = 32  # rows that weights are fitted to
 RARE = 8  # values that one in 2^8 exceeds are ranges
-WIDTH = 2 * LANES8  # of rows of sums, at least ``NEIGHBOURS``
 
 
 @kernel
-def _sums(numbers, matrix, right):
-    """Sum up the normal equations of the prediction over some rows; return the number of samples.
-
-    Samples in rough surroundings weigh less: a cliff must not outweigh the plain.
-    """
-    rows, cols = numbers.shape
-    d, used = np.zeros(WIDTH), 0
-    for row in range(2, rows, max(rows // SAMPLED, 1)):
-        far, near, line = numbers[row - 2], numbers[row - 1], numbers[row]
-        for col in range(2, cols - 2):
-            here = line[np.uint64(col)]
-            if not differences(far, near, line, col, d) or here == MISSING:
-                continue
-            used += 1
-            rough = abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8])
-            tally(matrix, right, WIDTH, NEIGHBOURS, d, 1.0 / (2.0 + rough), float(here) - near[np.uint64(col)])
-    return used
+def _mark_counted(far, near, line, counted):
+    """Mark the samples of a row of which, and of all around them, none is missing: 1, else 0."""
+    for i in range(counted.size):
+        lowest = min(min(line[i], line[i + 1]), line[i + 2])
+        for k in range(5):
+            lowest = min(min(lowest, near[i + k]), far[i + k])
+        counted[i] = lowest != MISSING
 
 
 @kernel
 def fitted(numbers, weights):
-    """The weights (11,) int64, in 1/4096; those of a plane where there is too little to go by."""
-    sums, line = np.zeros(WIDTH * WIDTH), np.zeros(WIDTH)
-    used = _sums(numbers, sums, line)
-    matrix, right = sums.reshape(WIDTH, WIDTH)[:NEIGHBOURS, :NEIGHBOURS], line[:NEIGHBOURS]
-    trace = 0.0
-    for k in range(NEIGHBOURS):
-        trace += matrix[k, k]
-    ridge = trace * (1e-5 + (0.1 / used if used else 0.0)) + 1e-3
-    for k in range(NEIGHBOURS):  # towards W + N - NW
-        matrix[k, k] += ridge
-    right[0] += ridge
-    right[3] -= ridge
-    solved(matrix, right)
-    for k in range(NEIGHBOURS):
-        weights[k] = np.int64(np.floor(min(max(right[k], -7.9), 7.9) * TOTAL + 0.5))
+    """The weights (11,) int64, in 1/4096, fitted to some rows; those of a plane where there is too little to go by."""
+    rows, cols = numbers.shape
+    count, sums, used = max(cols - 4, 0), sums_of(AROUND), 0
+    features = features_of(AROUND, count)
+    width = features.shape[1]
+    shares, scratch, counted = np.empty(width), np.empty(width), np.zeros(width, np.int32)
+    for row in range(2, rows, max(rows // SAMPLED, 1)):
+        far, near, line = numbers[row - 2], numbers[row - 1], numbers[row]
+        _mark_counted(far, near, line, counted[:count])
+        put_surroundings(far, near, line, 2, 1, count, features)
+        used += put_shares(features, counted, shares)
+        add_products(features, shares, scratch, sums)
+    rounded_weights(weights_of(sums, used, 1e-5), weights)
 
 
 @kernel

@@ -260,7 +260,7 @@ def _fitted(whole, skips, classes, weights, shares, given, held):
     none = np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.int32)
     look(whole, skips, classes, weights, shares, step, seen, counts, none[0], none[1], none[2])
     for k in range(classes == CLASSES, classes):
-        fitted_shares(seen[k], seen[k, :, SIGNS], counts[k], held[k])
+        fitted_shares(seen[k], counts[k], held[k])
         for i in range(SIGNS):
             shares[k, i] = held[k, i]
 

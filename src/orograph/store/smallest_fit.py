@@ -8,48 +8,53 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._lanes import LANES
 from orograph._numba import kernel
-from orograph.store.codec_fit import differences, solved, tally
-from orograph.store.codec_head import (
-    NEIGHBOURS,
-    TOTAL,
+from orograph.store.codec_fit import (
+    AROUND,
+    FOUR,
+    add_products,
+    features_of,
+    put_shares,
+    put_surroundings,
+    rounded_weights,
+    sums_of,
+    totals,
+    weights_of,
 )
+from orograph.store.codec_head import NEIGHBOURS
 from orograph.store.smallest_rows import SIGNS
 
 SAMPLED = 4096  # samples of a class that are used, approximately
 SWEEPS = 40
-WIDTH = 2 * LANES  # of rows of sums, at least ``NEIGHBOURS``
+TERMS = -(-(SIGNS + 2) // FOUR) * FOUR  # the signs, a constant, the size of the residual, and zeros
+BLOCK = 256  # samples
 
 
 @kernel
-def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
-    """Sum up the normal equations of the prediction; return the number of samples.
+def _add_row(whole, skip, row, col0, stride, before, features, shares, counted, sums):
+    """Add a row to the sums of the prediction; return the number of samples.
 
     Args:
-        whole: (rows + 2, cols + 4) int32, the samples with their surroundings. skips: (rows, cols) uint8.
-        row0, col0, step, stride: which rows and columns. before: weights of a first round, or zeros.
-        matrix, right: as of ``tally``.
+        whole: (rows + 2, cols + 4) int32, the samples with their surroundings. skip: (cols,) uint8.
+        col0, stride: which columns. before: weights of a first round, and whether there are any.
     """
-    rows, cols = skips.shape
-    used, d = 0, np.zeros(WIDTH)
-    for row in range(row0 if row0 >= 2 else row0 + 2, rows, step):
-        far, near, line, skip = whole[row], whole[row + 1], whole[row + 2], skips[row]
-        for col in range(col0 if col0 >= 2 else col0 + 2, cols - 2, stride):
-            if skip[np.uint64(col)]:
-                continue
-            used += 1
-            sought = float(line[np.uint64(col + 2)]) - float(near[np.uint64(col + 2)])
-            differences(far, near, line, col + 2, d)
-            # A cliff must not outvote the plain, nor what is predicted badly what is predicted well.
-            share = 1.0 / (2.0 + abs(d[0]) + abs(d[3]) + abs(d[4]) + abs(d[8]))
-            if before[NEIGHBOURS]:
-                said = 0.0
-                for k in range(NEIGHBOURS):
-                    said += before[k] * d[k]
-                off = 0.5 + abs(sought - said)
-                share = np.sqrt(share / off) / off
-            tally(matrix, right, WIDTH, NEIGHBOURS, d, share, sought)
+    first, count = col0 if col0 >= 2 else col0 + 2, 0
+    for col in range(first, skip.size - 2, stride):
+        counted[count] = skip[col] == 0
+        count += 1
+    put_surroundings(whole[row], whole[row + 1], whole[row + 2], first + 2, stride, count, features)
+    used = put_shares(features, counted, shares)
+    if before[NEIGHBOURS]:  # what is predicted badly must not outvote what is predicted well
+        said = np.zeros(shares.size)
+        for k in range(NEIGHBOURS):
+            own, weight = features[k], before[k]
+            for i in range(said.size):
+                said[i] += weight * own[i]
+        sought = features[NEIGHBOURS]
+        for i in range(said.size):
+            off = 0.5 + abs(sought[i] - said[i])
+            shares[i] = np.sqrt(shares[i] / off) / off
+    add_products(features, shares, np.empty(shares.size), sums)
     return used
 
 
@@ -57,51 +62,46 @@ def _equations(whole, skips, row0, col0, step, stride, before, matrix, right):
 def fitted_weights(whole, skips, row0, col0, spread, weights):
     """Fit the weights (NEIGHBOURS,) int64, in 1/4096, for samples whose rows and columns are ``spread`` apart."""
     rows, cols = skips.shape
-    step = spread * max(rows * cols // (spread * spread * SAMPLED), 1)
-    before = np.zeros(NEIGHBOURS + 1)
+    step = spread * max(rows * cols // (spread * SAMPLED), 1)  # (classes of a nested chunk share the samples)
+    features, before = features_of(AROUND, cols // spread), np.zeros(NEIGHBOURS + 1)
+    width = features.shape[1]
+    shares, counted = np.zeros(width), np.zeros(width, np.int32)
     for _ in range(2):
-        sums, line = np.zeros(WIDTH * WIDTH), np.zeros(WIDTH)
-        used = _equations(whole, skips, row0, col0, step, spread, before, sums, line)
-        matrix, right = sums.reshape(WIDTH, WIDTH)[:NEIGHBOURS, :NEIGHBOURS], line[:NEIGHBOURS]
-        trace = 0.0
-        for k in range(NEIGHBOURS):
-            trace += matrix[k, k]
-        ridge = trace * (1e-6 + (0.1 / used if used else 0.0)) + 1e-3
-        for k in range(NEIGHBOURS):  # towards W + N - NW
-            matrix[k, k] += ridge
-        right[0] += ridge
-        right[3] -= ridge
-        solved(matrix, right)
-        before[:NEIGHBOURS], before[NEIGHBOURS] = right, 1.0
-    for k in range(NEIGHBOURS):
-        weights[k] = np.int64(np.floor(min(max(before[k], -7.9), 7.9) * TOTAL + 0.5))
+        sums, used = sums_of(AROUND), 0
+        for row in range(row0 if row0 >= 2 else row0 + 2, rows, step):
+            used += _add_row(whole, skips[row], row, col0, spread, before, features, shares, counted, sums)
+        before[:NEIGHBOURS], before[NEIGHBOURS] = weights_of(sums, used, 1e-6), 1.0
+    rounded_weights(before, weights)
 
 
 @kernel
-def fitted_shares(signs, sizes, used, shares):
+def fitted_shares(signs, used, shares):
     """Fit each sign's share in the size of residuals: least squares without negative shares.
 
     Args:
-        signs: (n, SIGNS) int32. sizes: (n,) int32. used: how many to use. shares: become (SIGNS,) int64, in 1/256.
+        signs: (n, SIGNS + 1) int32, last the sizes of residuals. used: how many to use.
+        shares: become (SIGNS,) int64, in 1/256.
     """
-    n, width = SIGNS + 1, 3 * LANES
-    sums, right, d, found = np.zeros(width * width), np.zeros(width), np.zeros(width), np.zeros(n)
-    d[SIGNS] = 1.0
-    for at in range(used):
-        total, signs_of = 0.0, signs[at]
-        for k in range(SIGNS):
-            d[k] = float(signs_of[k])
-            total += d[k]
-        share = 1.0 / (1.0 + total / SIGNS)
-        tally(sums, right, width, n, d, share * share, float(sizes[at]))
-    matrix = sums.reshape(width, width)
-    for k in range(n):
-        for m in range(k):
-            matrix[m, k] = matrix[k, m]
+    sums, features, found = sums_of(TERMS), features_of(TERMS, BLOCK), np.zeros(SIGNS + 1)
+    weighed, scratch = np.zeros(BLOCK), np.empty(BLOCK)
+    features[SIGNS] = 1.0
+    for first in range(0, used, BLOCK):
+        count = min(BLOCK, used - first)
+        total = np.zeros(BLOCK, np.int32)
+        for k in range(SIGNS + 1):
+            own, sizes = features[k if k < SIGNS else SIGNS + 1], signs[first : first + count, k]
+            for i in range(count):
+                own[i] = float(sizes[i])
+                total[i] += sizes[i] if k < SIGNS else 0
+        for i in range(BLOCK):
+            share = 1.0 / (1.0 + total[i] / SIGNS)
+            weighed[i] = share * share if i < count else 0.0
+        add_products(features, weighed, scratch, sums)
+    matrix = totals(sums, TERMS)
     for _ in range(SWEEPS):
-        for k in range(n):
-            off = right[k]
-            for m in range(n):
+        for k in range(SIGNS + 1):
+            off = matrix[SIGNS + 1, k]
+            for m in range(SIGNS + 1):
                 off -= matrix[k, m] * found[m]
             found[k] = max(found[k] + off / (matrix[k, k] + 1e-3), 0.0)
     for k in range(SIGNS):
