@@ -111,7 +111,7 @@ def command(
     dask: str | None,
 ) -> None:
     """Make a terrain of any size: fractal plains, and ranges carved by rivers; or one that imitates an example; or
-    colours for a terrain that imitate a photo (a layer for pictures: --layer).
+    colours for a terrain that imitate a photo (a layer for pictures: --drape).
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
     blocks, so any size works in a few hundred MiB of memory (building a store takes up to 1 GiB); the file appears
