@@ -12,6 +12,7 @@ from orograph import verify
 from orograph.error.screen import camera_parameters
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
+from orograph.lod.block_boxes import box_bound
 from orograph.lod.method import Resources
 from orograph.lod.reference.camera import Camera as ReferenceCamera
 from orograph.lod.reference.children import corners
@@ -19,7 +20,7 @@ from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.smart import Smart as Reference
 from orograph.lod.reference.terrain import Ground
 from orograph.lod.smart import Smart
-from orograph.lod.smart_blocks import box_bound, thresholds
+from orograph.lod.smart_blocks import thresholds
 from orograph.lod.smart_strip import ZONES, mask, masked_strip, shape_of
 from orograph.raycast.select import Boxes, distances, off_axis
 from orograph.viewpoint import Camera

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import CameraParameters
+from orograph.lod.block_boxes import weigh_boxes
 from orograph.lod.hyperblock_blocks import (
     OWN,
     Bytes,
@@ -34,7 +35,7 @@ from orograph.lod.method import MethodInfo
 from orograph.lod.options import option
 from orograph.lod.quadtin import ColoredOptions, QuadTin, Refined
 from orograph.lod.quadtin_tree import BYTES
-from orograph.lod.smart_blocks import thresholds, weigh_boxes
+from orograph.lod.smart_blocks import thresholds
 from orograph.parallel import map_ordered, threads_for
 from orograph.raycast.select import Boxes, distances, in_frustum, off_axis
 from orograph.viewpoint import Camera

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.lod.block_boxes import nearest
 from orograph.lod.quadtin_pass import finest_bound, strip_of
 from orograph.lod.quadtin_tree import Hierarchy
-from orograph.lod.smart_blocks import nearest
 from orograph.store.quadtin_build import LIVE
 
 MOST = 10
@@ -287,7 +287,7 @@ def weigh_colors(camera, boxes, away, cosine, reach, ranges):
     A vertex out of view whose sphere is in view may be nearer than all of its block that is in view, by a radius.
 
     Args:
-        boxes: float64 (k, 6), away (k,) and cosine: as ``smart_blocks.nearest`` has them. reach: (k, levels), of
+        boxes: float64 (k, 6), away (k,) and cosine: as ``block_boxes.nearest`` has them. reach: (k, levels), of
             ``Blocks``. ranges: int16 (k,), one less than the levels; in and out.
     """
     for i in range(len(ranges)):

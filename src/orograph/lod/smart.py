@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import ANISOTROPIC, CameraParameters
 from orograph.errors import UsageError
+from orograph.lod.block_boxes import weigh_boxes, weigh_colors
 from orograph.lod.budget import by_tolerance
 from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
@@ -46,8 +47,6 @@ from orograph.lod.smart_blocks import (
     thresholds,
     unfit,
     weigh,
-    weigh_boxes,
-    weigh_colors,
 )
 from orograph.lod.smart_strip import ZONES, shape_of, triangulate
 from orograph.parallel import for_each, map_ordered
