@@ -10,19 +10,18 @@ from overviews if the file has them. Units: pixels.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.dem.handles import HANDLES, cause_of
+from orograph.dem.handles import HANDLES
 from orograph.errors import ReadError
+from orograph.geovis.image_errors import unreadable
 from orograph.geovis.layers import Layer
 from orograph.geovis.mipmap import curves
 
@@ -221,45 +220,6 @@ def pieces(location: str, window: ImageWindow, bands: Bands) -> Iterator[tuple[i
                 yield first, last, parts[0] if len(parts) == 1 else np.concatenate(parts, 1), step // factor
     except (RasterioError, OSError) as error:
         raise unreadable(location, error) from None
-
-
-def unreadable(location: str, error: BaseException) -> ReadError:
-    """What is said of an image that GDAL fails to read."""
-    if location.endswith(".xml") and (why := server_failure(error)):
-        return ReadError(
-            f"The server did not give a tile: {why}.", path=_service(location),
-            remedy="Try again later: what it gave already is kept.",
-        )  # fmt: skip
-    if location.endswith(".xml") and any("ReadBlockFromFile" in text for text in _messages(error)):
-        return ReadError(
-            "The server's tiles are no images, or not as wide as expected.", path=_service(location),
-            remedy="Tiles have 256 pixels along a side, unless the URL ends in #512 or so.",
-        )  # fmt: skip
-    return ReadError(
-        f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
-    )
-
-
-def _service(location: str) -> str:
-    """What the tile service that a file describes is called (``basemaps.DESCRIPTION``)."""
-    found = re.search(r"<!-- (.*) -->", Path(location).read_text(encoding="utf-8"))
-    return found[1] if found else location
-
-
-def server_failure(error: BaseException) -> str:
-    """What GDAL's tile driver says of a server, "" if it was not at fault."""
-    for text in _messages(error):
-        if found := re.search(r"HTTP status code: (\d+), error: ([^\n]*)", text):
-            return f"status {found[1]}" if found[1] != "0" else found[2].strip().rstrip(".")
-    return ""
-
-
-def _messages(error: BaseException) -> Iterator[str]:
-    """What an error and its causes say."""
-    inner: BaseException | None = error
-    while inner is not None:
-        yield str(inner)
-        inner = inner.__cause__ or inner.__context__
 
 
 def _around(window: ImageWindow, width: int) -> list[tuple[int, int]]:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from orograph.dem.handles import HANDLES
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
-from orograph.geovis.imagery import Bands, ImageWindow, unreadable
+from orograph.geovis.image_errors import unreadable
+from orograph.geovis.imagery import Bands, ImageWindow
 from orograph.geovis.layers import Layer
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
