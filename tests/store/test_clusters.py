@@ -15,7 +15,7 @@ from test_in_parts import files
 
 from orograph import store
 from orograph.errors import StoreError, UsageError
-from orograph.store import clusters
+from orograph.store import clusters, workforce
 from orograph.store.stored import StoredTerrain
 
 SIZES = {"shard": 64, "chunk": 16, "jobs": 1}
@@ -40,6 +40,26 @@ def client():
         distributed.Client(cluster) as client,
     ):
         yield client
+
+
+def test_a_cluster_is_started_again_if_a_worker_dies_as_it_starts(monkeypatch):
+    distributed, begun = pytest.importorskip("distributed"), []
+
+    def dying(times):
+        def made(**options):
+            begun.append(options)
+            if len(begun) <= times:
+                raise RuntimeError("Nanny failed to start.")
+            return "a cluster"
+
+        monkeypatch.setattr(distributed, "LocalCluster", made)
+
+    dying(2)
+    assert workforce._started(2) == "a cluster" and len(begun) == 3
+    begun.clear()
+    dying(9)
+    with pytest.raises(StoreError, match="died as they started: Nanny failed"):
+        workforce._started(2)
 
 
 @pytest.mark.parametrize("kept", [{}, {"codec": "progressive", "max_error": 0.05}], ids=["lossless", "progressive"])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
-from orograph.errors import UsageError
+from orograph.errors import StoreError, UsageError
 
 CALM = {
     "distributed.admin.tick.interval": "500ms",
@@ -21,6 +22,9 @@ CALM = {
 """Dask's self-monitoring in clusters of this machine. By default its processes wake up to a hundred times a second,
 whatever tasks do; with two workers, that takes eight times the processor time of these settings."""
 
+TRIES = 3
+"""How often processes are started before they are given up."""
+
 
 @contextlib.contextmanager
 def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed: int) -> Iterator[Any]:
@@ -31,7 +35,7 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
         jobs: threads of each process. max_memory: bytes of all of them together. needed: bytes that each must have.
 
     Raises:
-        UsageError: Dask is not installed, or the scheduler does not answer.
+        UsageError: Dask is not installed, or the scheduler does not answer. StoreError: no processes can be started.
     """
     try:
         import dask as own
@@ -41,7 +45,6 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
             f"Clusters need Dask, which is not installed ({error}).", remedy="pip install 'orograph[cluster]'."
         ) from error
     made: Any = distributed.Client
-    local: Any = distributed.LocalCluster
     if isinstance(dask, distributed.Client):
         yield dask
         return
@@ -60,14 +63,33 @@ def workforce(workers: int | None, dask: Any, jobs: int, max_memory: int, needed
         own.config.set(CALM),
         _quiet_tracker(),
         _loop_apart() as loop,
-        local(
-            n_workers=workers, threads_per_worker=jobs, memory_limit=limit, processes=True, dashboard_address=None,
-            loop=loop,
-        ) as cluster,
+        _started(workers, threads_per_worker=jobs, memory_limit=limit, loop=loop) as cluster,
         made(cluster) as client,
-    ):  # fmt: skip
+    ):
         cluster.adapt(minimum=workers, maximum=workers)  # otherwise workers that die at start-up are not restarted
         yield client
+
+
+def _started(workers: int | None, **options: Any) -> Any:
+    """A cluster of processes. Dask gives up if one of them dies as it starts: then it is started again.
+
+    Raises:
+        StoreError: they died ``TRIES`` times.
+    """
+    from distributed import LocalCluster
+
+    made: Any = LocalCluster
+    failed = None
+    for _ in range(TRIES):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "(?s).*Port .* is already in use")  # of another cluster's monitor
+            try:
+                return made(n_workers=workers, processes=True, dashboard_address=None, **options)
+            except RuntimeError as error:
+                failed = error
+    raise StoreError(
+        f"The workers died as they started: {str(failed).rstrip('.')}.", remedy="Check the free memory, and try again."
+    ) from failed
 
 
 @contextlib.contextmanager
