@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-LAST = 2.0
-"""Seconds that an ending program waits for threads: one that is in a library when the interpreter goes may crash."""
+PATIENCE = 2.0
+"""Seconds that an ending program waits for its threads: one that is in a native library when the interpreter is gone
+may crash."""
 
 _RUNNING: set[threading.Event] = set()
 
@@ -38,7 +39,7 @@ class BackgroundTask:
         return not self._closed and self._ended is None and self.done != key
 
     def start(self, key: Any, make: Callable[[], Any], then: Callable[[], None] = lambda: None) -> None:
-        """Begin to make something; the program waits for it ``LAST`` seconds when it ends.
+        """Begin to make something; the program waits for it ``PATIENCE`` seconds when it ends.
 
         Args:
             then: called by the thread when there is something to take.
@@ -73,7 +74,7 @@ class BackgroundTask:
 
 
 @atexit.register
-def _wait_for_the_last() -> None:
-    until = time.monotonic() + LAST
+def _wait_for_threads() -> None:
+    until = time.monotonic() + PATIENCE
     for ended in list(_RUNNING):
         ended.wait(max(0.0, until - time.monotonic()))

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import kernel
 from orograph.geovis.layers import MOST
 from orograph.rendering.gpu.stream.image_tiles import ImageTiles
 from orograph.viewpoint import View
@@ -34,6 +35,12 @@ HEAD_DTYPE = np.dtype(
 )  # fmt: skip
 """A head of ``shaders/imagery.wgsl``. across, down: the lattice's nodes per metre east and north; cell, part: the eye's
 place in it; nodes: their number; size: the image's columns and rows; bounded: 1 if columns end, and 2 if rows do."""
+
+THERE = np.uint32(1 << 31)
+"""A page's bit that says: this is known (perhaps that nothing shows). Bits 24–28 are the level, those below 24
+the slot + 1, 0 if nothing shows."""
+
+SLOT = np.uint32((1 << 24) - 1)
 
 
 def fixed(sheet: ImageTiles) -> int:
@@ -81,3 +88,17 @@ def aim(head: Any, sheet: ImageTiles, at: int, view: View) -> None:
     head["lattice_at"] = at + LEVEL * len(sheet.levels)
     head["pages_at"] = head["lattice_at"] + 4 * laid.lattice.u.size
     head["bounded"] = 0 if laid.placement.stretched else 2 if laid.cyclic else 3
+
+
+@kernel
+def inherit(own: Words, parents: NDArray[np.int64], out: Words) -> tuple[int, int]:
+    """Derive the pages of all tiles from those present; return the span [from, to) of ``out`` that changed."""
+    first, last = len(out), 0
+    for i in range(len(own)):
+        page = own[i]
+        if page == 0 and parents[i] >= 0:
+            page = out[parents[i]]
+        if out[i] != page:
+            out[i] = page
+            first, last = min(first, i), i + 1
+    return first, last

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
 from orograph.errors import ReadError
 from orograph.geovis.layers import Layer, drawn
 from orograph.geovis.mipmap import TAPS
@@ -29,7 +28,18 @@ from orograph.gpu.device import Device
 from orograph.progress import SILENT
 from orograph.rendering.gpu.stream.atlas import TileAtlas
 from orograph.rendering.gpu.stream.image_tiles import SIDE, ImageTiles
-from orograph.rendering.gpu.stream.image_words import HEAD_DTYPE, HEADS, STATIC, aim, fixed, level_words, node_words
+from orograph.rendering.gpu.stream.image_words import (
+    HEAD_DTYPE,
+    HEADS,
+    SLOT,
+    STATIC,
+    THERE,
+    aim,
+    fixed,
+    inherit,
+    level_words,
+    node_words,
+)
 from orograph.rendering.gpu.stream.streamer import Streamer
 from orograph.rendering.lookup import LEAST
 from orograph.store.terrain import Terrain
@@ -53,26 +63,6 @@ PATIENCE = 1.0
 
 OPENING = -1
 """The place in a tile's key that requests opening the layer."""
-
-THERE = np.uint32(1 << 31)
-"""A page's bit that says: this is known (perhaps that nothing shows). Bits 24–28 are the level, those below 24
-the slot + 1, 0 if nothing shows."""
-
-SLOT = np.uint32((1 << 24) - 1)
-
-
-@kernel
-def _inherit(own: Words, parents: NDArray[np.int64], out: Words) -> tuple[int, int]:
-    """Derive the pages of all tiles from those present; return the span [from, to) of ``out`` that changed."""
-    first, last = len(out), 0
-    for i in range(len(own)):
-        page = own[i]
-        if page == 0 and parents[i] >= 0:
-            page = out[parents[i]]
-        if out[i] != page:
-            out[i] = page
-            first, last = min(first, i), i + 1
-    return first, last
 
 
 @dataclass(slots=True)
@@ -382,7 +372,7 @@ class Imagery:
         if not held.stale:
             return
         held.stale = False
-        first, last = _inherit(held.own, held.sheet.tree.parents, held.pages)
+        first, last = inherit(held.own, held.sheet.tree.parents, held.pages)
         if self._buffer is not None and first < last:
             at = 4 * (held.at + fixed(held.sheet) + first)
             self.device.queue.write_buffer(self._buffer, at, held.pages[first:last])

@@ -47,15 +47,15 @@ FAR = 0.04
 """… and before blocks are decided anew."""
 
 SMALL = 4
-"""Factor by which the picture is reduced to measure what rays cost however many they are."""
+"""Factor by which the picture is reduced to measure what rays cost whatever their number."""
 
 
 class _Decided(NamedTuple):
     """Who draws which blocks.
 
     Attributes:
-        key, view: what was asked. cast, shares: the decision and its reasons.
-        windows, checked: windows, and the view for which they were ``fine`` enough or not.
+        key, view: of the frame that decided it. cast, shares: the decision and its reasons.
+        windows, checked: the windows and the view that were checked last. fine: whether those were fine enough.
     """
 
     key: Any
@@ -104,19 +104,17 @@ class Mixer:
         Args:
             patches: in view. tolerance: of rays, pixels. wait: for a picture: decide anew, by ``STATED`` costs.
         """
-        last, before = self._last, self._drawn
         key = exaggeration, tolerance, view.width, view.height, windows.block, wait
+        last = None if wait or self._last is None or self._last.key != key else self._last
+        checked = last is not None and (self._idle or _within(MOVED, last.windows, last.checked, windows, view))
+        if last is not None and checked and self._drawn is not None:
+            *drawn, before, _ = self._drawn
+            if drawn == [view, id(patches)] and before.cast is last.cast:
+                return before
         screen = Screen.of(view, self.terrain.grid, exaggeration, windows.block)
-        if last is not None and last.key != key:
-            last = None
-        if wait or last is None or not (self._idle or _within(MOVED, last.windows, last.checked, windows, view)):
+        if last is None or not checked:
             fine = self._fine(windows, view, exaggeration, tolerance)
-            if (
-                not wait
-                and last is not None
-                and last.fine == fine
-                and _within(FAR, last.windows, last.view, windows, view)
-            ):
+            if last is not None and last.fine == fine and _within(FAR, last.windows, last.view, windows, view):
                 last = last._replace(windows=windows, checked=view)
             else:
                 by_rays, shares = self._decided(patches, windows, view, exaggeration, screen, last, fine, wait=wait)
@@ -125,11 +123,9 @@ class Mixer:
                     cast = self._last.cast
                 last = _Decided(key, view, cast, shares, windows, view, fine)
             self._last = last
-        elif before is not None and before[:2] == (view, id(patches)) and before[2].cast is last.cast:
-            return before[2]
-        drawn = Mixed(self._left(patches, last.cast.by_rays, screen), last.cast)
-        self._drawn = view, id(patches), drawn, patches
-        return drawn
+        found = Mixed(self._left(patches, last.cast.by_rays, screen), last.cast)
+        self._drawn = view, id(patches), found, patches
+        return found
 
     def _left(self, patches: Patches, by_rays: Labels, screen: Screen) -> NDArray[Any]:
         """The patches that lie over blocks that rays do not draw."""
@@ -159,7 +155,7 @@ class Mixer:
         left, top = (int(n) // SPACING for n in view.frame[:2])
         frame = _frame(self._boxes(patches, screen), self.legs**2, screen, windows.steps[top:, left:])
         costs = STATED if wait else self._measured(patches, windows.rays, frame, screen, view, exaggeration)
-        shares = share(frame, costs, windows.hysteresis, None if wait or last is None else last.cast.by_rays)
+        shares = share(frame, costs, windows.hysteresis, None if last is None else last.cast.by_rays)
         return shares.by_rays, shares
 
     def _fine(self, windows: MixableWindows, view: View, exaggeration: float, tolerance: float) -> bool:
@@ -231,7 +227,7 @@ class Mixer:
         triangle = max(again - once, 0.05 * once) / triangles
         pixel = max(once - idle - triangle * triangles, 0.05 * once) / max(ground, 1.0)
         fewer = 1.0 - small[0] * small[1] / (size[0] * size[1])
-        all_rays = max((alone - idle - (tiny - least)) / fewer, 0.05 * alone)
+        all_rays = max((alone - idle - (tiny - least)) / (fewer or 1.0), 0.05 * alone)
         more = amounts(halves[0]) - amounts(halves[1])
         ray, step = _told_apart(np.stack([amounts(~none), more]), all_rays, long - short)
         begin = max(0.0, alone - idle - all_rays)
