@@ -6,7 +6,12 @@ referee (``orograph.verify``) looks at every full-resolution sample in view and 
 bound; it leaves out every triangle whose own prism is out of view, which top-down and roam do, too, and the others, who
 cull by spheres, do not quite. Methods that promise nothing are measured for comparison.
 
-Run: ``python bench/promise.py [--quick] [--data FOLDER] [--json OUT.json]``; FOLDER holds the open DEMs by the names in
+``--errors`` leaves the oracle out, and tells of each method how its errors compare with the tolerance in the median
+view, in nine of ten, and in the worst, in Markdown: for methods that promise nothing, or in which only some views have
+a bound.
+
+Run: ``python bench/promise.py [--quick] [--errors] [--method NAME[,key=value…]]… [--data FOLDER] [--json OUT.json]``;
+FOLDER holds the open DEMs by the names in
 ``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out. Processes share the
 views; each keeps its methods from view to view. Methods that make the same mesh are judged together, once.
 """
@@ -20,7 +25,7 @@ import math
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -120,6 +125,7 @@ class Bench:
         self.name, self.terrain = name, terrain
         self.exact = Field(terrain, max_memory=1 << 40)
         self.views = list(views(terrain, options.views, options.seed))
+        self.beside_oracle = not options.errors
         self.methods = {}
         for label in labels:
             choice = chosen(label)
@@ -134,9 +140,11 @@ class Bench:
         """One record for each tolerance and method."""
         kind, view = self.views[number]
         found = []
-        goals = oracles(self.terrain, view, TOLERANCES, prisms=(True,), field=self.exact, jobs=1)
-        for tolerance, meshes in zip(TOLERANCES, goals, strict=True):
-            fewest = len(meshes[0].triangles)
+        fewest = [0] * len(TOLERANCES)
+        if self.beside_oracle:
+            goals = oracles(self.terrain, view, TOLERANCES, prisms=(True,), field=self.exact, jobs=1)
+            fewest = [len(meshes[0].triangles) for meshes in goals]
+        for tolerance, least in zip(TOLERANCES, fewest, strict=True):
             judged: dict[bytes, verify.Report] = {}
             camera = Camera.over(self.terrain.grid, view)
             for label, method in self.methods.items():
@@ -151,7 +159,7 @@ class Bench:
                     {
                         "terrain": self.name, "view": number, "kind": kind, "method": label, "tolerance": tolerance,
                         "conservative": method.conservative, "triangles": len(mesh.triangles),
-                        "oracle": fewest, "largest": report.largest, "rms": report.rms,
+                        "oracle": least, "largest": report.largest, "rms": report.rms,
                         "defects": report.defects, "ms": 1e3 * took,
                         "kept": bool(report.ok(tolerance) or not method.conservative),
                     }
@@ -169,7 +177,7 @@ def digest(mesh: Tessellation) -> bytes:
     return hashlib.blake2b(np.ascontiguousarray(turned[order]).tobytes()).digest()
 
 
-def tables(found: list[dict[str, Any]]) -> str:
+def tables(found: list[dict[str, Any]], labels: Sequence[str]) -> str:
     """What the records say: one block for each terrain, and one for all."""
     lines = []
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
@@ -180,7 +188,7 @@ def tables(found: list[dict[str, Any]]) -> str:
     head = "".join(f"{f'τ = {t:g}':>9}" for t in TOLERANCES)
     for terrain, records in groups.items():
         lines += ["", terrain, f"{'':32}{head}{'all':>8}{'worst':>8}   error / τ   broken   defects"]
-        for label in METHODS:
+        for label in labels:
             mine = [r for r in records if r["method"] == label]
             if not mine:
                 continue
@@ -199,6 +207,28 @@ def tables(found: list[dict[str, Any]]) -> str:
         f"Triangles over the oracle's (worst: one view, of {FEW} triangles at least); the largest error in units of",
     ]
     lines += ["the tolerance; meshes of conservative methods that break the promise; meshes with any defect."]
+    return "\n".join(lines)
+
+
+def errors(found: list[dict[str, Any]], labels: Sequence[str]) -> str:
+    """How the records' errors compare with the tolerance: Markdown, a row for each terrain and method."""
+    lines = [
+        "| terrain | method | triangles | error / tolerance: median | in 90 % of views | largest | views over it "
+        "| T-junctions | other defects |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for terrain in dict.fromkeys(record["terrain"] for record in found):
+        for label in labels:
+            mine = [r for r in found if r["terrain"] == terrain and r["method"] == label]
+            ratios = np.array([r["largest"] / r["tolerance"] for r in mine])
+            triangles = sum(r["triangles"] for r in mine)
+            junctions = sum(r["defects"].get("t_junctions", 0) for r in mine)
+            defects = sum(sum(r["defects"].values()) for r in mine)
+            lines.append(
+                f"| {terrain} | `{label}` | {triangles / len(mine):,.0f} | {np.median(ratios):.2f} "
+                f"| {np.quantile(ratios, 0.9):.2f} | {ratios.max():.3f} | {(ratios > 1).sum()} of {len(mine)} "
+                f"| {junctions:,} | {defects - junctions:,} |"
+            )
     return "\n".join(lines)
 
 
@@ -232,7 +262,8 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=20, help="how many of each terrain")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
-    parser.add_argument("--method", action="append", choices=list(METHODS), help="only these")
+    parser.add_argument("--method", action="append", help="only these: NAME[,key=value…]")
+    parser.add_argument("--errors", action="store_true", help="a table of errors, without the oracle")
     parser.add_argument("--jobs", type=int, default=cpu_count(), help="processes")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -249,7 +280,7 @@ def main() -> None:
             spent[name] += seconds
             if number == options.views - 1 and records:
                 print(f"{name}: {spent[name]:.0f} s of a processor", file=sys.stderr, flush=True)
-    print(tables(found))
+    print((errors if options.errors else tables)(found, options.method or METHODS))
     print(f"{time.perf_counter() - began:.0f} s in all, {min(options.jobs, len(tasks))} processes.")
     if options.json:
         options.json.write_text(json.dumps(found, indent=1, default=lambda number: number.item()))
