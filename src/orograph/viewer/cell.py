@@ -3,8 +3,8 @@
 - Jupyter may handle the page's messages in another thread (*subshells*, ipykernel 7), where ``rendercanvas`` would also
   draw; its scheduler waits in the loop of the thread that made it, and is never woken. So all messages go to that loop.
 - A cell has the keyboard as soon as it was clicked: no key that follows goes elsewhere.
-- A drag ends where the button was released. ``rendercanvas`` holds moves back for some milliseconds but not the release,
-  which would otherwise overtake the last of them, or all of a quick drag's.
+- A drag ends where the button was released. ``rendercanvas`` holds moves back for some milliseconds but not the
+  release, which would otherwise overtake the last of them, or all of a quick drag's.
 - While the cell has the keyboard, the browser does not get the keys that it would use itself (Tab, F1, F12, Ctrl +
   digit).
 - The clipboard is the page's: copied text is sent there, and pasted text comes with the page's own event (a page cannot
