@@ -3,13 +3,13 @@
     python bench/chunk_code.py [PATH …] [--synthetic 4097] [--cells 32] [--times 5] [--batch 4] [--tolerance 1]
         [--size 1280x720] [--no-views]
 
-Of each terrain some chunks are made, evenly spaced: of a raster, or of a synthetic one made on the spot. Told are bytes
-a triangle, of indexed triangles (12 bytes each and 12 a vertex), and of the same with what words have besides (skirts,
-4 bytes a vertex for morphs). Then triangles a second: of the GPU's decoder, for the chunks of a frame (about 300,000
-triangles) and for a batch of ``--batch`` million (chunks repeated if need be), by the GPU's clock, the mean of many in
-one submission; the same with all that a call does (bringing words to the GPU, Python; also
-for each second of the processors, which on software is what counts); bringing the same vertices and
-triangles as they are decoded there; and decoding on one thread of the CPU. The fastest of ``--times``.
+Some evenly spaced chunks of each terrain are encoded: of a raster, or of a synthetic one made on the spot. The table
+gives bytes a triangle, beside those of indexed triangles (12 bytes each and 12 a vertex), and of the same with what the
+words hold besides (skirts, and 4 bytes a vertex for morphs). Then triangles a second of the GPU's decoder by its clock,
+the mean of many runs in one submission, for the chunks of a frame (about 300,000 triangles) and for a batch of
+``--batch`` million (chunks are repeated if there are too few); the same for a whole call, with uploads and Python, also
+per second of processor time, which is what counts on software; for uploading the same vertices and triangles decoded;
+and for decoding on one thread of the CPU. The fastest of ``--times``.
 
 Of rasters, unless ``--no-views``, three stores are built: with compressed chunks, with chunks that are not, and with
 heights in *compact*. Two views of each are read, with nothing in memory but the system's cache of files: MB read, and
@@ -172,7 +172,7 @@ def timed(what: Callable[[], Any]) -> tuple[Any, float]:
     return found, (time.perf_counter() - begun) * 1e3
 
 
-class Told(NamedTuple):
+class Figures(NamedTuple):
     """What a view took one way: MB read; ms to read and decode, to bring to the GPU, to draw; triangles."""
 
     mb: float
@@ -189,7 +189,7 @@ class Ways:
         self.device, self.stores, self.options = device, stores, options
         self.targets = Targets(device, *(int(n) for n in options.size.split("x")))
 
-    def patches(self, view: Any) -> Told:
+    def patches(self, view: Any) -> Figures:
         """Patches out of tiles of heights in *compact*."""
         terrain = orograph.open(self.stores["compact"])
         renderer = Renderer(self.device, terrain)
@@ -208,9 +208,9 @@ class Ways:
         data, buffer = np.concatenate([t.reshape(-1) for t in tiles]), self.device.buffer(4 * samples, "STORAGE")
         _, bringing = timed(lambda: (write(self.device, buffer, data), self.device.wait()))
         found = self._drawn(renderer, scene)
-        return Told(share * samples / 1e6, reading, bringing, *found)
+        return Figures(share * samples / 1e6, reading, bringing, *found)
 
-    def chunks(self, view: Any, compressed: bool) -> Told:
+    def chunks(self, view: Any, compressed: bool) -> Figures:
         """Chunks, decoded on the GPU or by threads."""
         terrain = orograph.open(self.stores["compressed" if compressed else "chunks"])
         method = f"chunked-lod,cells={self.options.cells}" + (",compressed=yes" if compressed else "")
@@ -232,7 +232,7 @@ class Ways:
             _, bringing = timed(lambda: ([self.device.buffer(a, "STORAGE") for a in packed(mesh)], self.device.wait()))
         words = [made.chunks.words(*name) for name in made.chosen(camera, self.options.tolerance).names]
         found = self._drawn(renderer, scene)
-        return Told(sum(4 * len(w) for w in words) / 1e6, max(reading - selecting, 0.0), bringing, *found)
+        return Figures(sum(4 * len(w) for w in words) / 1e6, max(reading - selecting, 0.0), bringing, *found)
 
     @staticmethod
     def _tile(terrain: Any, level: int, row: int, col: int) -> tuple[int, int, int, int]:

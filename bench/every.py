@@ -33,14 +33,14 @@ class Bench:
     """A benchmark.
 
     Attributes:
-        quick: its options in the quick form. told: whether the summary in docs/benchmarks.md gives its result, or
+        quick: its options in the quick form. summary: whether the summary in docs/benchmarks.md gives its result, or
         that page first of all. data: whether it takes ``--data``. path: of the open data, its argument.
         modules, programs: without which it cannot run. gpu: whether it draws on one (a software adapter counts).
         least: of the open data, without which there is nothing to measure.
     """
 
     quick: str
-    told: bool = False
+    summary: bool = False
     data: bool = False
     path: str | None = None
     modules: tuple[str, ...] = ()
@@ -57,10 +57,10 @@ BENCHES = {
     "cluster": Bench("--quick", data=True, modules=("distributed",), least="california-3s-tiles"),
     "cluster_plan": Bench("--tiles 4", data=True, least="california-3s-tiles"),
     "codec": Bench("--quick", data=True, least="n44w072-hgt/N44W072.hgt"),
-    "embree": Bench("--size 513 --repeat 1", told=True, data=True, modules=("embreex",)),
+    "embree": Bench("--size 513 --repeat 1", summary=True, data=True, modules=("embreex",)),
     "errors": Bench("--size 1025 --rounds 1"),
     "geovis": Bench("--quick"),
-    "horizon": Bench("--size 512 --azimuths 8", told=True),
+    "horizon": Bench("--size 512 --azimuths 8", summary=True),
     "imagery": Bench("--side 2048 --frames 12 --size 320x180", path=HGT, gpu=True),
     "layouts": Bench("--size 1025 --frames 10"),
     "measure": Bench("--size 513 --radius 5000"),
@@ -68,24 +68,26 @@ BENCHES = {
         "--size 1025 --picture 512x512 --only build --only render --only light --only movie --only compare"
     ),
     "methods": Bench("--size 65"),
-    "mosaic": Bench("--size 1025 --tiles 4", told=True, data=True, least="california-3s-tiles"),
+    "mosaic": Bench("--size 1025 --tiles 4", summary=True, data=True, least="california-3s-tiles"),
     "movie": Bench("--frames 3 --size 320x180", data=True, least=HGT),
     "occlusion": Bench("--size 32 --radius 300 --only sweep"),
     "promise": Bench(
         "--views 1 --terrain bigtujunga --method soar",
-        told=True,
+        summary=True,
         data=True,
         least="bigtujunga-srtm30m-utm",
     ),
     "raster": Bench("--size 401 --repeat 1", data=True),
-    "render": Bench("--runs 1 --size 1025", told=True, data=True),
+    "render": Bench("--runs 1 --size 1025", summary=True, data=True),
     "roam": Bench("--size 1025 --frames 8"),
     "shimmer": Bench("--terrain noise --size 160x90 --frames 3", data=True, gpu=True),
-    "soar": Bench("--size 1025 --rounds 3", told=True, programs=("g++",)),
-    "store_build": Bench("--size 1025 --rounds 1", told=True, modules=("rio_cogeo",)),
-    "store_read": Bench("--size 1025", told=True, modules=("zarr", "tensorstore")),
+    "soar": Bench("--size 1025 --rounds 3", summary=True, programs=("g++",)),
+    "store_build": Bench("--size 1025 --rounds 1", summary=True, modules=("rio_cogeo",)),
+    "store_read": Bench("--size 1025", summary=True, modules=("zarr", "tensorstore")),
     "threshold_spheres": Bench("--size 1025 --frames 8"),
-    "tin": Bench("--size 513 --max-error 5", told=True, modules=("pydelatin", "meshoptimizer", "fast_simplification")),
+    "tin": Bench(
+        "--size 513 --max-error 5", summary=True, modules=("pydelatin", "meshoptimizer", "fast_simplification")
+    ),
     "triangle_patches": Bench("--part select", data=True),
     "view": Bench(
         f"--frames 12 --size 320x180 --terrain {{data}}/{HGT}", data=True, gpu=True, least="california-3s-tiles"
@@ -149,7 +151,7 @@ def main() -> None:
     if unknown := set(given.names) - set(BENCHES):
         parser.error(f"there is no benchmark {', '.join(sorted(unknown))}; there are {', '.join(BENCHES)}")
     failed = []
-    names = given.names or [name for name in BENCHES if BENCHES[name].told or not given.quick]
+    names = given.names or [name for name in BENCHES if BENCHES[name].summary or not given.quick]
     for name in names:
         print(f"== {name}", flush=True)
         lacking = lacks(BENCHES[name], given.data)

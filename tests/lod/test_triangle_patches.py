@@ -595,7 +595,7 @@ def test_a_view_need_not_wait_for_errors(monkeypatch):
     for _ in range(3):
         made = method.patches(view, 1.0, wait=False, cull=False)
         counts.append(len(made.instances))
-        assert made.stats["absent"] and method.field.under_way
+        assert made.stats["absent"] and method.field.pending
     assert set(counts) == {2}  # the roots stand in
     assert not verify.judge_mesh(mesh_of(t, made.instances, 2), t, view).defects
     t.broken = True

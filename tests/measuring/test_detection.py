@@ -83,14 +83,14 @@ def test_files_and_pictures_tell_what_is_significant(pair, tmp_path):
     assert "Significant change" in picture.describe()
     sure = np.abs(found.values[np.abs(found.significance) > T])
     assert found.limit >= np.nanquantile(sure, 0.95) > orograph.difference(*pair).limit / 2
-    assert "significant at 95 %: beyond ± 1.11 m" in repr(found) and "±" in dict(found.told())["net"]
+    assert "significant at 95 %: beyond ± 1.11 m" in repr(found) and "±" in dict(found.rows())["net"]
 
 
 def test_the_command_line_says_the_same(pair, tmp_path):
     a, b = (orograph.export(one, tmp_path / f"{name}.tif") for one, name in zip(pair, "ab"))
     run = ["difference", str(a), str(b), "--sigma", "0.4", "--sigma", "0.3", "--range", "100", "--confidence", "0.9"]
     done = CliRunner().invoke(cli, run)
-    told = dict(orograph.difference(a, b, sigma=(0.4, 0.3), range=100.0, confidence=0.9).told())
+    told = dict(orograph.difference(a, b, sigma=(0.4, 0.3), range=100.0, confidence=0.9).rows())
     assert done.exit_code == 0 and told["significant"] in done.output and told["gain"] in done.output
 
 

@@ -63,7 +63,7 @@ def test_a_film_changes_by_degrees(ground, data):
     for number in film.numbers:
         made = film.scene(number)
         flown = made.variants[0].weight
-        shares.append(flown.told)
+        shares.append(flown.filmed)
     found = np.array(shares)
     assert found[0, 0] == 1 and found[:, 1].max() > 0.8 and found[-4, 2] > 0.9
     assert np.abs(np.diff(found, axis=0)).max() <= 1 / 12 + 0.06  # at four frames a second, over three seconds

@@ -18,7 +18,7 @@ from orograph import measuring, store
 from orograph.dem.mosaic import Mosaic
 from orograph.errors import DamagedChunkError, StoreError, StoreReplacedError
 from orograph.geo.grid import Grid
-from orograph.measuring.told import lines
+from orograph.measuring.text import lines
 from orograph.store.repair import repair
 from orograph.store.source import ArraySource
 from orograph.store.storage import FolderStorage

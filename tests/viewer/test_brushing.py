@@ -50,26 +50,26 @@ def test_what_is_brushed_is_selected_on_the_ground_and_among_things(window, hand
     terrain, shown = window.session.terrain, window.session.settings.shown
     brush = window.brush
     assert brush.names(terrain, shown) == [HEIGHT, "ramp", "load"]
-    assert brush.told(terrain, shown) == "100 % of the ground, 4 of 4 things"
+    assert brush.describe(terrain, shown) == "100 % of the ground, 4 of 4 things"
     hand.rest()
     before = hand.frames(1).astype(int)
     plot.select(window, ranges={"ramp": (5.0, 10.0)})
     hand.until(lambda: np.abs(hand.frames(1).astype(int) - before).mean() > 1)
     ground = brush.ground(terrain, shown)
     np.testing.assert_array_equal(brush.holds(ground), ground.values["ramp"] >= 5)
-    assert "2 of 4 things" in brush.told(terrain, shown)
+    assert "2 of 4 things" in brush.describe(terrain, shown)
     pale = brush.seen(terrain, shown)
     less = np.abs(pale.rgb - shown.things.rgb).max(1) > 0.05
     west = shown.things.x < np.median(ground.x)
     np.testing.assert_array_equal(less, west & (shown.things.shown >= 0))
     # A variable of things leaves the ground as it is; an area joins in.
     plot.select(window, ranges={"load": (1.5, 3.5)})
-    assert window.session.settings.veil is None and "100 % of the ground, 2 of 4" in brush.told(terrain, shown)
+    assert window.session.settings.veil is None and "100 % of the ground, 2 of 4" in brush.describe(terrain, shown)
     left, right = ground.x.min() - 1, np.median(ground.x)
     low, high = ground.y.min() - 1, ground.y.max() + 1
     plot.select(window, area=[(left, low), (right, low), (right, high), (left, high)])
     np.testing.assert_array_equal(brush.holds(ground), ground.x < right)
-    assert "1 of 4" in brush.told(terrain, shown) and len(brush.places(terrain, shown)) == 1
+    assert "1 of 4" in brush.describe(terrain, shown) and len(brush.places(terrain, shown)) == 1
     plot.select(window, ranges={}, area=())
     assert brush.empty and window.session.settings.veil is None
     hand.rest()

@@ -9,7 +9,7 @@ import pytest
 import rasterio
 
 from orograph import measuring
-from orograph.measuring.told import lines
+from orograph.measuring.text import lines
 from orograph.store.prepare import prepare
 from orograph.viewpoint import View
 

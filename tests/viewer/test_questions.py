@@ -142,7 +142,7 @@ class Analyst(Hand):
     def selected(self) -> float:
         """The part of the ground that is selected, as the panel Plot says."""
         session = self.window.session
-        words = self.window.brush.told(session.terrain, session.settings.shown)
+        words = self.window.brush.describe(session.terrain, session.settings.shown)
         return float(re.match(r"([\d.e-]+) % of the ground", words)[1]) / 100
 
     def point(self, lonlat: tuple[float, float]) -> Any:

@@ -202,7 +202,7 @@ def test_times_of_a_series_share_a_scale_and_say_their_values():
     (found,) = shown.at(502_000, 5_598_500)
     assert found.value == pytest.approx(1.75, abs=0.02)
     assert (shown.painted[0].scale.low, shown.painted[0].scale.high) == scales[0]
-    assert shown.told == "2020-01-02 06:00, linear between 2020-01-02 and 2020-01-03"
+    assert shown.time_text == "2020-01-02 06:00, linear between 2020-01-02 and 2020-01-03"
     assert "linear between" in shown.painted[0].note
     assert shown.part == pytest.approx(1.25 / 3) and shown.at_part(1.25 / 3) == "2020-01-02T06:00"
     assert shown.at_part(0.0) == "2020-01-01T00:00" and shown.at_part(1.0) == "2020-01-04T00:00"

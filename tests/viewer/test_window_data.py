@@ -127,7 +127,7 @@ def test_time_goes_step_by_step_between_and_by_itself(window, hand):
     panel.step(window, -1)  # there is none before
     assert shown.time == "2020-01-01T00:00"
     panel.change(window, time=shown.at_part(0.25))
-    assert value() == pytest.approx(5) and "linear between" in shown.told
+    assert value() == pytest.approx(5) and "linear between" in shown.time_text
     shown.playing = True
     assert panel.advance(window, panel.PLAYED)
     assert not panel.advance(window, panel.PLAYED)  # the thread reads and paints, and asks for a frame then

@@ -119,7 +119,7 @@ def test_scenarios_follow_height_and_speed(window):
         assert sum(made.shares) == pytest.approx(1)
         before = made.shares
     assert made.shares == pytest.approx((0, 0, 1)) and not made.moving
-    assert made.told == "replanning 100%"
+    assert made.shares_text == "replanning 100%"
     for k in itertools.count():
         made.advance(at(400, 6.0 * (k + 1)), 0.1)  # 60 metres a second
         if not made.moving:

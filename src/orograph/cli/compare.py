@@ -96,15 +96,15 @@ def command(
         size=size, picture=picture, dpi=dpi_of(size), max_memory=max_memory, jobs=jobs, progress=progress,
         **refine, **source_of(options, set(refining.REFINE)),
     )  # fmt: skip
-    told = _told(found) | {"picture": picture, "seconds_in_all": round(time.perf_counter() - began, 3)}
+    facts = _facts(found) | {"picture": picture, "seconds_in_all": round(time.perf_counter() - began, 3)}
     if flight is not None:
-        told["flight"] = flight
+        facts["flight"] = flight
     if json_file is not None:
-        write(told, json_file)
+        write(facts, json_file)
     if json_path == "-":
-        click.echo(json.dumps(told, allow_nan=False))
+        click.echo(json.dumps(facts, allow_nan=False))
     else:
-        _table(told, found)
+        _table(facts, found)
     # Without a promise, the table says what is wrong with a mesh.
     if found.broken:
         raise OrographError(
@@ -113,7 +113,7 @@ def command(
         )
 
 
-def _told(found: Comparison) -> dict[str, Any]:
+def _facts(found: Comparison) -> dict[str, Any]:
     """The methods and what they were measured on, for the JSON."""
     terrain, goal = found.terrain, found.goal
     return {
@@ -124,7 +124,7 @@ def _told(found: Comparison) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _table(told: dict[str, Any], found: Comparison) -> None:
+def _table(facts: dict[str, Any], found: Comparison) -> None:
     """Print the table; as plain text on a pipe."""
     from rich import box
     from rich.console import Console
@@ -134,11 +134,13 @@ def _table(told: dict[str, Any], found: Comparison) -> None:
     console = Console(file=sys.stdout, highlight=False)
     if not console.is_terminal:
         console = Console(file=sys.stdout, highlight=False, width=160, no_color=True)
-    flight = told["flight"] is not None
-    rows, cols = told["shape"]
-    asked = f"tolerance {told['tolerance']:g} px" if "tolerance" in told else f"at most {told['triangles']:,} triangles"
-    what = f"{told['frames']} frames" if flight else ", ".join(told["views"])
-    console.print(f"{told['terrain']}, {cols} × {rows} samples; {asked}; {what}", soft_wrap=True)
+    flight = facts["flight"] is not None
+    rows, cols = facts["shape"]
+    asked = (
+        f"tolerance {facts['tolerance']:g} px" if "tolerance" in facts else f"at most {facts['triangles']:,} triangles"
+    )
+    what = f"{facts['frames']} frames" if flight else ", ".join(facts["views"])
+    console.print(f"{facts['terrain']}, {cols} × {rows} samples; {asked}; {what}", soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     table.add_column("method", no_wrap=True)
     errors = ["rms px\nat samples", "largest px\nat samples", "largest px\non surface"]
@@ -159,7 +161,7 @@ def _table(told: dict[str, Any], found: Comparison) -> None:
     console.print(table)
     if flight:
         judged = max(m.judged for m in found.values())
-        console.print(f"errors over {judged} of {told['frames']} frames", soft_wrap=True)
+        console.print(f"errors over {judged} of {facts['frames']} frames", soft_wrap=True)
     for label, m in found.items():
         for defect, n in m.defects.items():
             console.print(f"{label}: {n:,} {defect.replace('_', ' ')}", style="red", soft_wrap=True)

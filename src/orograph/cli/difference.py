@@ -111,7 +111,7 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
         return
     click.echo(found.name)
-    for _, text in found.told():
+    for _, text in found.rows():
         click.echo(f"  {text}")
     for path in output:
         click.echo(path)

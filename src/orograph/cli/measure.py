@@ -193,7 +193,7 @@ def area(
         raise UsageError("Give the polygon as points or with --geojson, not both.")
     terrain = opened(ctx, outputs)
     from orograph import measuring
-    from orograph.measuring.told import zone_rows
+    from orograph.measuring.text import zone_rows
     from orograph.measuring.zones import check_zones_file
 
     for path in outputs:

@@ -117,7 +117,7 @@ def written(
     progress = progress_of(ctx)
     with temporary() as folder:
         path = output or str(Path(folder) / "probable.tif")
-        told = found.save(path, progress)
+        facts = found.save(path, progress)
         if picture is not None:
             from orograph import Dataset
             from orograph.cli.camera import camera_view
@@ -133,15 +133,15 @@ def written(
                 terrain, view, data=data, furniture=True, max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"],
                 progress=progress,
             ).save(picture, dpi=dpi_of(camera["size"]))  # fmt: skip
-    return told
+    return facts
 
 
-def rows_of(found: Probable, told: dict[str, Any]) -> list[tuple[str, str, str]]:
+def rows_of(found: Probable, facts: dict[str, Any]) -> list[tuple[str, str, str]]:
     """The summary, for people."""
     rows = [(name, f"{mean:.4g}{band.unit}", " on average")
-            for band, (name, mean) in zip(found.bands, told["means"].items())]  # fmt: skip
-    if "expected_grid_m2" in told:
-        rows.append(("expected area", f"{told['expected_grid_m2'] / 1e6:,.4f} km²", " on the grid"))
+            for band, (name, mean) in zip(found.bands, facts["means"].items())]  # fmt: skip
+    if "expected_grid_m2" in facts:
+        rows.append(("expected area", f"{facts['expected_grid_m2'] / 1e6:,.4f} km²", " on the grid"))
     sampled = f"at most ± {found.standard_error:.3f} (standard error)" if found.draws else "none: a closed form"
     return [*rows, ("draws", f"{found.draws:,}" if found.draws else "–", ""), ("sampling error", sampled, "")]
 
@@ -172,7 +172,7 @@ def slope(
     from orograph import measuring
 
     found = measuring.slope(terrain, error, exceeds, draws=draws, seed=seed, **_means(ctx))
-    _told(ctx, terrain, found, output, picture, camera, as_json)
+    _tell(ctx, terrain, found, output, picture, camera, as_json)
 
 
 @click.command(
@@ -202,7 +202,7 @@ def contours(
     from orograph import measuring
 
     found = measuring.contours(terrain, error, levels, interval=interval, draws=draws, seed=seed, **_means(ctx))
-    _told(ctx, terrain, found, output, picture, camera, as_json)
+    _tell(ctx, terrain, found, output, picture, camera, as_json)
 
 
 @click.command(
@@ -235,7 +235,7 @@ def flood(
     sources = on_terrain(measuring.Places(terrain), points, degrees) if points else None
     found = measuring.flood(terrain, level, sources, error, draws=draws, seed=seed, **_means(ctx))
     marks = None if sources is None else {"name": "Sources", "x": sources[:, 0], "y": sources[:, 1]}
-    _told(ctx, terrain, found, output, picture, camera, as_json, marks)
+    _tell(ctx, terrain, found, output, picture, camera, as_json, marks)
 
 
 def viewshed(
@@ -247,7 +247,7 @@ def viewshed(
 
     found = measuring.probable_viewshed(terrain, place, error, draws=draws, seed=seed, **options, **_means(ctx))
     marks = {"name": "Eye", "x": [float(place[0])], "y": [float(place[1])]}
-    _told(ctx, terrain, found, output, picture, camera, as_json, marks)
+    _tell(ctx, terrain, found, output, picture, camera, as_json, marks)
 
 
 def _needed(
@@ -262,10 +262,10 @@ def _means(ctx: click.Context) -> dict[str, Any]:
     return {"max_memory": ctx.obj["max_memory"], "jobs": ctx.obj["jobs"]}
 
 
-def _told(
+def _tell(
     ctx: click.Context, terrain: Terrain, found: Probable, output: str | None, picture: str | None,
     camera: dict[str, Any], as_json: bool, marks: dict[str, Any] | None = None,
 ) -> None:  # fmt: skip
-    told = written(ctx, terrain, found, output, picture, camera, marks)
-    whole = {"measure": found.measure, **found.error.tags, "seed": found.seed, **found.told, **told}
-    tell(ctx, terrain, whole, rows_of(found, told), as_json, tuple(filter(None, (output, picture))))
+    facts = written(ctx, terrain, found, output, picture, camera, marks)
+    whole = {"measure": found.measure, **found.error.tags, "seed": found.seed, **found.tags, **facts}
+    tell(ctx, terrain, whole, rows_of(found, facts), as_json, tuple(filter(None, (output, picture))))

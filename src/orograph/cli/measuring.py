@@ -168,7 +168,7 @@ def kinds(outputs: tuple[str, ...], plots: bool, tables: tuple[str, ...] = (".cs
 
 def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], results: Sequence[Any], as_json: bool,
          outputs: tuple[str, ...] = ()) -> None:  # fmt: skip
-    """Print measurements, or rows of ``measuring.told``: names and values in columns, or JSON."""
+    """Print measurements, or rows of ``measuring.text``: names and values in columns, or JSON."""
     if as_json:
         from orograph.dem.inspect import crs_text
 
@@ -176,7 +176,7 @@ def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], results: Se
         click.echo(json.dumps({"crs": crs_text(crs), **told, "outputs": list(outputs)},
                               allow_nan=False))  # fmt: skip
         return
-    from orograph.measuring.told import lines
+    from orograph.measuring.text import lines
 
     rows = [row for found in results for row in ([found] if isinstance(found, tuple) else lines(found))]
     width = max(len(name) for name, _, _ in rows)

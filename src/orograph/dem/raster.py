@@ -71,7 +71,7 @@ class Dem:
 
         return laid_out(self.heights, self.grid, self.name, {"units": "m", "long_name": "height"})
 
-    def _told(self) -> list[Row]:
+    def _rows(self) -> list[Row]:
         finite = self.valid.any()
         low, high = (float(f(self.heights)) for f in (np.nanmin, np.nanmax)) if finite else (np.nan, np.nan)
         return [
@@ -80,10 +80,10 @@ class Dem:
         ]  # fmt: skip
 
     def __repr__(self) -> str:
-        return one_line("Dem", self.name, self._told())
+        return one_line("Dem", self.name, self._rows())
 
     def _repr_html_(self) -> str:
-        return card("Dem", self.name, self._told(), relief(self.heights, self.grid))
+        return card("Dem", self.name, self._rows(), relief(self.heights, self.grid))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return np.array(self.heights, dtype, copy=copy)

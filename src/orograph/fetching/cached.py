@@ -58,9 +58,9 @@ class Header:
     nodata: int | None
 
     @classmethod
-    def from_json(cls, told: dict[str, Any]) -> Header:
-        fields = {**told, "shape": tuple(told["shape"]), "block": tuple(told["block"])}
-        return cls(**{**fields, "transform": tuple(told["transform"])})
+    def from_json(cls, values: dict[str, Any]) -> Header:
+        fields = {**values, "shape": tuple(values["shape"]), "block": tuple(values["block"])}
+        return cls(**{**fields, "transform": tuple(values["transform"])})
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +105,9 @@ class KeptTile:
     def record(self) -> Record | None:
         """Its record; None: unknown."""
         try:
-            told = json.loads((self.path / "tile.json").read_text(encoding="utf-8"))
-            header = told.pop("header")
-            return Record(**told, header=None if header is None else Header.from_json(header))
+            values = json.loads((self.path / "tile.json").read_text(encoding="utf-8"))
+            header = values.pop("header")
+            return Record(**values, header=None if header is None else Header.from_json(header))
         except (OSError, ValueError, TypeError, KeyError):
             return None
 

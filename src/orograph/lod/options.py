@@ -261,7 +261,7 @@ def split(text: str) -> tuple[str, dict[str, str]]:
     return name, given
 
 
-def told(options: Any) -> dict[str, str]:
+def changed(options: Any) -> dict[str, str]:
     """The options that differ from the defaults, by key, in the command line's form."""
     every = ((one, getattr(options, one.name)) for one in described(type(options)))
     return {one.key: one.text(value) for one, value in every if value != one.default}

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from orograph.errors import UsageError
-from orograph.lod.options import parse, split, told
+from orograph.lod.options import changed, parse, split
 
 if TYPE_CHECKING:  # the command line lists names before anything is loaded
     from orograph.lod.method import Method, MethodInfo, Resources
@@ -73,7 +73,7 @@ class Choice:
         return self.info.conservative(self.options)
 
     def __str__(self) -> str:
-        return ",".join([self.info.name, *(f"{key}={text}" for key, text in told(self.options).items())])
+        return ",".join([self.info.name, *(f"{key}={text}" for key, text in changed(self.options).items())])
 
     def make(self, terrain: Terrain, resources: Resources | None = None) -> Method:
         """The method for a terrain; whatever it needs and the store lacks is made, and reported to the progress.

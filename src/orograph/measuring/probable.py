@@ -56,7 +56,7 @@ class Probable:
         measure: its kind: "viewshed", "slope", "contours", "flood".
         grid: of the result. bands: what it holds.
         error: of the heights. draws, seed: of the Monte Carlo; 0 draws: the result is a closed form.
-        told: other metadata for a file.
+        tags: other metadata for a file.
     """
 
     measure: str
@@ -65,7 +65,7 @@ class Probable:
     error: HeightError
     draws: int
     seed: int
-    told: dict[str, str]
+    tags: dict[str, str]
     _made: Callable[[Progress], Blocks] = field(repr=False)
     _jobs: int = field(default=1, repr=False)
 
@@ -93,7 +93,7 @@ class Probable:
         """
         tally = Tally(self)
         blocks = ((0, row, col, values) for row, col, values in tally.over(self.blocks(progress)))
-        tags = {"software": "orograph", "measure": self.measure, **self.error.tags, **self.told}
+        tags = {"software": "orograph", "measure": self.measure, **self.error.tags, **self.tags}
         tags |= {"draws": str(self.draws), "seed": str(self.seed)} if self.draws else {"draws": "none: a closed form"}
         write(path, self.grid, self.bands, blocks, tags=tags, jobs=self._jobs, progress=reporting(progress))
         return tally.result()
@@ -139,15 +139,15 @@ class Tally:
         """The number of known samples, the mean of each band, and for a probability the expected area on the
         grid, m²."""
         means = self.total / np.maximum(self.known, 1)
-        told: dict[str, Any] = {
+        tags: dict[str, Any] = {
             "samples": int(self.known[0]),
             "means": {band.name: float(mean) for band, mean in zip(self.found.bands, means)},
             "draws": self.found.draws, "standard_error": self.found.standard_error,
         }  # fmt: skip
         first = self.found.bands[0].name
         if first.startswith(PROBABILITY):
-            told["expected_grid_m2"] = float(self.total[0] * self.cell)
-        return told
+            tags["expected_grid_m2"] = float(self.total[0] * self.cell)
+        return tags
 
 
 @takes_error
@@ -188,9 +188,9 @@ def probable_viewshed(
             values[shed.beyond(row, col, part.shape)] = np.nan
             yield row, col, values.astype(np.float32)[None]
 
-    told = {"eye": f"{shed.point[0]:.10g}, {shed.point[1]:.10g}", "eye_height": f"{eye:g} m",
+    tags = {"eye": f"{shed.point[0]:.10g}, {shed.point[1]:.10g}", "eye_height": f"{eye:g} m",
             "target_height": f"{target:g} m"}  # fmt: skip
-    return Probable("viewshed", shed.grid, (band,), error, draws, seed, told, made, threads_for(jobs))
+    return Probable("viewshed", shed.grid, (band,), error, draws, seed, tags, made, threads_for(jobs))
 
 
 @takes_error
@@ -302,8 +302,8 @@ def contours(
     from affine import Affine
 
     grid = Grid((rows, cols), compose(terrain.grid.transform, Affine.translation(0.5, 0.5)), terrain.grid.crs)
-    told = {"contours": where}
-    return _by_blocks("contours", grid, (rows, cols), (band,), error, draws, seed, told, look, jobs)
+    tags = {"contours": where}
+    return _by_blocks("contours", grid, (rows, cols), (band,), error, draws, seed, tags, look, jobs)
 
 
 class Counts:
@@ -345,7 +345,7 @@ def known_from(terrain: Terrain, row: int, col: int) -> Callable[[int, int, tupl
 
 def _by_blocks(
     measure: str, grid: Grid, shape: tuple[int, int], bands: tuple[Band, ...], error: HeightError, draws: int,
-    seed: int, told: dict[str, str], look: Callable[[Window], Values], jobs: int | None,
+    seed: int, tags: dict[str, str], look: Callable[[Window], Values], jobs: int | None,
 ) -> Probable:  # fmt: skip
     """The function applied to each block."""
 
@@ -356,7 +356,7 @@ def _by_blocks(
                 yield window[0], window[2], values
                 task.advance()
 
-    return Probable(measure, grid, bands, error, draws, seed, told, made, threads_for(jobs))
+    return Probable(measure, grid, bands, error, draws, seed, tags, made, threads_for(jobs))
 
 
 def check_draws(draws: int, least: int = 1) -> None:

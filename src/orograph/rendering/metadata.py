@@ -37,7 +37,7 @@ def check_dpi(dpi: float | None) -> None:
         raise UsageError(f"A resolution must be 1 to {MOST_DPI} dots per inch, not {dpi:g}.")
 
 
-def told(kind: str, attribution: tuple[str, ...], dpi: float | None) -> dict[str, Any]:
+def save_options(kind: str, attribution: tuple[str, ...], dpi: float | None) -> dict[str, Any]:
     """Metadata that Pillow writes into a file of a format: arguments of its ``save``."""
     from PIL.PngImagePlugin import PngInfo
 

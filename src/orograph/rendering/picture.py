@@ -21,7 +21,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint
 from orograph.output import Beside
-from orograph.rendering.metadata import check_dpi, tiff_tags, told
+from orograph.rendering.metadata import check_dpi, save_options, tiff_tags
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def save_pixels(
         "TIFF": {"compression": "tiff_deflate"},
     }
     encoded = io.BytesIO()  # not the file: of a full disk libtiff speaks for itself
-    Image.fromarray(pixels).save(encoded, format=kind, **every[kind], **told(kind, attribution, dpi))
+    Image.fromarray(pixels).save(encoded, format=kind, **every[kind], **save_options(kind, attribution, dpi))
     with Beside(out) as part:
         part.write_bytes(encoded.getbuffer())
     return out

@@ -51,7 +51,7 @@ class Stood:
     which: NDArray[np.int32]
     missing: int
 
-    def told(self, progress: Progress) -> tuple[NDArray[np.uint8], Array]:
+    def reported(self, progress: Progress) -> tuple[NDArray[np.uint8], Array]:
         """Pixels and depth; reports how many things are not drawn."""
         if self.missing:
             progress.warn(f"{self.missing} place(s) of the data have no ground: nothing is drawn there.")

@@ -231,7 +231,7 @@ def _planned(
     scene: Scene, folder: FolderStorage, backend: str, depth: bool, threads: int, most: int, progress: Progress
 ) -> tuple[bytes, list[Band]]:
     """The tiles of a picture: unfinished ones, or new ones."""
-    asked = [scene.told(), backend, depth]
+    asked = [scene.summary(), backend, depth]
     fingerprint = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()
     there = folder.get(PLAN)
     if there is not None:

@@ -100,13 +100,13 @@ class Flown(Weight):
 
     Attributes:
         flight: with all its numbers. which: 0 overflight, drawn over approach; 1 re-planning, drawn over both.
-        told: the weights of the three, in a film; None: computed from the eye's height.
+        filmed: the weights of the three, in a film; None: computed from the eye's height.
     """
 
     terrain: Terrain
     flight: Flight
     which: int
-    told: tuple[float, float, float] | None = None
+    filmed: tuple[float, float, float] | None = None
 
     def __call__(self, eye: Array, places: Array, pixels: tuple[Array, Array], aspect: float) -> Array:
         approach, overflight, replanning = self.shares(eye)
@@ -120,7 +120,7 @@ class Flown(Weight):
 
     def shares(self, eye: Array) -> tuple[float, float, float]:
         """The weights of approach, overflight and re-planning."""
-        return self.flight.shares(self.height(eye), None) if self.told is None else self.told
+        return self.flight.shares(self.height(eye), None) if self.filmed is None else self.filmed
 
     def height(self, eye: Array) -> float:
         """Metres of the eye above the ground under it; outside the terrain above its border, over holes above its

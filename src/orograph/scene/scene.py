@@ -165,7 +165,7 @@ class Scene:
             parts["variants"] = tuple(one.but(terrain, view, common) for one in self.variants)
         return replace(self, **parts)
 
-    def told(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """A short description of the picture: its options, view and terrain, for JSON with ``default=str``."""
         left_out = ("sun", "jobs", "max_memory", "mesh_view")
         said = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}

@@ -149,7 +149,7 @@ class BucketStorage(Storage):
         self._home = self._like()
         self._url, self.url, self.number = other._url, other.url, other.number
 
-    def anew(self) -> Storage:
+    def uncached(self) -> Storage:
         return self._home or self
 
     def _like(self) -> BucketStorage:

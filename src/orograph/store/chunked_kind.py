@@ -32,8 +32,8 @@ class ChunkedKind(Derived[dict[str, Any]]):
     def nothing(self) -> dict[str, Any]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        return {name: told[name] for name in (*Kind._fields, "error", "rows")}
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {name: found[name] for name in (*Kind._fields, "error", "rows")}
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return what

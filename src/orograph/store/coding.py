@@ -191,8 +191,8 @@ class Coding:
         return {"name": self.codec, **{k: v for k, v in asdict(self).items() if k != "codec"}}
 
     @classmethod
-    def from_json(cls, told: dict[str, Any]) -> Coding:
-        return cls(told["name"], **{k: v for k, v in told.items() if k != "name"})
+    def from_json(cls, found: dict[str, Any]) -> Coding:
+        return cls(found["name"], **{k: v for k, v in found.items() if k != "name"})
 
 
 def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Coding | None:

@@ -35,17 +35,17 @@ class Colors(Derived[dict[str, Any]]):
     def nothing(self) -> dict[str, Any]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        made: dict[str, Any] = told["made_with"]
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        made: dict[str, Any] = found["made_with"]
         return made
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return {"made_with": what}
 
     def arrays(self, what: dict[str, Any], at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
-        told = {"long_name": "color errors of diamonds, (code / 15.9)² ΔE", "made_with": what}
+        found = {"long_name": "color errors of diamonds, (code / 15.9)² ΔE", "made_with": what}
         for level in range(level_count(at.grid.shape)):
-            yield color_spec(at.grid.shape, level, at.shard, at.chunk), told
+            yield color_spec(at.grid.shape, level, at.shard, at.chunk), found
 
     def open(self, terrain: StoredTerrain, **options: Any) -> ColorCodes:
         if not self.of(terrain.record):

@@ -58,7 +58,7 @@ class Derived(ABC, Generic[T]):
         """The entry of a record that has none."""
 
     @abstractmethod
-    def parse(self, told: dict[str, Any], grid: Grid) -> T:
+    def parse(self, found: dict[str, Any], grid: Grid) -> T:
         """What the JSON of a record says."""
 
     @abstractmethod

@@ -89,10 +89,10 @@ class Diamonds(Derived[DiamondCodes]):
     def nothing(self) -> DiamondCodes:
         return DiamondCodes()
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> DiamondCodes:
+    def parse(self, found: dict[str, Any], grid: Grid) -> DiamondCodes:
         nominal = nominal_radii(metric(grid), exponent(grid.shape))
-        errors = {kind: ErrorCode(**code) for kind, code in told["errors"].items()}
-        return DiamondCodes(errors, RadiusCode(nominal, **told["radius"]))
+        errors = {kind: ErrorCode(**code) for kind, code in found["errors"].items()}
+        return DiamondCodes(errors, RadiusCode(nominal, **found["radius"]))
 
     def to_json(self, what: DiamondCodes) -> dict[str, Any]:
         assert what.radius is not None

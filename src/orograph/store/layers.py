@@ -200,8 +200,8 @@ class Layers(Derived[dict[str, LayerRecord]]):
     def nothing(self) -> dict[str, LayerRecord]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, LayerRecord]:
-        return {name: LayerRecord.from_json(name, layer) for name, layer in told["layers"].items()}
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, LayerRecord]:
+        return {name: LayerRecord.from_json(name, layer) for name, layer in found["layers"].items()}
 
     def to_json(self, what: dict[str, LayerRecord]) -> dict[str, Any]:
         return {"layers": {name: layer.to_json() for name, layer in what.items()}}

@@ -309,8 +309,8 @@ class Patches(Derived[dict[str, Any]]):
     def nothing(self) -> dict[str, Any]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        return {"legs": told["legs"], "kappa": told["kappa"], "errors": told["errors"]}
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {"legs": found["legs"], "kappa": found["kappa"], "errors": found["errors"]}
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return what

@@ -46,8 +46,8 @@ class PointsKind(Derived[dict[str, Any]]):
     def nothing(self) -> dict[str, Any]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        return {name: int(told[name]) for name in ("points", "triangles", "bits")}
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {name: int(found[name]) for name in ("points", "triangles", "bits")}
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return what

@@ -117,7 +117,7 @@ def of_mosaic(
         progress.warn(warning)
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or _fits(rows * cols, max_memory)):
-        return _told(mosaic, in_memory(mosaic, progress), progress)
+        return _checked(mosaic, in_memory(mosaic, progress), progress)
     cache_limit()  # reports a bad size before anything is built
     # Other store formats have other names, so their unfinished builds are not in the way.
     name = hashlib.sha256(f"{mosaic.fingerprint()} {FORMAT}".encode()).hexdigest()[:20]
@@ -134,7 +134,7 @@ def of_mosaic(
         else:
             progress.note(f"drawn from the store kept at {kept}")
             terrain.use = use
-            return _told(mosaic, terrain, progress)
+            return _checked(mosaic, terrain, progress)
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -147,7 +147,7 @@ def of_mosaic(
     make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
-    return _told(mosaic, terrain, progress)
+    return _checked(mosaic, terrain, progress)
 
 
 def _built(
@@ -170,7 +170,7 @@ def _built(
             time.sleep(PAUSE)
 
 
-def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
+def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
     """The terrain with its files' samples, after warning about doubtful heights."""
     from orograph.dem.area import Cut
     from orograph.dem.inspect import doubtful_heights

@@ -55,8 +55,8 @@ class QuadTinKind(Derived[dict[str, Any]]):
     def nothing(self) -> dict[str, Any]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        return {name: told[name] for name in ("asked", "side", "rows", *Facts._fields)}
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {name: found[name] for name in ("asked", "side", "rows", *Facts._fields)}
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return what

@@ -59,7 +59,7 @@ class QuadTinStage(TerrainStage[Arrays]):
         super().hand_over()
         assert self._given is not None
         for block in self._given.todo:
-            self.writer.keep(self._handed(block), pack(self._told(block)))
+            self.writer.keep(self._handed(block), pack(self._input(block)))
 
     def tasks(self) -> list[Spot]:
         assert self._given is not None
@@ -67,10 +67,10 @@ class QuadTinStage(TerrainStage[Arrays]):
 
     def make(self, spot: Spot) -> Arrays:
         block = spot[0]
-        told = self._told(block) if self._given is not None else self._read(self._handed(block))
-        what, grown = told["what"].tobytes().decode(), int(told["grown"])
+        given = self._input(block) if self._given is not None else self._read(self._handed(block))
+        what, grown = given["what"].tobytes().decode(), int(given["grown"])
         waiting = {} if what == GROW else self._read(_key(grown, spot))
-        found = done(self.making, what, block, told, waiting)
+        found = done(self.making, what, block, given, waiting)
         self.writer.keep(self.key(spot), pack(found))
         return found
 
@@ -87,7 +87,7 @@ class QuadTinStage(TerrainStage[Arrays]):
     def add(self, spot: Spot, found: Arrays) -> None:
         """Results are read again in order once all are there."""
 
-    def _told(self, block: int) -> Arrays:
+    def _input(self, block: int) -> Arrays:
         """The input of a task."""
         assert self._given is not None
         what, _, arrays, grown = self._given

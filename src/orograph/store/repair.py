@@ -260,7 +260,7 @@ class _Repair:
             for j in range(spec.shards[1])
             if spec.key((i, j)) in mended
         ]
-        storage, digests = self.terrain.storage.anew(), self.record.digests
+        storage, digests = self.terrain.storage.uncached(), self.record.digests
         for damage in map_ordered(lambda what: list(check_shard(storage, digests, *what)), shards, self.jobs):
             self.mender.damaged |= {each.object for each in damage}
 

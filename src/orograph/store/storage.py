@@ -77,7 +77,7 @@ class Storage(ABC):
         """A value that changes when an object is replaced, found with one request; None if there is none."""
         return None
 
-    def anew(self) -> Storage:
+    def uncached(self) -> Storage:
         """The same place, with nothing cached."""
         return self
 
@@ -222,7 +222,7 @@ class FolderStorage(Storage):
             return None
         return found.st_ino, found.st_mtime_ns, found.st_size
 
-    def anew(self) -> Storage:
+    def uncached(self) -> Storage:
         return FolderStorage(self.home)
 
     def follow(self, other: Storage) -> None:

@@ -200,7 +200,7 @@ class StoredTerrain(Terrain):
         Raises:
             StoreError: as ``open``.
         """
-        return _open(self.storage.anew(), self.cache.budget, self._jobs)
+        return _open(self.storage.uncached(), self.cache.budget, self._jobs)
 
     def _array(self, kind: str, level: int) -> ShardedArray:
         found = self._arrays.get((kind, level))

@@ -270,7 +270,7 @@ class Terrain(ABC):
     ) -> None:
         self.close()
 
-    def _told(self) -> list[Row]:
+    def _rows(self) -> list[Row]:
         rows = [*extent_rows(self.grid), heights_row(*self.height_range, self.vertical)]
         levels = f"{self.levels} level{'s' if self.levels > 1 else ''}"
         return [*rows, ("levels", levels), *self._kept()]
@@ -280,13 +280,13 @@ class Terrain(ABC):
         return [("memory", amount(4 * self.grid.rows * self.grid.cols))]
 
     def __repr__(self) -> str:
-        return one_line(type(self).__name__, self.name, self._told())
+        return one_line(type(self).__name__, self.name, self._rows())
 
     def _repr_html_(self) -> str:
         level = self.levels - 1
         rows, cols = self.shape(level)
         small = relief(self.read(level, 0, rows, 0, cols), self.grid, 2.0**level)
-        return card("terrain", self.name, self._told(), small)
+        return card("terrain", self.name, self._rows(), small)
 
     def _check(self, level: int) -> int:
         if not 0 <= level < self.levels:

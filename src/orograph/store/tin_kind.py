@@ -24,8 +24,8 @@ class TinKind(Derived[dict[str, Any]]):
     def nothing(self) -> dict[str, Any]:
         return {}
 
-    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
-        return {"legs": told["legs"]}
+    def parse(self, found: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {"legs": found["legs"]}
 
     def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
         return what

@@ -154,7 +154,7 @@ class Film:
 
     def fingerprint(self) -> str:
         """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
-        told = {"tour": self.tour.to_dict(), **self.base.told()}
+        told = {"tour": self.tour.to_dict(), **self.base.summary()}
         if self.playing is not None:
             told["played"] = self.playing.data
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
@@ -199,7 +199,7 @@ class Film:
             return scene
         flown = [one.weight for one in scene.variants if isinstance(one.weight, Flown)]
         told = self._shares(time, flown[0])
-        variants = (replace(one, weight=replace(weight, told=told)) for one, weight in zip(scene.variants, flown))
+        variants = (replace(one, weight=replace(weight, filmed=told)) for one, weight in zip(scene.variants, flown))
         return replace(scene, variants=tuple(variants))
 
     def _shares(self, time: float, flown: Flown) -> tuple[float, float, float]:

@@ -50,7 +50,7 @@ class Played:
         members: numbers of those in turn, none where they are not. hold: frames that each is shown.
         scale: that all frames share; None: frames have the same anyway.
         words: of rasters, which members there are, and how values between times are found; "": none are read ahead.
-        told: what a reader must know (``Playing.facts``).
+        facts: what a reader must know (``Playing.facts``).
     """
 
     whole: Dataset
@@ -59,7 +59,7 @@ class Played:
     hold: int = 1
     scale: OneScale | None = None
     words: str = ""
-    told: Mapping[str, Any] | None = None
+    facts: Mapping[str, Any] | None = None
 
     def key(self, number: int, last: int) -> tuple[str, int]:
         """The moment and the member of a frame, of those numbered 0 to ``last``; "" and 0: none."""
@@ -133,7 +133,7 @@ class Playing(NamedTuple):
         """The scene's options at the film's beginning, but with all points that ever happen in it."""
         first = self.at(self.key(0), grid)
         data = (
-            one.whole if one.told and "trail_s" in one.told else made for one, made in zip(self.data, first["data"])
+            one.whole if one.facts and "trail_s" in one.facts else made for one, made in zip(self.data, first["data"])
         )
         return {**first, "data": tuple(data)}
 
@@ -143,7 +143,7 @@ class Playing(NamedTuple):
         ``between``, how values are found between them ("linear" or "nearest"; "events": points are seen for
         ``trail_s`` seconds after their time); of members in turn ``members``, and
         ``changes_per_second``."""
-        return [dict(one.told) for one in self.data if one.told is not None]
+        return [dict(one.facts) for one in self.data if one.facts is not None]
 
     def tell(self, progress: Progress) -> None:
         """Note what is played, in words."""
@@ -184,7 +184,7 @@ def _played(one: Dataset, grid: Grid, frames: int, fps: float) -> Played:
             return _track(one, moving)
         if (moving := events_span(one, grid)) is not None:
             return _events(one, moving)
-    told: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
     words: list[str] = []
     made = Played(one)
     if _spans(one):
@@ -192,23 +192,23 @@ def _played(one: Dataset, grid: Grid, frames: int, fps: float) -> Played:
     bare = made.bare((made.key(0, 1)[0], 0)).but(uncertainty=None)
     if _in_turn(one):
         made = _turning(made, bare, grid, fps)
-        told |= {"members": len(made.members), "changes_per_second": fps / made.hold}
+        facts |= {"members": len(made.members), "changes_per_second": fps / made.hold}
         words.append(f"of {len(made.members)} in turn")
     else:
         made = replace(made, whole=one.but(uncertainty=doubt_of(one, made.bare(made.key(0, 1)), grid)))
     alone = "+" not in str(one.variable or one.band or "") and one.style not in ("curtains", "walls")
     field = read(bare, grid) if alone else None
     classes = field is not None and has_classes(one, field)
-    told["name"] = one.name or (field.name if field is not None else str(one.variable or one.band))
+    facts["name"] = one.name or (field.name if field is not None else str(one.variable or one.band))
     if made.span is not None:
         first, last = (written(moment) for moment in made.span)
         known = [time for time in times_in(one) if first <= time <= last]
-        told |= _span_text(made.span, len(known), "nearest" if classes else "linear")
+        facts |= _span_text(made.span, len(known), "nearest" if classes else "linear")
         words.append("nearest of its times" if classes else "linear between its times")
     if not classes:
         keys = {made.key(round(k), frames - 1) for k in np.linspace(0, frames - 1, LOOKED_AT)}
         made = replace(made, scale=OneScale.of(made.whole, [made.bare(key) for key in sorted(keys)], grid))
-    return replace(made, told=told, words=", ".join(words) if alone else "")
+    return replace(made, facts=facts, words=", ".join(words) if alone else "")
 
 
 def _turning(made: Played, bare: Dataset, grid: Grid, fps: float) -> Played:
@@ -231,15 +231,15 @@ def _track(one: Dataset, moving: tuple[float, float]) -> Played:
     """Tracks, whose scale is of all their samples whatever the moment."""
     span = span_within([written(moment) for moment in moving], str(one.time))
     name = one.name or one.variable or "tracks"
-    return Played(one, span, told={"name": name, **_span_text(span, 0, "linear")})
+    return Played(one, span, facts={"name": name, **_span_text(span, 0, "linear")})
 
 
 def _events(one: Dataset, moving: tuple[float, float]) -> Played:
     """Points that happen: each is seen for a while after its time."""
     span = span_within([written(moment) for moment in moving], str(one.time))
     trail = trail_of(one, span)
-    told = {"name": one.name or one.variable or "points", **_span_text(span, 0, "events"), "trail_s": trail}
-    return Played(one.but(trail=f"{trail:.10g}s"), span, told=told)
+    facts = {"name": one.name or one.variable or "points", **_span_text(span, 0, "events"), "trail_s": trail}
+    return Played(one.but(trail=f"{trail:.10g}s"), span, facts=facts)
 
 
 def _span_text(span: tuple[float, float], times: int, between: str) -> dict[str, Any]:

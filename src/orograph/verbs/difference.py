@@ -26,7 +26,7 @@ from orograph.lighting.context import MEMORY
 from orograph.lighting.raster import Band
 from orograph.measuring.detection import Doubt, check_doubt
 from orograph.measuring.differing import ENDS, Statistics, differ
-from orograph.measuring.told import cubic, square
+from orograph.measuring.text import cubic, square
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
@@ -157,9 +157,9 @@ class Difference:
         return out
 
     def __repr__(self) -> str:
-        return one_line("Difference", self.name, [*extent_rows(self.grid), *self.told()])
+        return one_line("Difference", self.name, [*extent_rows(self.grid), *self.rows()])
 
-    def told(self) -> list[Row]:
+    def rows(self) -> list[Row]:
         """Its statistics in words."""
         s = self.statistics
         if not s.count:

@@ -196,7 +196,7 @@ class Brush:
         at = self.ground(terrain, shown)
         return np.stack([at.x, at.y], 1)[self.holds(at) & np.isfinite(at.values[HEIGHT])]
 
-    def told(self, terrain: Terrain, shown: ShownData | None) -> str:
+    def describe(self, terrain: Terrain, shown: ShownData | None) -> str:
         """How much is selected, as text."""
         at, found = self.ground(terrain, shown), self.things(terrain, shown)
         known = np.isfinite(at.values[HEIGHT])

@@ -181,7 +181,7 @@ class ShownData:
         return float(np.clip((seconds_of([self.time], "", "")[0] - first) / max(last - first, 1e-9), 0, 1))
 
     @property
-    def told(self) -> str:
+    def time_text(self) -> str:
         """The chosen time as text, and how values between two times are found."""
         if not self.time:
             return "as given"

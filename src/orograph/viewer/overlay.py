@@ -13,7 +13,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from orograph.geovis.color import linear_to_srgb, tint_of
-from orograph.measuring.told import about
+from orograph.measuring.text import about
 from orograph.rendering.furniture.legend import north_on_screen, stretch
 from orograph.rendering.furniture.pieces import bar_length, number, ticks
 from orograph.viewer.keys import HELD, MOUSE, help_rows

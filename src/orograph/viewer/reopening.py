@@ -26,7 +26,7 @@ class Coming:
 
     Args:
         adapter: a part of the GPU's name. make: makes the renderer. prepare: prepares it for its first frame.
-        told: called from the thread whenever an attribute has changed.
+        changed: called from the thread whenever an attribute has changed.
 
     Attributes:
         device: the new device; None until it is open. renderer: the new renderer; None until it is ready.
@@ -37,13 +37,13 @@ class Coming:
 
     def __init__(
         self, adapter: str | None, terrain: Terrain, make: Callable[[Device, Terrain], Drawer],
-        prepare: Callable[[Any], None], told: Callable[[], None],
+        prepare: Callable[[Any], None], changed: Callable[[], None],
     ) -> None:  # fmt: skip
         self.device: Device | None = None
         self.renderer: Drawer | None = None
         self.error: Exception | None = None
         self._what = adapter, terrain, make, prepare
-        self._told = told
+        self._changed = changed
         self._lock = threading.Lock()
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="reopen", daemon=True)
@@ -72,7 +72,7 @@ class Coming:
         adapter, terrain, make, prepare = self._what
         try:
             self.device = open_device(adapter)
-            self._told()
+            self._changed()
             renderer = make(self.device, terrain)
             with contextlib.suppress(Exception):  # the frame reports what is wrong
                 prepare(renderer)
@@ -82,4 +82,4 @@ class Coming:
                     renderer.close()
         except Exception as error:
             self.error = error
-        self._told()
+        self._changed()

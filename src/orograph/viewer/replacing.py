@@ -81,7 +81,7 @@ class Renewal:
     def __init__(self, window: Window, make: Callable[[Device, Terrain], Drawer]) -> None:
         self.window, self.make = window, make
         self._made: tuple[Ground, Drawer, Device] | None = None
-        self._told = ""
+        self._reported = ""
         self._closed = False
         self._wake = threading.Event()
         if getattr(window.session.terrain, "watch", None) is not None:
@@ -115,7 +115,7 @@ class Renewal:
         window.renew(renderer, move_of(old, new), lambda view: moved(view, old, new))
         session.messages.drop(REPLACED)
         session.messages.say(f"{REPLACED}, and the new one was opened. {lost}".strip())
-        self._told = ""
+        self._reported = ""
 
     def _work(self) -> None:
         while not self._closed:
@@ -140,8 +140,8 @@ class Renewal:
                     renderer.prepare(self.window.drawing.screen.format, scene, overlay=session.settings.overlay())
         except Exception as error:
             what = str(error) if isinstance(error, (OrographError, OSError)) else f"{type(error).__name__}: {error}"
-            if what != self._told:
-                self._told = what
+            if what != self._reported:
+                self._reported = what
                 session.messages.drop(REPLACED)
                 session.messages.say(f"{REPLACED}, but the new one cannot be shown: {what}", error=True)
                 self.window.refresh()

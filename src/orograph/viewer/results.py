@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.measuring import Places
-from orograph.measuring.told import lines, metres, square
+from orograph.measuring.text import lines, metres, square
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import Point
 

@@ -68,11 +68,11 @@ class Widget(HasTraits):
 
     def __init__(self, window: Any, canvas: Any, still: bytes) -> None:
         self.window, self.canvas, self._still = window, canvas, still
-        self._telling = True
+        self._updating = True
         super().__init__()
         self._tell()
-        self._telling = False
-        window.on_frame.append(lambda _: self._told())
+        self._updating = False
+        window.on_frame.append(lambda _: self._update())
 
     def fly(self, camera: View) -> None:
         """Fly to a view."""
@@ -98,14 +98,14 @@ class Widget(HasTraits):
 
     # ---- from the window ---------------------------------------------------------------------------------------------
 
-    def _told(self) -> None:
+    def _update(self) -> None:
         """Update the traits to what a frame was drawn with."""
-        self._telling = True
+        self._updating = True
         try:
             with self.hold_trait_notifications():
                 self._tell()
         finally:
-            self._telling = False
+            self._updating = False
 
     def _tell(self) -> None:
         session, tools = self.window.session, self.window.tools
@@ -150,7 +150,7 @@ class Widget(HasTraits):
         name, value = proposal["trait"].name, str(proposal["value"])
         session = self.window.session
         shown = session.settings.shown
-        if self._telling or (shown is None and not value):
+        if self._updating or (shown is None and not value):
             return value
         try:
             if shown is None:
@@ -164,7 +164,7 @@ class Widget(HasTraits):
     @validate("selection")
     def _of_places(self, proposal: Any) -> dict[str, Any]:
         value = dict(proposal["value"])
-        if self._telling:
+        if self._updating:
             return value
         if unknown := set(value) - {"ranges", "area"}:
             raise TraitError(f"A selection may have ranges and area, not {', '.join(sorted(unknown))}.")
@@ -180,7 +180,7 @@ class Widget(HasTraits):
 
     @observe("camera", "exaggeration", "azimuth", "altitude", "light", "layers", "measure", "picked")
     def _set(self, change: Any) -> None:
-        if self._telling:
+        if self._updating:
             return
         name, value = change["name"], change["new"]
         session, tools = self.window.session, self.window.tools

@@ -108,7 +108,7 @@ class Variants:
             if one.rgb is None and above:
                 fitted = replace(fitted, scene=fitted.scene.but(layers=(*fitted.scene.data.layers, *above)))
             if isinstance(fitted.weight, Flown):
-                fitted = replace(fitted, weight=replace(fitted.weight, told=self.shares))
+                fitted = replace(fitted, weight=replace(fitted.weight, filmed=self.shares))
             made.append(fitted)
         return replace(scene, variants=tuple(made))
 
@@ -129,7 +129,7 @@ class Variants:
         self.shares, self.moving = (a, b, c), far > LEAST
 
     @property
-    def told(self) -> str:
+    def shares_text(self) -> str:
         """The weights of the scenarios as text; "" without a flight."""
         if self.shares is None:
             return ""

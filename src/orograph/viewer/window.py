@@ -112,7 +112,7 @@ class Window:
         self._moved = 0.0
         self._pending = AFTER
         self._alarm: threading.Timer | None = None
-        self._told = False
+        self._warned = False
         self._cache: dict[Any, tuple[Any, Any]] = {}
         session.changed = self.refresh
         self.events = Events(self)
@@ -286,8 +286,8 @@ class Window:
     def _panels(self) -> None:
         """Draw panels and furniture; finds the area that they leave to the terrain."""
         self.area = panels.dock(self)
-        if self.session.settings.panels and self.area[2] < LITTLE and not self._told:
-            self._told = True
+        if self.session.settings.panels and self.area[2] < LITTLE and not self._warned:
+            self._warned = True
             self.session.messages.say("The panels leave little of the terrain: Tab hides them.")
         self.area = self.plan.place(self.area)
         width, height = (max(1, round(v * self.ratio)) for v in self.area[2:])

@@ -18,7 +18,7 @@ from orograph.geovis.keys import Legend
 Array = NDArray[np.float64]
 
 
-class Told(NamedTuple):
+class Caption(NamedTuple):
     """The text on data in a legend.
 
     Attributes:
@@ -44,7 +44,9 @@ class Colored(NamedTuple):
     sign: str
 
 
-def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, marked: bool | None = None) -> Colored:
+def colors_of(
+    dataset: Dataset, values: Array, sigma: Array | None, caption: Caption, marked: bool | None = None
+) -> Colored:
     """Colours of values (n,), and their legend.
 
     Args:
@@ -55,7 +57,7 @@ def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, 
         UsageError: the sign of an uncertainty cannot be shown so.
     """
     scale = (
-        ColorScale.of_classes(told.classes, dataset.colormap) if told.classes else
+        ColorScale.of_classes(caption.classes, dataset.colormap) if caption.classes else
         ColorScale.of(values, dataset.plain_colormap, dataset.range)
     )  # fmt: skip
     usual = "glyphs" if marked else "whiteness"
@@ -71,5 +73,5 @@ def colors_of(dataset: Dataset, values: Array, sigma: Array | None, told: Told, 
     if sigma is not None and dataset.uncertainty is not None:
         doubt = dataset.uncertainty.range or doubted(sigma)
     u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
-    legend = key_of(dataset, told.name, values, scale, told.unit, told.note, sign, doubt, told.classes)
+    legend = key_of(dataset, caption.name, values, scale, caption.unit, caption.note, sign, doubt, caption.classes)
     return Colored(colored(values, u, scale, sign), legend, u, sign if sigma is not None else "none")

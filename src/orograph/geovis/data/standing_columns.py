@@ -17,7 +17,7 @@ from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.standing import Kind, Things, longer
-from orograph.geovis.data.standing_colors import Told, colors_of
+from orograph.geovis.data.standing_colors import Caption, colors_of
 
 Array = NDArray[np.float64]
 
@@ -78,8 +78,8 @@ def things_of_profiles(dataset: Dataset, points: Points, grid: Grid, ground: Arr
         notes.append(f"raised onto the ground, the deepest {deepest:.4g} m")
     values = points.values[parts.of]
     sigma = None if points.sigma is None else points.sigma[parts.of]
-    told = Told(points.name, dataset.unit or "", ", ".join(notes), points.classes)
-    rgb, legend, *_ = colors_of(dataset, values, sigma, told)
+    caption = Caption(points.name, dataset.unit or "", ", ".join(notes), points.classes)
+    rgb, legend, *_ = colors_of(dataset, values, sigma, caption)
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[str(dataset.style)]
     if logs:
         return _logs(parts, values, size, rgb, Things.plain(legend))

@@ -17,7 +17,7 @@ from orograph.geovis.data.features import Features
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.shapes import Shapes, read_shapes
 from orograph.geovis.data.standing import Kind, Things, longer
-from orograph.geovis.data.standing_colors import Told, colors_of
+from orograph.geovis.data.standing_colors import Caption, colors_of
 from orograph.geovis.data.standing_marks import BEFORE, MARKS, Face, Marks, marks_on
 from orograph.geovis.keys import Legend
 
@@ -60,9 +60,9 @@ def things_of_lines(dataset: Dataset, features: Features, grid: Grid, priority: 
     known = np.isfinite(values)
     at, owner, values = at[known], owner[known], values[known]
     sigma = None if shapes.sigma is None else shapes.sigma[owner]
-    told = Told(name, dataset.unit or ("m" if by_height else ""), ", ".join(shapes.notes), classes)
+    caption = Caption(name, dataset.unit or ("m" if by_height else ""), ", ".join(shapes.notes), classes)
     marked = priority.uncertainty if style == "curtains" else None
-    rgb, legend, u, sign = colors_of(dataset, values, sigma, told, marked)
+    rgb, legend, u, sign = colors_of(dataset, values, sigma, caption, marked)
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     full, tube = np.ones(len(at)), style == "tubes"
     level = at[:, [2, 5]] if tube else np.full((len(at), 2), np.nan)

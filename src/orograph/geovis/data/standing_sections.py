@@ -14,7 +14,7 @@ from orograph.geovis.data.dataset import BELOW, Dataset
 from orograph.geovis.data.features import read_features
 from orograph.geovis.data.shapes import read_shapes
 from orograph.geovis.data.standing import Kind, Things, longer
-from orograph.geovis.data.standing_colors import Colored, Told, colors_of
+from orograph.geovis.data.standing_colors import Caption, Colored, colors_of
 from orograph.geovis.data.standing_lines import pieces
 from orograph.geovis.data.standing_marks import ACROSS, BEFORE, MARKS, Face, Marks, marks_on
 from orograph.geovis.data.volume import Cells, Volume, cells, read_volume
@@ -113,7 +113,7 @@ def _colors(dataset: Dataset, volume: Volume, cut: Cells, marked: bool) -> Color
     unit = field.unit if of or dataset.unit is None else dataset.unit
     chosen = field.chosen.rpartition(" at ")[0] if " at " in field.chosen else ""
     note = ", ".join(filter(None, [chosen, volume.note]))
-    return colors_of(shown, cut.values, cut.sigma, Told(field.name, unit, note), marked)
+    return colors_of(shown, cut.values, cut.sigma, Caption(field.name, unit, note), marked)
 
 
 def _pieces(dataset: Dataset, grid: Grid) -> tuple[Array, Array]:

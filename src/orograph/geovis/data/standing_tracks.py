@@ -17,7 +17,7 @@ from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.signs import INK
 from orograph.geovis.data.standing import Kind, Mark, Things, longer
 from orograph.geovis.data.standing_aids import OTHER_BAND
-from orograph.geovis.data.standing_colors import Told, colors_of
+from orograph.geovis.data.standing_colors import Caption, colors_of
 from orograph.geovis.data.standing_lines import PIECES
 from orograph.geovis.data.times import ticks, written
 from orograph.geovis.data.tracks import Tracks, until
@@ -84,7 +84,7 @@ def things_of_tracks(
     when = "" if moment is None else f"until {written(moment)[:16].replace('T', ' ')}"
     note = ", ".join(filter(None, (count, when, "height is time (UTC)" if paths else "")))
     rgb, legend, *_ = colors_of(_of_all(dataset, whole), values, sigma,
-                                Told(tracks.name, dataset.unit or tracks.unit, note, tracks.classes))  # fmt: skip
+                                Caption(tracks.name, dataset.unit or tracks.unit, note, tracks.classes))  # fmt: skip
     wide = longer(grid) / ACROSS["tubes"] if paths else size
     n = len(values)
     lift = np.where(np.isfinite(levels[0]), 0.0, wide / 2)

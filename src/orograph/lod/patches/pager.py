@@ -45,21 +45,21 @@ class Pager(Field):
         self.failure: OrographError | None = None
         self._asks: Asks = SimpleQueue()
         self._answers: Answers = SimpleQueue()
-        self._under_way: set[int] = set()
+        self._pending: set[int] = set()
         self._not_before: dict[int, float] = {}
         self._readers: list[threading.Thread] = []
 
     @property
-    def under_way(self) -> int:
+    def pending(self) -> int:
         """Pages that are being read."""
-        return len(self._under_way)
+        return len(self._pending)
 
     def enter(self) -> int:
         """Enter the pages that have arrived; returns how many."""
         count = 0
         while not self._answers.empty():
             page, slot, failure = self._answers.get()
-            self._under_way.discard(page)
+            self._pending.discard(page)
             self.slots.last[slot] = self._round
             if failure is None:
                 self.pages.table[page] = slot
@@ -74,24 +74,24 @@ class Pager(Field):
 
     def fetch_later(self) -> int:
         """Read the pages missed since ``begin`` in the background; returns how many are under way."""
-        wanted = [int(page) for page in self._asked() if int(page) not in self._under_way]
+        wanted = [int(page) for page in self._asked() if int(page) not in self._pending]
         self.slots.touch(np.flatnonzero(self.pages.used == 1), self._round)
         now = time.monotonic()
         wanted = [page for page in wanted if self._not_before.get(page, 0.0) <= now]
         if not wanted:
-            return self.under_way
+            return self.pending
         for page in wanted:
             slot = self._take(page, self._round)
             if slot < 0:
                 break
-            self._under_way.add(page)
+            self._pending.add(page)
             self._asks.put((page, slot))
         self._hire()
-        return self.under_way
+        return self.pending
 
     def finish(self) -> None:
         """Wait for running reads (before pages are read at once: a page must not arrive twice)."""
-        while self._under_way:
+        while self._pending:
             answer = self._answers.get()
             self._answers.put(answer)
             self.enter()

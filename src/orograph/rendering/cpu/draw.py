@@ -315,7 +315,7 @@ class _Canvas:
             from orograph.rendering.standing import stand
 
             with self.progress.task("Drawing what stands on the ground"):
-                pixels, depth = stand(scene.theme.things, pixels, depth, scene).told(self.progress)
+                pixels, depth = stand(scene.theme.things, pixels, depth, scene).reported(self.progress)
         pixels = label(scene, pixels)
         if scene.annotations.furniture:
             from orograph.rendering.furniture.furnish import furnish

@@ -65,11 +65,11 @@ class Lighting(Protocol):
     """A way of lighting; called from several threads.
 
     Attributes:
-        told: its description, for the picture's facts.
+        description: its description, for the picture's facts.
         smooth: whether it is as smooth as the ground's slope at the scale of a pixel (no shadow edges).
     """
 
-    told: str
+    description: str
     smooth: bool
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
@@ -91,10 +91,10 @@ def lighting_of(
     if scene.lighting.light == "raytraced":
         return Raytraced(scene, ground, shine, strength)
     if scene.lighting.light == "aperture":
-        field, told = field_of(scene, ground, window, BAKED["aperture"], memo, progress, ahead)
-        return Apertures(scene, ground, shine, strength, field, told)
-    field, told = field_of(scene, ground, window, SKIES, memo, progress, ahead)
-    return Occlusion(scene, ground, shine, strength, field, told)
+        field, description = field_of(scene, ground, window, BAKED["aperture"], memo, progress, ahead)
+        return Apertures(scene, ground, shine, strength, field, description)
+    field, description = field_of(scene, ground, window, SKIES, memo, progress, ahead)
+    return Occlusion(scene, ground, shine, strength, field, description)
 
 
 def field_ahead(scene: Scene, memo: Memo) -> Ahead | None:
@@ -152,7 +152,7 @@ def field_of(
 class Bare:
     """No light: ground shows the map's own colours."""
 
-    told = "none"
+    description = "none"
     smooth = True
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
@@ -165,10 +165,10 @@ class Occlusion:
     smooth = False
 
     def __init__(
-        self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: LightField, told: str
+        self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: LightField, description: str
     ) -> None:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
-        self.field, self.told = field, told
+        self.field, self.description = field, description
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         sun, shine = self.scene.lighting.sun, self.shine
@@ -189,12 +189,12 @@ class Apertures:
     smooth = True
 
     def __init__(
-        self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: LightField, told: str
+        self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: LightField, description: str
     ) -> None:
         from orograph.lighting.aperture import Lamp, Lights
 
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
-        self.field, self.told = field, told
+        self.field, self.description = field, description
         x = scene.surface.exaggeration
         lamps = [Lamp(lamp.col, lamp.row, lamp.height * x, lamp.color) for lamp in scene.lighting.lamps]
         suns = [(sun, color) for sun, color in _discs(scene, shine) if scene.lighting.shadows]
@@ -222,7 +222,7 @@ class Raytraced:
 
     def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float) -> None:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
-        self.told = f"{scene.lighting.rays} rays"
+        self.description = f"{scene.lighting.rays} rays"
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         from orograph.lighting.aperture import Lights

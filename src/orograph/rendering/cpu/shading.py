@@ -122,7 +122,7 @@ class Shader:
             bounce = np.float32(BOUNCE) * (self.sunlight + self.skylight)
             shine = Shine(self.to_sun, self.sunlight, self.skylight, bounce)
             self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, memo, progress, ahead)
-            self.facts["light"] = self.lighting.told
+            self.facts["light"] = self.lighting.description
         self.lower_limb = math.tan(
             math.radians(max(scene.lighting.sun.altitude - scene.lighting.sun.diameter / 2, -89.0))
         ) * (1 + 1e-9)

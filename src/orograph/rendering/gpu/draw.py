@@ -186,7 +186,7 @@ def _adorned(
     if scene.theme.things is not None:
         from orograph.rendering.standing import stand
 
-        pixels, stood = stand(scene.theme.things, pixels, depth, scene).told(progress)
+        pixels, stood = stand(scene.theme.things, pixels, depth, scene).reported(progress)
         depth = stood.astype(np.float32)
     pixels = label(scene, pixels)
     if scene.annotations.furniture:

@@ -106,7 +106,7 @@ class Reading:
         scene = self._samples.state and self._samples.state[0]
         if scene and scene.lighting.light == "raytraced":
             return f"{scene.lighting.rays} rays"
-        return self._light.maps.told if self._light.maps is not None else ""
+        return self._light.maps.description if self._light.maps is not None else ""
 
     def _seen(self, scene: Scene) -> Seen:
         """Some of the ground in view, by the last frame's depth."""

@@ -180,7 +180,7 @@ class Renderer(Reading):
         to_submit = time.perf_counter() - begun
         self.device.queue.submit([commands])
         after = 0.0 if wait else self._go_on(freeze or view, chosen.tolerance, scene.surface.exaggeration, to_submit)
-        return self._told(scene, chosen, to_submit, after)
+        return self._stats(scene, chosen, to_submit, after)
 
     def overview(self, scene: Scene) -> Seen:
         """What a scene's whole view shows: all its tiles take their light and haze from it."""
@@ -291,7 +291,7 @@ class Renderer(Reading):
         flags |= (FIELD if field else 0) | (SMOOTH if self._looks.beyond_samples(scene) else 0)
         edges = bool(flags & WIREFRAME)
         self._left = Left(slopes=slopes, field=field)
-        return group, self._shading.at_hand(flags, lambda: self._ground.compile(edges, slopes), wait=wait)
+        return group, self._shading.available(flags, lambda: self._ground.compile(edges, slopes), wait=wait)
 
     def _go_on(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
         """Have threads read tiles, also prefetching if there is time, and make maps; returns the seconds that took."""
@@ -302,7 +302,7 @@ class Renderer(Reading):
         self._light.go_on()
         return time.perf_counter() - begun
 
-    def _told(self, scene: Scene, chosen: FrameChoice, to_submit: float, after: float) -> FrameStats:
+    def _stats(self, scene: Scene, chosen: FrameChoice, to_submit: float, after: float) -> FrameStats:
         """Statistics of a frame: seconds of Python until it was submitted, and after that."""
         patches, rays = chosen.ground.patches, chosen.ground.rays
         there, bound = chosen.ground.drawn, patches.stats["pixels"]
@@ -321,7 +321,7 @@ class Renderer(Reading):
             chosen.ground.streamed.seconds * 1e3, (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
             self.tiles.count + self.imagery.count, self._missing,
             self._samples.gathered, failed=self._ground.failure or self.imagery.failure,
-            current=self._ground.current(scene), notes=tuple(self.imagery.told()),
+            current=self._ground.current(scene), notes=tuple(self.imagery.take_warnings()),
             submit_ms=to_submit * 1e3, making=self.imagery.making,
             windows=0 if rays is None or not len(patches.instances) else len(rays.windows),
         )  # fmt: skip

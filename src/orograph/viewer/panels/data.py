@@ -37,9 +37,9 @@ def draw(window: Window) -> None:
         imgui.text_wrapped("There are no data: give some when opening the window.")
         return
     imgui.text_unformatted("priority" + (" (being painted)" if settings.painting else ""))
-    if told := settings.variants.told:
-        imgui.text_wrapped(f"{told} (as the camera is high and fast)")
-    for name, what in () if told else SWITCHES:
+    if shares := settings.variants.shares_text:
+        imgui.text_wrapped(f"{shares} (as the camera is high and fast)")
+    for name, what in () if shares else SWITCHES:
         moved, on = imgui.checkbox(f"{name}##first", getattr(shown.priority, name))
         tip(what)
         if moved:
@@ -163,7 +163,7 @@ def _times(window: Window) -> None:
         change(window, time="")
     _limits(window, shown)
     if shown.time:
-        imgui.text_wrapped(shown.told)
+        imgui.text_wrapped(shown.time_text)
 
 
 def _limits(window: Window, shown: ShownData) -> None:

@@ -162,7 +162,7 @@ def _layers(window: Window) -> None:
         imgui.same_line()
         imgui.text_unformatted(layer.label)
         if imgui.is_item_hovered():
-            imgui.set_tooltip(_told(layer))
+            imgui.set_tooltip(_tooltip(layer))
         moved, opacity = imgui.slider_float("##opacity", layer.opacity, 0.0, 1.0, "opacity %.2f")
         if moved:
             _set(window, k, opacity=min(max(opacity, 0.0), 1.0))
@@ -216,7 +216,7 @@ def _set(window: Window, k: int, **values: Any) -> None:
         window.session.settings.layers = stack
 
 
-def _told(layer: Layer) -> str:
+def _tooltip(layer: Layer) -> str:
     """The settings of a layer, for its tooltip."""
     parts = [layer.path]
     if layer.colormap is not None:

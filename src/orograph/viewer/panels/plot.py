@@ -50,7 +50,7 @@ def draw(window: Window) -> None:
     _dragged(window, plot)
     for name, ends in zip(wanted, plot.ends):
         _typed(window, name, ends)
-    imgui.text_wrapped("Drag over the plot, or type, to select." if brush.empty else brush.told(terrain, shown))
+    imgui.text_wrapped("Drag over the plot, or type, to select." if brush.empty else brush.describe(terrain, shown))
     for name, (low, high) in brush.ranges.items():
         if name not in wanted:
             imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")

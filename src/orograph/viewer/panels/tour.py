@@ -78,7 +78,7 @@ def _stops(touring: Touring) -> None:
                 change = touring.retime, (k, value)
             tip("When the camera is here; later stops follow. Drag, or double-click to type.")
             imgui.table_next_column()
-            if imgui.selectable(_told(k, stop.key), touring.chosen == k)[0]:
+            if imgui.selectable(_label(k, stop.key), touring.chosen == k)[0]:
                 touring.chosen, touring.playing = k, False
                 touring.show(time)
             tip(_all(stop.key))
@@ -101,7 +101,7 @@ def _stops(touring: Touring) -> None:
         change[0](*change[1])
 
 
-def _told(k: int, key: Key) -> str:
+def _label(k: int, key: Key) -> str:
     """A stop as short text: its direction and distance."""
     e, t = key.view.eye, key.view.target
     heading = math.degrees(math.atan2(t[0] - e[0], t[1] - e[1])) % 360.0

@@ -56,7 +56,7 @@ class LightMaps:
         wet: whether there is water.
         windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
         fields: (n, 8) int32: windows of a share of the sky or of caps (``lighting.field``): offset, rows, cols, level,
-            first row and column, words per sample, unused; outermost first. told: their description.
+            first row and column, words per sample, unused; outermost first. description: their description.
         by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
@@ -69,7 +69,7 @@ class LightMaps:
     wet: bool
     windows: NDArray[np.int32]
     fields: NDArray[np.int32]
-    told: str
+    description: str
     strength: float
     water_fraction: float
     searched: Rectangle | None = None
@@ -108,9 +108,9 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
             offset += values.size
             parts.append(values.ravel())
     fields: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    told = ""
+    description = ""
     if scene.lighting.light in FIELDS:
-        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.lighting.light], memo, SILENT)  # type: ignore[arg-type]
+        field, description = field_of(scene, _ground(scene), grid.window, FIELDS[scene.lighting.light], memo, SILENT)  # type: ignore[arg-type]
         held = field.windows
         channels = held.pool.shape[1]
         words = 2 if channels == 4 else channels
@@ -122,7 +122,7 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
         values = np.where(np.isnan(held.pool), neutral, held.pool).astype(np.float32)
         parts.append(packed(values) if channels == 4 else values.ravel())
     return LightMaps(
-        np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
+        np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, description, grid.strength,
         grid.water_fraction, None if detail is None else _searched(scene, grid.window), sunlit and detail is None,
     )  # fmt: skip
 

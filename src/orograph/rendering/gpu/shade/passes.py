@@ -75,7 +75,7 @@ class ShadePass:
         self._bound = asked, group
         return group
 
-    def at_hand(self, flags: int, also: Callable[[], Any], *, wait: bool) -> int:
+    def available(self, flags: int, also: Callable[[], Any], *, wait: bool) -> int:
         """The flags to draw with: the wanted ones, or the last ones while a thread compiles the wanted ones.
 
         Compiling takes a hundred milliseconds or more, which only the first frame can afford.
@@ -237,7 +237,7 @@ class ResolvePass:
         self.device = device
         self.encode = 0 if format.endswith("-srgb") else 1
         self.uniform = device.buffer(16, "UNIFORM", "resolve")
-        self._told = b""
+        self._written = b""
         self._bound: list[tuple[Any, Any, Any]] = []
         self._onto: tuple[Any, Attachments] | None = None
         self._program = Program(device, "resolve")
@@ -258,9 +258,9 @@ class ResolvePass:
         values[2] = self.encode
         values[1:2].view(np.float32)[0] = frames
         values[3:4].view(np.float32)[0] = strength if occlusion is not None else 0.0
-        if values.tobytes() != self._told:
+        if values.tobytes() != self._written:
             write(self.device, self.uniform, values)
-            self._told = values.tobytes()
+            self._written = values.tobytes()
         light = targets.light_view if light is None else light
         group = next((g for bright, dark, g in self._bound if bright is light and dark is occlusion), None)
         if group is None:

@@ -208,7 +208,7 @@ class Imagery:
                 return why if place == OPENING else f"{layer.label}: {why}"
         return next((held.sheet.failure for held in list(self._held.values()) if held.sheet.failure), "")
 
-    def told(self) -> list[str]:
+    def take_warnings(self) -> list[str]:
         """Warnings that have not been reported yet."""
         new, self.warnings = self.warnings, []
         return new

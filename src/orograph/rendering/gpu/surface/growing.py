@@ -139,7 +139,7 @@ class Growing:
             bound = max(bound, math.inf)
         self.came = there.pages.moved - moved
         self._asked, self._left, self._counted = (view, tolerance, exaggeration), 0, True
-        self._told(choice, bound)
+        self._publish(choice, bound)
 
     def aside(self, scene: Scene, view: View, choice: Choice, patches: Patches) -> None:
         """Do one frame's share of growing the tree for a view; ``patches`` as for ``at_once``."""
@@ -164,13 +164,13 @@ class Growing:
             count = min(choice.options.updates, self._left)
             there.tree.aim(view, tolerance, exaggeration, count)
             self._left, self._counted = self._left - count, False
-            self._told(choice, max(tolerance, there.pages.bound))
+            self._publish(choice, max(tolerance, there.pages.bound))
         elif not self._counted:  # there is time to check whether it has settled
             self.counts = there.tree.counts()
             self._counted = self.counts.changes == self._changes
             if not self._counted:
                 self._changes, self._left = self.counts.changes, AT_ONCE
-            self._told(choice, max(tolerance, there.pages.bound))
+            self._publish(choice, max(tolerance, there.pages.bound))
 
     def none(self) -> None:
         """Note that no tree is wanted; it stays on the GPU."""
@@ -189,7 +189,7 @@ class Growing:
             self._choice, self._planted, self.selection, self._error, self.counts = choice, None, None, "", None
         self._wanted = True
 
-    def _told(self, choice: Choice, bound: float) -> None:
+    def _publish(self, choice: Choice, bound: float) -> None:
         """Publish the tree as a new selection."""
         assert self._planted is not None
         tree, counts = self._planted.tree, self.counts

@@ -229,7 +229,7 @@ class Mixer:
         fewer = 1.0 - small[0] * small[1] / (size[0] * size[1])
         all_rays = max((alone - idle - (tiny - least)) / (fewer or 1.0), 0.05 * alone)
         more = amounts(halves[0]) - amounts(halves[1])
-        ray, step = _told_apart(np.stack([amounts(~none), more]), all_rays, long - short)
+        ray, step = _costs_of_rays(np.stack([amounts(~none), more]), all_rays, long - short)
         begin = max(0.0, alone - idle - all_rays)
         known = triangle * triangles + pixel * float(frame.ground[~turns].sum()) + begin
         besides = both - idle - known - float(amounts(turns) @ (ray, step))
@@ -297,7 +297,7 @@ def _frame(boxes: NDArray[np.int64], triangles: int, screen: Screen, counted: ND
     return Frame(boxes, triangles, screen.pixels, ground, steps)
 
 
-def _told_apart(amounts: Array, whole: float, more: float) -> tuple[float, float]:
+def _costs_of_rays(amounts: Array, whole: float, more: float) -> tuple[float, float]:
     """The cost of a ray and of a step, ns, from what all take and what one half takes more than the other.
 
     Args:
