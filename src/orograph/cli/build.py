@@ -174,6 +174,9 @@ def command(
     reads) is gridded by linear interpolation over its Delaunay triangulation, and the points are kept: --resolution is
     the distance between samples (by default the points' mean distance), --max-edge leaves long triangles out.
 
+    DEM may be a store. Built from itself, it gets what it lacks of --errors, --tins and --for; its heights stay. Under
+    another name it is copied: a part of it, or with another codec.
+
     An interrupted build (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the same
     bytes. An incomplete store does not open.
 
@@ -185,6 +188,7 @@ def command(
       orograph build tiles/*.tif -o area.oro --update --keep 5
       orograph build tiles/*.tif -o s3://bucket/area.oro --update
       orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
+      orograph build area.oro -o area.oro --for bdam
       orograph build dem.tif -o area.oro --max-error 0.1
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
       orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
@@ -201,6 +205,8 @@ def command(
         return
     if not dem:
         raise click.UsageError("Missing argument 'DEM...'.", ctx)
+    from orograph.store.adding import is_itself
+    from orograph.store.addresses import storage_at
     from orograph.store.build import build
     from orograph.store.given import source_of
 
@@ -245,7 +251,10 @@ def command(
     except KeyboardInterrupt:
         again = " again" if update or finish or part else " with --resume" + " in place of --overwrite" * overwrite
         what = f"Part {part}" if part else "The new store" if overwrite or update else store
-        click.echo(f"\n{what} is not complete; run the same command{again} to finish it.", err=True)
+        said = f"{what} is not complete; run the same command{again} to finish it."
+        if is_itself(source, storage_at(store)) and not (overwrite or update):
+            said = f"{store} is as it was; run the same command again to finish adding to it."
+        click.echo(f"\n{said}", err=True)
         raise
     if terrain is None:
         click.echo(json.dumps({"path": store, "part": part}) if as_json else f"{store}: part {part} is made")

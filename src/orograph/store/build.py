@@ -25,6 +25,7 @@ from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
+from orograph.store.adding import Needs, add, is_itself
 from orograph.store.addresses import storage_at
 from orograph.store.bucket import BucketStorage
 from orograph.store.chunked import Kind, checked_kind
@@ -40,9 +41,9 @@ from orograph.store.memory import MemoryTerrain, check_metric
 from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store, partial, publish
 from orograph.store.plan import check_replaceable, compared, plan_for
 from orograph.store.quadtin_kind import checked_quadtin
-from orograph.store.source import ArraySource, HeightSource
+from orograph.store.source import ArraySource, HeightSource, StoreSource
 from orograph.store.storage import FolderStorage, Storage
-from orograph.store.stored import CACHE_BYTES, StoredTerrain, open
+from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
 from orograph.store.versions import check_keep, prune, settle
@@ -130,7 +131,7 @@ def build(
 
     Args:
         source: DEM files, or heights in any other form that ``store.terrain`` takes, such as a reader of windows
-            (``HeightSource``).
+            (``HeightSource``). If it is the store at ``url`` itself, what that lacks is added to it.
         url: the store's folder or URL (``s3://``, ``gs://``, ``az://``…).
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
@@ -195,6 +196,18 @@ def build(
     check_metric(raster.grid, raster.name)
     if (check_void := getattr(raster, "check_void", None)) is not None:
         check_void()
+    itself = is_itself(raster, final) and not (overwrite or update or finish or part)
+    if itself and coding_of(raster, codec, max_error) is None:
+        if workers is not None or dask is not None:
+            raise UsageError("A cluster cannot add to a store.", remedy="Leave it out: threads do it.")
+        jobs = sizes(raster.grid.shape, max_memory, jobs, read_record(final).shard, len(kinds))[1]
+        add(final, Needs(kinds, tins, chunked, quadtin), jobs, progress)
+        return open(url, storage_options=storage_options)
+    if isinstance(raster, StoreSource) and raster.terrain.samples is not None:
+        progress.warn(
+            f"{raster.name}: the samples or points from which it was built are not copied, only the heights of its "
+            "surface. To keep those, build from the files."
+        )
     versions = check_keep(keep, update, final)
     if update:
         from orograph.store.bucket_updates import BucketUpdate

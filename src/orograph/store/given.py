@@ -18,9 +18,10 @@ import numpy as np
 from orograph._named import remedy
 from orograph.errors import UsageError
 from orograph.progress import SILENT, Progress
+from orograph.store.detect import is_store
 from orograph.store.memory import MemoryTerrain, is_metric
 from orograph.store.source import ArraySource, HeightSource, StoreSource
-from orograph.store.stored import StoredTerrain
+from orograph.store.stored import StoredTerrain, open
 
 if TYPE_CHECKING:
     from orograph.dem.raster import Dem
@@ -86,7 +87,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     """A reader of windows of heights on a metric grid, from whatever form they come in.
 
     Args:
-        given: ``TAKES``, except terrains; or a ``HeightSource``, which is returned.
+        given: ``TAKES``, or a ``HeightSource``, which is returned.
         called: the function that wants it, for errors.
         options: ``READING``. ``crs`` is also that of heights in memory without one (it may be unprojected only for
             these).
@@ -99,6 +100,8 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     said = {k: v for k, v in options.items() if v is not None}
     files = files_of(given)
     if files is not None:
+        if len(files) == 1 and is_store(files[0]):
+            return _of_store(files[0], said)
         if (points := points_of(files, progress, said)) is not None:
             return points
         from orograph.dem.mosaic import Mosaic
@@ -189,6 +192,13 @@ def options_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
 def _asked(name: str, value: Any) -> bool:
     """Whether an option differs from its default on the command line."""
     return bool(value != {"band": 1, "resampling": "bilinear"}.get(name))
+
+
+def _of_store(path: str, said: dict[str, Any]) -> HeightSource:
+    """The full resolution of the store at a path or URL, or the part of it in an area."""
+    asked = {k: v for k, v in said.items() if _asked(k, v)}
+    area = _fitting(asked, OF_AREAS, "a store, which is already built and describes itself")
+    return _part(StoreSource(open(path)), area)
 
 
 def source_of_terrain(terrain: MemoryTerrain | StoredTerrain) -> HeightSource:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -58,12 +59,33 @@ class ArraySource:
         return digest.hexdigest()[:32]
 
 
+class StoreAgain(NamedTuple):
+    """Opens a store as a source in another process (``store.handing``).
+
+    Attributes:
+        url: the store's. storage_options: for its bucket.
+    """
+
+    url: str
+    storage_options: dict[str, Any] | None
+
+    def open(self, made: Mapping[str, Any]) -> StoreSource:
+        """The source."""
+        from orograph.store.stored import open
+
+        return StoreSource(open(self.url, storage_options=self.storage_options))
+
+
 class StoreSource:
     """The full resolution of a store as a source."""
 
     def __init__(self, terrain: StoredTerrain) -> None:
         self.terrain, self.grid, self.name = terrain, terrain.grid, terrain.name
         self.vertical, self.attribution = terrain.vertical, terrain.attribution
+
+    def again(self) -> tuple[StoreAgain, dict[str, Any]]:
+        """What opens it in another process, and with which arrays: none."""
+        return StoreAgain(*self.terrain.storage.named()), {}
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
         return self.terrain.read(0, row0, row1, col0, col1)
