@@ -69,7 +69,7 @@ def fitted(numbers, weights):
     for row in range(2, rows, max(rows // SAMPLED, 1)):
         far, near, line = numbers[row - 2], numbers[row - 1], numbers[row]
         _mark_counted(far, near, line, counted[:count])
-        put_surroundings(far, near, line, 2, 1, count, features)
+        put_surroundings(far, near, line, (0, 1, 2, 3, 4), count, features)
         used += put_shares(features, counted, shares)
         add_products(features, shares, scratch, sums)
     rounded_weights(weights_of(sums, used, 1e-5), weights)
