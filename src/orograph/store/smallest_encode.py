@@ -46,7 +46,7 @@ from orograph.store.smallest_rows import (
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
 CELLS = CLASSES * GROUPS * BINS
-RARE = 6  # values that only one in 2^6 exceeds are coded as ranges: shorter tables outweigh the loss
+RARE, COARSE = 6, 3  # as in *compact*, where they are 8 and 5: here shorter tables outweigh the loss
 
 
 @kernel
@@ -311,7 +311,7 @@ def encode(numbers, classes):
     number = _divided(values, kinds, WHOLE_GROUPS if classes == 1 else NESTED_GROUPS, places)
     depths, direct = np.zeros(number, np.int64), np.zeros(number, np.int64)
     codes, found = np.zeros((number, SYMBOLS), np.int64), np.zeros((number, SYMBOLS), np.int64)
-    sizes = decided_tables(values, kinds, number, RARE, depths, direct, found, codes)
+    sizes = decided_tables(values, kinds, number, RARE, COARSE, depths, direct, found, codes)
     words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
     ordered, steps, ranges = _in_steps(values, kinds, depths, direct, lines)
     p = _stream(ordered, steps, ranges, depths, direct, found, words, states)
