@@ -166,7 +166,7 @@ class Finest:
             if array.coarser is not None:
                 array.coarser = self._kept(spot, facts["coarse"].tobytes())
             return array.read(*self.spec.window(spot)), facts
-        except (DamagedChunkError, ValueError):
+        except (DamagedChunkError, RuntimeError, ValueError):
             return None
 
 
