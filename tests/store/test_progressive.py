@@ -17,8 +17,12 @@ from surfaces import rough, source
 from orograph import store
 from orograph.errors import DamagedChunkError
 from orograph.store import smallest
+from orograph.store.coding import coding_of
 from orograph.store.progressive import Scheme, coarse_of, residuals
 from orograph.store.progressive import rebuilt as rebuilt_chunk
+from orograph.store.pyramid import Finest, tasks
+from orograph.store.storage import FolderStorage
+from orograph.store.writer import ShardWriter
 
 MISSING = -(2**31)
 
@@ -141,6 +145,18 @@ def test_every_level_is_within_the_error_and_nests(tmp_path, shape, shard):
             (a, b), (c, d) = np.sort(rng.integers(0, h + 1, 2)), np.sort(rng.integers(0, w + 1, 2))
             np.testing.assert_array_equal(terrain.read(level, a, b, c, d), whole[a:b, c:d])
     assert np.nanmax(np.abs(kept.astype(np.float64) - heights)) <= 0.1
+
+
+def test_a_finished_shard_is_read_back_before_coarser_levels_are_written(tmp_path):
+    """An interrupted build goes on from there."""
+    heights = source(rough((150, 134), 3, 0.02))
+    writer = ShardWriter(FolderStorage(tmp_path))
+    finest = Finest(heights, writer, 64, 16, coding_of(heights, "progressive", 0.1))
+    for spot in tasks((150, 134), 64):
+        made, _ = finest.make(spot)
+        found = finest.found(spot)
+        assert found is not None
+        np.testing.assert_array_equal(found[0], made)
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="there is no node")

@@ -183,8 +183,11 @@ class ArraySpec:
         last = self._last((0, 0), (i, j))
         stored = smallest.decompressed(data, (self.chunk, self.chunk))[: size[0], : size[1]]
         above = self.packing.numbers(coarse[: (size[0] + 1) // 2 + last[0], : (size[1] + 1) // 2 + last[1]])
+        heights = self.packing.heights(rebuilt(stored, above, last, self.scheme))
+        if heights.shape == (self.chunk, self.chunk):
+            return heights
         found = np.full((self.chunk, self.chunk), np.nan, np.float32)
-        found[: size[0], : size[1]] = self.packing.heights(rebuilt(stored, above, last, self.scheme))
+        found[: size[0], : size[1]] = heights
         return found
 
     @property

@@ -28,7 +28,7 @@ Array = NDArray[Any]
 Place = tuple[int, int, int]
 """A chunk in its shard: offset, length and crc32c."""
 
-BULK = 16  # windows of more chunks than this are decoded by all processors, and do not evict others from the cache
+BULK = 16  # windows of more chunks than this are decoded by all processors, and mostly do not enter the cache
 BATCH = 64  # chunks fetched together from remote storage
 INDICES = 4096  # shard indices kept
 
@@ -58,6 +58,7 @@ class ShardedArray:
         digests: the expected digests of its shards.
         cache: for decoded chunks, shared with the store's other arrays.
         jobs: threads for large windows.
+        kept: windows of more chunks than this do not enter the cache.
         watch: notices when the store is replaced; None: it never is.
     """
 
@@ -69,14 +70,15 @@ class ShardedArray:
         cache: ChunkCache,
         jobs: int | None = None,
         watch: Watch | None = None,
+        kept: int = BULK,
     ) -> None:
         self.spec, self.storage, self.digests, self.cache = spec, storage, digests, cache
-        self.jobs, self.watch = threads_for(jobs), watch
+        self.jobs, self.watch, self.kept = threads_for(jobs), watch, kept
         self.blank = np.full((spec.chunk, spec.chunk), spec.fill, spec.dtype)
         self.blank.flags.writeable = False
         self.coarser: ShardedArray | Window | None = None
         if spec.coarser is not None:
-            self.coarser = ShardedArray(spec.coarser, storage, digests, cache, jobs)
+            self.coarser = ShardedArray(spec.coarser, storage, digests, cache, jobs, kept=kept)
         self._indices: OrderedDict[Spot, list[Place]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -145,7 +147,7 @@ class ShardedArray:
         def load(spots: Sequence[Spot]) -> None:
             for (i, j), (data, check) in zip(spots, early or self._fetch(spots), strict=True):
                 chunk = self._decode(i, j, data, check, above)
-                if not bulk:
+                if len(missing) <= self.kept:
                     cache.put((path, i, j), chunk)
                 self._place(out, chunk, i, j, row0, col0)
 

@@ -79,32 +79,30 @@ def totals(sums, count):
 
 
 @kernel
-def _put_differences(source, near, stride, count, out):
-    """Differences of ``count`` samples from those of the row above, 1 or 2 apart."""
-    if stride == 1:
-        for i in range(count):
-            out[i] = float(source[i]) - float(near[i])
-    else:
-        for i in range(count):
-            out[i] = float(source[2 * i]) - float(near[2 * i])
+def _put_differences(source, near, count, out):
+    """Differences of ``count`` samples from those of the row above."""
+    for i in range(count):
+        out[i] = float(source[i]) - float(near[i])
 
 
 @kernel
-def put_surroundings(far, near, line, first, stride, count, features):
+def put_surroundings(far, near, line, at, count, features):
     """What the samples around those of a row differ from the one above by, in the order of the weights, and what the
     sample itself does.
 
     Args:
-        far, near: the two rows above. first, stride, count: which samples, 1 or 2 apart. features: (``AROUND``, …).
+        far, near: the two rows above. at: where the first sample is, and those beside it: WW, W, itself, E, EE.
+        count: how many samples. features: (``AROUND``, …).
     """
-    above = near[first:]
-    for k in range(2):
-        _put_differences(line[first - 1 - k :], above, stride, count, features[k])
-        _put_differences(near[first - 2 + k :], above, stride, count, features[2 + k])
-        _put_differences(near[first + 1 + k :], above, stride, count, features[4 + k])
-    for k in range(5):
-        _put_differences(far[first - 2 + k :], above, stride, count, features[6 + k])
-    _put_differences(line[first:], above, stride, count, features[NEIGHBOURS])
+    ww, w, own, e, ee = at
+    above = near[own:]
+    _put_differences(line[w:], above, count, features[0])
+    _put_differences(line[ww:], above, count, features[1])
+    for k, place in enumerate((ww, w, e, ee)):
+        _put_differences(near[place:], above, count, features[2 + k])
+    for k, place in enumerate(at):
+        _put_differences(far[place:], above, count, features[6 + k])
+    _put_differences(line[own:], above, count, features[NEIGHBOURS])
 
 
 @kernel

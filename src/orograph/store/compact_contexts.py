@@ -86,7 +86,7 @@ def token(value):
 
 @kernel
 def cost_of(counts, more, share):
-    """Bits of the counted values, ``share`` times ``more`` included, and of their table."""
+    """Bits of the counted values, ``share`` times ``more`` (which may be longer) included, and of their table."""
     total, bits, kinds = 0, 0.0, 0
     for k in range(counts.size):
         count = counts[k] + share * more[k]
@@ -118,18 +118,19 @@ def grouped(levels, group, most):
 
 
 @kernel
-def joined(counts, groups, bounds, most):
+def joined(counts, lengths, groups, bounds, most):
     """Merge neighbouring groups while that costs nothing, or there are more than ``most``; return how many are left.
 
     Args:
-        counts: (groups, n), becomes that of what is left. bounds: becomes the first group of each.
+        counts: (groups, n), becomes that of what is left. lengths: (groups,), beyond which all counts are 0, likewise.
+        bounds: becomes the first group of each.
     """
     left, costs, joint, at = groups, np.zeros(groups), np.zeros(groups), np.arange(groups)
     for k in range(groups):
         bounds[k] = k
-        costs[k] = cost_of(counts[k], counts[k], 0)
+        costs[k] = cost_of(counts[k, : lengths[k]], counts[k], 0)
     for k in range(groups - 1):
-        joint[k] = cost_of(counts[k], counts[k + 1], 1)
+        joint[k] = cost_of(counts[k, : max(lengths[k], lengths[k + 1])], counts[k + 1], 1)
     while left > 1:
         best = 0
         for k in range(1, left - 1):
@@ -137,17 +138,17 @@ def joined(counts, groups, bounds, most):
                 best = k
         if left <= most and joint[best] >= costs[best] + costs[best + 1]:
             break
-        counts[at[best]] += counts[at[best + 1]]
-        costs[best] = joint[best]
+        here, behind = at[best], at[best + 1]
+        counts[here] += counts[behind]
+        costs[best], lengths[here] = joint[best], max(lengths[here], lengths[behind])
         for k in range(best + 1, left - 1):
             at[k], costs[k], bounds[k], joint[k] = at[k + 1], costs[k + 1], bounds[k + 1], joint[k + 1]
         left -= 1
-        if best > 0:
-            joint[best - 1] = cost_of(counts[at[best - 1]], counts[at[best]], 1)
-        if best < left - 1:
-            joint[best] = cost_of(counts[at[best]], counts[at[best + 1]], 1)
+        for k in range(max(best - 1, 0), min(best + 1, left - 1)):
+            one, two = at[k], at[k + 1]
+            joint[k] = cost_of(counts[one, : max(lengths[one], lengths[two])], counts[two], 1)
     for k in range(left):
-        counts[k] = counts[at[k]]
+        counts[k], lengths[k] = counts[at[k]], lengths[at[k]]
     return left
 
 
@@ -164,7 +165,7 @@ def divided(values, activity, bounds):
     every = counts.reshape(groups * TOKENS)
     for k in range(size):
         every[np.uint64(group[np.uint64(flat[k])] * TOKENS + token(np.int64(of[k])))] += 1
-    contexts = joined(counts, groups, firsts, CONTEXTS)
+    contexts = joined(counts, np.full(groups, TOKENS), groups, firsts, CONTEXTS)
     context = np.empty(LEVELS, np.int32)
     now = 0
     for level in range(LEVELS):

@@ -104,15 +104,16 @@ def _row(states, p, words, table, depths, direct, deep, begins, values, weights,
         d, p, vd = next_symbol(d, p, words, table, cd)
         if max(max(va, vb), max(vc, vd)) >= DIRECT:
             if va >= DIRECT:
-                a, p, va = ranged(a, p, words, va, direct[ca >> BITS])
+                a, p, va = ranged(a, p, words, va, direct[np.uint64(ca >> BITS)])
             if vb >= DIRECT:
-                b, p, vb = ranged(b, p, words, vb, direct[cb >> BITS])
+                b, p, vb = ranged(b, p, words, vb, direct[np.uint64(cb >> BITS)])
             if vc >= DIRECT:
-                c, p, vc = ranged(c, p, words, vc, direct[cc >> BITS])
+                c, p, vc = ranged(c, p, words, vc, direct[np.uint64(cc >> BITS)])
             if vd >= DIRECT:
-                d, p, vd = ranged(d, p, words, vd, direct[cd >> BITS])
+                d, p, vd = ranged(d, p, words, vd, direct[np.uint64(cd >> BITS)])
         if deep:
-            da, db, dc, dd = depths[ca >> BITS], depths[cb >> BITS], depths[cc >> BITS], depths[cd >> BITS]
+            da, db = depths[np.uint64(ca >> BITS)], depths[np.uint64(cb >> BITS)]
+            dc, dd = depths[np.uint64(cc >> BITS)], depths[np.uint64(cd >> BITS)]
             a, p, low = plain_bits(a, p, words, da)
             va = va << da | low
             b, p, low = plain_bits(b, p, words, db)

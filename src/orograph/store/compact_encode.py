@@ -45,6 +45,7 @@ from orograph.store.compact_decode import (
 )
 
 SAMPLED = 32  # rows that weights are fitted to
+FINE = 5  # bits of a mean value in symbols; those below are separate
 RARE = 8  # values that one in 2^8 exceeds are ranges
 
 
@@ -69,7 +70,7 @@ def fitted(numbers, weights):
     for row in range(2, rows, max(rows // SAMPLED, 1)):
         far, near, line = numbers[row - 2], numbers[row - 1], numbers[row]
         _mark_counted(far, near, line, counted[:count])
-        put_surroundings(far, near, line, 2, 1, count, features)
+        put_surroundings(far, near, line, (0, 1, 2, 3, 4), count, features)
         used += put_shares(features, counted, shares)
         add_products(features, shares, scratch, sums)
     rounded_weights(weights_of(sums, used, 1e-5), weights)
@@ -112,9 +113,12 @@ def symbol_of(value, direct):
 
 
 @kernel
-def decided_tables(values, contexts, number, rare, depths, direct, found, codes):
+def decided_tables(values, contexts, number, rare, coarse, depths, direct, found, codes):
     """Decide the tables: ``depths`` by context, how many symbols are values (``direct``: those that one in 2^``rare``
-    exceeds are ranges), the ``codes`` of the ``found`` frequencies; symbols of each."""
+    exceeds are ranges), the ``codes`` of the ``found`` frequencies; symbols of each.
+
+    If any table has bits below its symbols, a mean value has ``coarse`` bits in symbols, for all of them.
+    """
     parts = np.zeros(4 * 2 * number, np.int64)  # (in four parts, for neighbours mostly have the same context)
     size, sizes = values.size, np.zeros(number, np.int64)
     flat, of = values.reshape(size), contexts.reshape(size)
@@ -127,8 +131,11 @@ def decided_tables(values, contexts, number, rare, depths, direct, found, codes)
         sums[c % number] += parts[2 * c]
         counts[c % number] += parts[2 * c + 1]
     for c in range(number):
-        depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - 5, 0), DEEPEST)
+        depths[c] = max(length(sums[c] // max(counts[c], 1)) - FINE, 0)
         direct[c] = DIRECT
+    if depths.any():  # (then decoders read such bits of all samples, and more of them take no longer)
+        for c in range(number):
+            depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - coarse, 0), DEEPEST)
     large, many = np.empty(size, np.int64), 0  # where values are that are ranges in any case
     every = found.reshape(found.size)
     for k in range(size):
@@ -338,7 +345,7 @@ def encode(numbers):
     depths, direct = np.zeros(contexts, np.int64), np.zeros(contexts, np.int64)
     codes = np.zeros((contexts, SYMBOLS), np.int64)
     found = np.zeros((contexts, SYMBOLS), np.int64)
-    sizes = decided_tables(values, activity, contexts, RARE, depths, direct, found, codes)
+    sizes = decided_tables(values, activity, contexts, RARE, FINE, depths, direct, found, codes)
     words, states = np.empty(WORDS * values.size + 1, np.uint16), np.empty(LANES, np.int64)
     p = _stream(values, activity, depths, direct, found, words, states)
     head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)

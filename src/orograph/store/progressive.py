@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.store.coding import MISSING, Numbers
+from orograph.store.terrain import Heights
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,19 +83,21 @@ def rebuilt(stored: Numbers, coarse: Numbers, last: tuple[int, int], scheme: Sch
     return found
 
 
-def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> Numbers:
+def closed(heights: Heights, step: float, levels: int, chunk: int, factor: int) -> Numbers:
     """The quantised heights: each level as close as possible, in large steps from its prediction.
 
     Args:
-        units: heights in small steps, NaN where missing; they begin at a multiple of ``chunk`` << (``levels`` - 1)
-            samples, and end at such a multiple, or with the raster.
+        heights: metres, NaN where missing; they begin at a multiple of ``chunk`` << (``levels`` - 1) samples, and end
+            at such a multiple, or with the raster.
+        step: the small step, metres.
         levels: the number of predicted levels; the one above them uses whole large steps.
     """
+    from orograph._numba import read_only
     from orograph.store.progressive_kernels import settle
 
-    coarse = _numbers(np.rint(_level(units, levels) / factor) * factor)
+    coarse = _numbers(np.rint(_level(heights, levels).astype(np.float64) / step / factor) * factor)
     for level in range(levels - 1, -1, -1):
-        here = _level(units, level)
+        here = _level(heights, level)
         found = np.empty(here.shape, np.int32)
         for row in range(0, here.shape[0], chunk):
             for col in range(0, here.shape[1], chunk):
@@ -103,18 +106,19 @@ def closed(units: NDArray[np.float64], levels: int, chunk: int, factor: int) -> 
                 last = known((here.shape[0], here.shape[1]), (row, col), size)
                 own = coarse[row // 2 :, col // 2 :][: (size[0] + 1) // 2 + last[0], : (size[1] + 1) // 2 + last[1]]
                 part = np.empty(size, np.int32)
-                settle(np.ascontiguousarray(at), np.ascontiguousarray(own), *last, factor, part)
+                given = read_only(np.ascontiguousarray(at))
+                settle(given, step, np.ascontiguousarray(own), *last, factor, part)
                 found[row : row + chunk, col : col + chunk] = part
         coarse = found
     return coarse
 
 
-def _level(units: NDArray[np.float64], level: int) -> NDArray[np.float64]:
+def _level(heights: Heights, level: int) -> Heights:
     """Every 2^level-th sample, and the last ones if they are others."""
-    if all((n - 1) % (1 << level) == 0 for n in units.shape):
-        return units[:: 1 << level, :: 1 << level]
-    rows, cols = (np.minimum(np.arange(-((1 - n) >> level) + 1) << level, n - 1) for n in units.shape)
-    return units[np.ix_(rows, cols)]
+    if all((n - 1) % (1 << level) == 0 for n in heights.shape):
+        return heights[:: 1 << level, :: 1 << level]
+    rows, cols = (np.minimum(np.arange(-((1 - n) >> level) + 1) << level, n - 1) for n in heights.shape)
+    return heights[np.ix_(rows, cols)]
 
 
 def _numbers(steps: NDArray[np.float64]) -> Numbers:

@@ -12,18 +12,20 @@ from orograph.store.codec_head import MISSING
 def _filled(line, out):
     """Extrapolate a row or column linearly by two samples at its end and one at its beginning. A missing sample takes
     the nearest value before it, else the first one present. Return whether any is present."""
-    n, first = line.size, np.int64(MISSING)
+    n, lowest, highest = line.size, line[0], line[0]
     for k in range(n):
-        if line[k] != MISSING:
-            first = np.int64(line[k])
-            break
-    if first == MISSING:
+        lowest, highest = min(lowest, line[k]), max(highest, line[k])
+        out[k + 1] = line[k]
+    if highest == MISSING:
         out[:] = 0
         return False
-    for k in range(n):
-        if line[k] != MISSING:
-            first = np.int64(line[k])
-        out[k + 1] = first
+    if lowest == MISSING:
+        first = np.int64(0)
+        for k in range(n - 1, -1, -1):
+            first = np.int64(line[k]) if line[k] != MISSING else first
+        for k in range(n):
+            first = np.int64(line[k]) if line[k] != MISSING else first
+            out[k + 1] = first
     last = out[n] - out[n - 1] if n > 1 else 0
     out[0] = out[1] - (out[2] - out[1]) if n > 1 else out[1]
     out[n + 1], out[n + 2] = out[n] + last, out[n] + 2 * last
@@ -38,6 +40,67 @@ def _between(line, out):
 
 
 @kernel
+def _extended(lines, count):
+    """Extrapolate ``count`` rows, from the second on: a row before them and two behind, like ``_filled``'s ends."""
+    first, second = lines[1], lines[2 if count > 1 else 1]
+    last, before = lines[count], lines[count - 1 if count > 1 else count]
+    for j in range(lines.shape[1]):
+        step = last[j] - before[j]
+        lines[0, j] = 2 * first[j] - second[j]
+        lines[count + 1, j], lines[count + 2, j] = last[j] + step, last[j] + 2 * step
+
+
+@kernel
+def _columns(coarse, lines):
+    """All columns of a chunk's known samples, filled like ``_filled``: (rows + 3, columns) int64."""
+    n, m = coarse.shape
+    before = lines[0]
+    before[:] = 0
+    for i in range(n - 1, -1, -1):
+        own = coarse[i]
+        for j in range(m):
+            before[j] = own[j] if own[j] != MISSING else before[j]
+    for i in range(n):
+        own, line = coarse[i], lines[i + 1]
+        for j in range(m):
+            line[j] = own[j] if own[j] != MISSING else before[j]
+        before = line
+    _extended(lines, n)
+
+
+@kernel
+def _down(lines, i, bits, found):
+    """The interpolated values half-way below a row of ``lines``, divided by 2^``bits`` and rounded."""
+    above, upper, lower, below, half = lines[i], lines[i + 1], lines[i + 2], lines[i + 3], 1 << bits >> 1
+    for j in range(lines.shape[1]):
+        found[j] = (9 * (upper[j] + lower[j]) - above[j] - below[j] + half) >> bits
+
+
+@kernel
+def _alternating(even, odd, line):
+    """A row of samples from those of its even and of its odd columns."""
+    for j in range(odd.size):
+        line[np.uint64(2 * j)], line[np.uint64(2 * j + 1)] = even[j], odd[j]
+    for j in range(odd.size, even.size):
+        line[2 * j] = even[j]
+
+
+@kernel
+def _put_last_column(coarse, known_row, out):
+    """Predict the last column of a chunk from its own samples, where the level above has some."""
+    (rows, cols), n = out.shape, coarse.shape[0] - known_row
+    last, tall, down = coarse.shape[1] - 1, np.empty(n + 3, np.int64), np.empty(rows // 2, np.int64)
+    _filled(coarse[:n, last], tall)
+    _between(tall, down)
+    for i in range(rows // 2):
+        out[2 * i + 1, cols - 1] = (down[i] + 8) >> 4
+    for i in range(n):
+        out[2 * i, cols - 1] = coarse[i, last]
+    if known_row:
+        out[rows - 1, cols - 1] = coarse[n, last]
+
+
+@kernel
 def predict(coarse, known_row, known_col, out):
     """Predict a chunk from every second of its samples.
 
@@ -47,22 +110,17 @@ def predict(coarse, known_row, known_col, out):
         out: (rows, cols) int32, becomes the predictions, and ``coarse`` where the level above has the sample.
     """
     rows, cols = out.shape
-    n, m = coarse.shape[0] - known_row, coarse.shape[1] - known_col
-    line, tall = np.empty(coarse.shape[1] + 3, np.int64), np.empty(coarse.shape[0] + 3, np.int64)
-    across, there = np.zeros((n + 3, cols // 2), np.int64), np.zeros(n, np.bool_)
-    for i in range(n):
-        there[i] = _filled(coarse[i, :m], line[: m + 3])
-        _between(line, across[i + 1])
-        for j in range(m):
-            out[2 * i, 2 * j] = coarse[i, j]
-        for j in range(cols // 2):
-            out[2 * i, 2 * j + 1] = (across[i + 1, j] + 8) >> 4
-    down = np.empty(rows // 2, np.int64)
-    for j in range(m):
-        _filled(coarse[:n, j], tall[: n + 3])
-        _between(tall, down)
-        for i in range(rows // 2):
-            out[2 * i + 1, 2 * j] = (down[i] + 8) >> 4
+    n, m, half = coarse.shape[0] - known_row, coarse.shape[1] - known_col, cols // 2
+    line, odd, even = np.empty(m + 3, np.int64), np.empty(half, np.int64), np.empty(m, np.int64)
+    across, there = np.zeros((n + 3, half), np.int64), np.zeros(n, np.bool_)
+    for i in range(coarse.shape[0]):
+        some, found = _filled(coarse[i, :m], line), across[i + 1 if i < n else 0]
+        _between(line, found)
+        for j in range(half):
+            odd[j] = (found[j] + 8) >> 4
+        _alternating(coarse[i, :m], odd, out[2 * i if i < n else rows - 1])
+        if i < n:
+            there[i] = some
     for i in range(1, n):  # a row without any sample repeats the one before it
         if not there[i]:
             across[i + 1] = across[i]
@@ -71,30 +129,16 @@ def predict(coarse, known_row, known_col, out):
         if not there[i]:
             across[i + 1] = across[i + 2]
             there[i] = there[i + 1]
-    for j in range(cols // 2):
-        last = across[n, j] - across[n - 1, j] if n > 1 else 0
-        across[0, j] = across[1, j] - (across[2, j] - across[1, j]) if n > 1 else across[1, j]
-        across[n + 1, j], across[n + 2, j] = across[n, j] + last, across[n, j] + 2 * last
-    for i in range(rows // 2):
-        for j in range(cols // 2):
-            near = 9 * (across[i + 1, j] + across[i + 2, j])
-            out[2 * i + 1, 2 * j + 1] = (near - across[i, j] - across[i + 3, j] + 128) >> 8
-    if known_row:
-        _filled(coarse[n, :m], line[: m + 3])
-        _between(line, across[0])
-        for j in range(m):
-            out[rows - 1, 2 * j] = coarse[n, j]
-        for j in range(cols // 2):
-            out[rows - 1, 2 * j + 1] = (across[0, j] + 8) >> 4
+    _extended(across, n)
+    columns = np.empty((n + 3, m), np.int64)
+    _columns(coarse[:n, :m], columns)
+    last = rows - 1 if known_row else rows
+    for i in range(last // 2):
+        _down(columns, i, 4, even)
+        _down(across, i, 8, odd)
+        _alternating(even, odd, out[2 * i + 1])
     if known_col:
-        _filled(coarse[:n, m], tall[: n + 3])
-        _between(tall, down)
-        for i in range(n):
-            out[2 * i, cols - 1] = coarse[i, m]
-        for i in range(rows // 2):
-            out[2 * i + 1, cols - 1] = (down[i] + 8) >> 4
-    if known_row and known_col:
-        out[rows - 1, cols - 1] = coarse[n, m]
+        _put_last_column(coarse, known_row, out)
 
 
 @inlined
@@ -135,25 +179,22 @@ def _put_known(coarse, known_row, known_col, out):
 
 
 @kernel
-def settle(units, coarse, known_row, known_col, factor, out):
+def settle(heights, step, coarse, known_row, known_col, factor, out):
     """Quantise heights: whole large steps from their predictions.
 
     Args:
-        units: (rows, cols) float64, in small steps, NaN where missing. coarse, known_row, known_col: as in ``predict``.
-        out: (rows, cols) int32.
+        heights: (rows, cols) float32, metres, NaN where missing. step: the small step, metres.
+        coarse, known_row, known_col: as in ``predict``. out: (rows, cols) int32.
     """
     predict(coarse, known_row, known_col, out)
-    rows, cols = out.shape
-    for i in range(rows):
-        row = _given(i, rows, known_row)
-        for j in range(cols):
-            if row and _given(j, cols, known_col):
-                continue
-            here = units[i, j]
-            if here == here:
-                out[i, j] += np.int32(np.rint((here - out[i, j]) / factor)) * factor
-            else:
-                out[i, j] = MISSING
+    wide, share = np.float64(factor), 1.0 / factor
+    for i in range(out.shape[0]):
+        own, line = heights[i], out[i]
+        for j in range(line.size):
+            here = np.float64(own[j]) / step
+            steps = np.rint((here - np.float64(line[j])) * share) * wide
+            line[j] = np.int32(line[j] + np.int32(steps)) if here == here else np.int32(MISSING)
+    _put_known(coarse, known_row, known_col, out)
 
 
 @kernel
@@ -177,13 +218,8 @@ def subtract(numbers, coarse, known_row, known_col, factor, exact, out):
 def add(stored, coarse, known_row, known_col, factor, exact, out):
     """Rebuild a chunk from its stored differences and the samples that the level above has."""
     _predicted(coarse, known_row, known_col, factor, exact, out)
-    rows, cols = out.shape
-    for i in range(rows):
-        row = _given(i, rows, known_row)
-        for j in range(cols):
-            if row and _given(j, cols, known_col):
-                continue
-            if stored[i, j] == MISSING:
-                out[i, j] = MISSING
-            else:
-                out[i, j] = np.int32(out[i, j] + np.int64(stored[i, j]) * factor)
+    for i in range(out.shape[0]):
+        own, line = stored[i], out[i]
+        for j in range(line.size):
+            line[j] = np.int32(line[j] + own[j] * np.int32(factor)) if own[j] != MISSING else np.int32(MISSING)
+    _put_known(coarse, known_row, known_col, out)

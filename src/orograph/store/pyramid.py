@@ -42,7 +42,6 @@ from orograph.store.levels import (
 from orograph.store.parts import pack, unpack
 from orograph.store.places import PARTS
 from orograph.store.progressive import closed, coarse_of, known
-from orograph.store.smallest import compressed, decompressed
 from orograph.store.source import HeightSource
 from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count, level_shape, mean_shape, tile_shape
 from orograph.store.writer import Canvas, ShardWriter
@@ -119,7 +118,7 @@ class Finest:
         if self.coding.codec == "progressive":
             self.coding.bounded(float(np.nanmax(np.abs(heights), initial=0.0)))
             levels = min((size // self.chunk).bit_length(), level_count(self.shape) - 1)
-            kept = closed(heights.astype(np.float64) / self.coding.step, levels, self.chunk, self.coding.factor)
+            kept = closed(heights, self.coding.step, levels, self.chunk, self.coding.factor)
         heights, lost = self.coding.rounded(heights, size, kept)
         return heights, {"lost": lost}
 
@@ -129,17 +128,23 @@ class Finest:
 
     def _coarse(self, spot: Spot, own: Heights) -> NDArray[np.uint8]:
         """A shard's samples of level 1, packed."""
+        from orograph._blosc import blosc
+
         assert self.spec.packing is not None
         numbers = coarse_of(self.spec.packing.numbers(own), self._last(spot))
-        return np.frombuffer(compressed(numbers), np.uint8)
+        packed = blosc.compress(numbers, b"zstd", 1, blosc.SHUFFLE)
+        return np.frombuffer(packed, np.uint8)
 
     def _kept(self, spot: Spot, packed: bytes) -> Window:
         """As an array that reads these samples."""
+        from orograph._blosc import blosc
+
         assert self.spec.packing is not None
         row0, row1, col0, col1 = self.spec.window(spot)
         last = self._last(spot)
         shape = (row1 - row0 + 1) // 2 + last[0], (col1 - col0 + 1) // 2 + last[1]
-        return Window((row0 // 2, col0 // 2), self.spec.packing.heights(decompressed(packed, shape)))
+        numbers = np.frombuffer(blosc.decompress(packed), np.int32).reshape(shape)
+        return Window((row0 // 2, col0 // 2), self.spec.packing.heights(numbers))
 
     def _last(self, spot: Spot) -> tuple[int, int]:
         row0, row1, col0, col1 = self.spec.window(spot)
@@ -161,7 +166,7 @@ class Finest:
             if array.coarser is not None:
                 array.coarser = self._kept(spot, facts["coarse"].tobytes())
             return array.read(*self.spec.window(spot)), facts
-        except (DamagedChunkError, ValueError):
+        except (DamagedChunkError, RuntimeError, ValueError):
             return None
 
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from orograph._lanes import LANES32, least, most, some, where
 from orograph._lanes32 import (
     count_of,
-    float_bits,
     gather32,
     lane,
     least_unsigned,
@@ -56,14 +55,14 @@ from orograph.store.smallest_rows import (
     GROUPS,
     HEADER,
     LAG,
-    LOWEST,
     SETS,
     SIGNS,
-    SMALL,
     VERSION,
     WEIGHTS,
     WORDS,
+    cell_of,
     period_of,
+    size_of,
     steps_of,
 )
 
@@ -99,12 +98,6 @@ class Front(NamedTuple):
     down: Flat
     edges: Flat
     last: Flat
-
-
-@inlined
-def _size(difference):
-    """Absolute values of differences, at most ``CAP``."""
-    return least_unsigned(most(difference, 0 - difference), CAP)
 
 
 @inlined
@@ -162,20 +155,6 @@ def _active(factors, at, front, o, e_nee, e_nn, across):
 
 
 @inlined
-def _cell(active, t):
-    """(The cell within a lane's class; -1 where the sign is reversed, else 0.)"""
-    beyond = (t & (TOTAL - 1)) - TOTAL // 2
-    lean = t - TOTAL // 2
-    far = shifted_right(most(lean, 0 - lean), 4)
-    steps = where(far + far > active, 1, 0) + where(far > active, 1, 0)
-    steps += where(far > active + active, 1, 0) + where(far > (active << 2), 1, 0)
-    small = active < SMALL
-    bin_ = where(small, least(most(beyond, 0 - beyond) >> 9, 3), steps)
-    group = least(most((float_bits(active) >> 21) - LOWEST, 0), GROUPS - 1)
-    return group * BINS + bin_, where(small, beyond, lean) >> 31
-
-
-@inlined
 def _values(states, p, words, tables, deep, cells, coded):
     """Decode a value of each lane that has a sample: (the states, the next word, the values.)"""
     begins = gather32(tables.cells, cells)
@@ -222,20 +201,20 @@ def _decode_block(count, step, period, p, words, tables, deep, factors, coded, s
         nee, nnee = shifted_in(edges[0, ahead], west), shifted_in(edges[1, ahead], northwest)
         e_nee = shifted_in(edges[2, ahead], error)
         e_nn = shifted_in(edges[3, np.uint64(here)], load32(errors, _ago(o, 5)))
-        across = _size(nee - load32(above, _ago(o, 1)))
+        across = size_of(nee - load32(above, _ago(o, 1)))
         store32(above, o, nee)
         store32(beyond, o, nnee)
         store32(errors, o, e_nee)
         store32(front.across, o, across)
-        store32(front.down, o, _size(nee - nnee))
+        store32(front.down, o, size_of(nee - nnee))
         t = _predicted(factors, at, front, o, nee, nnee)
         active = _active(factors, at, front, o, e_nee, e_nn, across) + _times(factors, at, 24, error)
-        active += _times(factors, at, 25, _size(west - northwest)) + _times(factors, at, 26, _size(west - farther))
+        active += _times(factors, at, 25, size_of(west - northwest)) + _times(factors, at, 26, size_of(west - farther))
         t = t + _times(factors, at, 1, farther) + _times(factors, at, 0, west)
         said = t >> BITS
         guess = north + said
-        active += _times(factors, at, 27, _size(said)) + _times(factors, at, 28, _size(west - guess))
-        cells, turned = _cell(active, t)
+        active += _times(factors, at, 27, size_of(said)) + _times(factors, at, 28, size_of(west - guess))
+        cells, turned = cell_of(active, t)
         mine = marked(coded[np.uint64(step + k)])
         cells += load32(factors, at + np.uint64((FACTORS - 1) * LANES32))
         states, p, values = _values(states, p, words, tables, deep, cells, mine)

@@ -17,7 +17,7 @@ from orograph.store.codec_head import (
     SYMBOLS,
     full_weights,
 )
-from orograph.store.compact_contexts import TOKENS, cost_of, grouped, joined, token
+from orograph.store.compact_contexts import cost_of, grouped, joined, token
 from orograph.store.compact_encode import (
     decided_tables,
     push,
@@ -27,8 +27,8 @@ from orograph.store.compact_encode import (
     write_mask,
     write_tables,
 )
-from orograph.store.smallest_fit import SAMPLED, fitted_shares, fitted_weights
-from orograph.store.smallest_look import look, surrounded
+from orograph.store.smallest_fit import fitted_shares, fitted_weights
+from orograph.store.smallest_look import factors_of, lines_of, look, parities_of
 from orograph.store.smallest_rows import (
     BINS,
     CLASS,
@@ -45,37 +45,40 @@ from orograph.store.smallest_rows import (
 )
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
-RARE = 6  # values that only one in 2^6 exceeds are coded as ranges: shorter tables outweigh the loss
+CELLS = CLASSES * GROUPS * BINS
+RARE, COARSE = 6, 4  # as in *compact*, where they are 8 and 5: here shorter tables outweigh the loss
 
 
 @kernel
-def _merged(counts, left, final):
+def _merged(counts, lengths, left, final):
     """Merge any two tables while that makes the chunk smaller; return how many are left.
 
     Args:
-        counts: (tables, TOKENS). left: the number of tables. final: (tables,), becomes the table that each is merged
-            into, numbered without gaps.
+        counts: (tables, n). lengths: (tables,), beyond which all counts are 0. left: the number of tables.
+        final: (tables,), becomes the table that each is merged into, numbered without gaps.
     """
     costs, joint, into = np.zeros(left), np.zeros((left, left)), np.arange(left)
     for k in range(left):
-        costs[k] = cost_of(counts[k], counts[k], 0)
+        costs[k] = cost_of(counts[k, : lengths[k]], counts[k], 0)
         for m in range(k):
-            joint[k, m] = cost_of(counts[k], counts[m], 1) - costs[k] - costs[m]
+            joint[k, m] = cost_of(counts[k, : max(lengths[k], lengths[m])], counts[m], 1) - costs[k] - costs[m]
     while True:
         one, other, best = 0, 0, 0.0
         for k in range(left):
+            row = joint[k, :k]
             for m in range(k):
-                if into[k] == k and into[m] == m and joint[k, m] < best:
-                    one, other, best = k, m, joint[k, m]
+                if row[m] < best:
+                    one, other, best = k, m, row[m]
         if one == other:
             break
         counts[other] += counts[one]
         costs[other] += costs[one] + best
-        into[one] = other
+        lengths[other] = max(lengths[other], lengths[one])
+        into[one], joint[one], joint[:, one] = other, 0.0, 0.0
         for k in range(left):
             if into[k] == k and k != other:
-                change = cost_of(counts[k], counts[other], 1) - costs[k] - costs[other]
-                joint[max(k, other), min(k, other)] = change
+                change = cost_of(counts[k, : max(lengths[k], lengths[other])], counts[other], 1)
+                joint[max(k, other), min(k, other)] = change - costs[k] - costs[other]
     number = 0
     for k in range(left):
         if into[k] == k:
@@ -87,51 +90,77 @@ def _merged(counts, left, final):
 
 
 @kernel
-def _divided(values, groups, kinds, most, places):
+def _counted(values, cells, most, merged):
+    """Divide groups of activity into at most ``most``, and count the values of cells.
+
+    Args:
+        values, cells: from ``look``; ``cells`` become (class · ``BINS`` + bin) · groups + group.
+        merged: (GROUPS,), becomes the group that each belongs to.
+
+    Returns:
+        how often each cell has each token.
+    """
+    parts, found = np.zeros((4, CELLS), np.int64), np.empty(CELLS, np.int32)
+    flat, largest = parts.reshape(4 * CELLS), np.uint32(0)
+    for k in range(cells.size):  # (in four parts, for neighbours mostly have the same cell)
+        flat[np.uint64((k & 3) * CELLS + cells[k])] += 1
+        largest = max(largest, values[k])
+    sizes = np.zeros(GROUPS, np.int64)
+    for cell in range(CELLS):
+        sizes[cell // BINS % GROUPS] += parts[:, cell].sum()
+    groups = grouped(sizes, merged, most)
+    for cell in range(CELLS):
+        kind = cell // (GROUPS * BINS) * BINS + cell % BINS
+        found[cell] = kind * groups + merged[cell // BINS % GROUPS]
+    longest = token(np.int64(largest)) + 1
+    counts = np.zeros((CLASSES * BINS * groups, longest), np.int64)
+    every = counts.reshape(counts.size)
+    for k in range(values.size):
+        cell = found[np.uint64(cells[k])]
+        cells[k] = cell
+        every[np.uint64(cell * longest + token(np.int64(values[k])))] += 1
+    return counts
+
+
+@kernel
+def _divided(values, cells, most, places):
     """Choose the tables of all cells; return their number.
 
     Args:
-        values, groups, kinds: of the samples that are coded, from ``look``; ``kinds`` become tables.
+        values, cells: of the samples that are coded, from ``look``; ``cells`` become tables.
         most: the largest number of groups to distinguish.
         places: (CLASSES, GROUPS, BINS) int64, become tables, -1 where there are no samples.
     """
-    parts, merged = np.zeros(4 * GROUPS, np.int64), np.empty(GROUPS, np.int64)
-    for k in range(groups.size):  # (in four parts, for neighbours mostly have the same group)
-        parts[np.uint64((k & 3) * GROUPS + groups[k])] += 1
-    most = grouped(parts.reshape(4, GROUPS).sum(0), merged, most)
-    cells = CLASSES * BINS * most
-    counts = np.zeros((cells, TOKENS), np.int64)
-    every = counts.reshape(cells * TOKENS)
-    for k in range(values.size):
-        cell = kinds[k] * most + merged[np.uint64(groups[k])]
-        kinds[k] = cell
-        every[np.uint64(cell * TOKENS + token(np.int64(values[k])))] += 1
-    filled, table, longest = 0, np.full(cells, -1, np.int64), TOKENS
-    while longest > 1 and not counts[:, longest - 1].any():
-        longest -= 1
-    counts = np.ascontiguousarray(counts[:, :longest])
-    for cell in range(cells):  # (counts move up: those that hold anything come first)
-        if counts[cell].any():
-            counts[filled] = counts[cell]
-            table[cell] = filled
+    merged = np.empty(GROUPS, np.int64)
+    counts = _counted(values, cells, most, merged)
+    count, filled = counts.shape[0], 0
+    groups, table, lengths = count // (CLASSES * BINS), np.full(count, -1, np.int64), np.zeros(count, np.int64)
+    for cell in range(count):  # (counts move up: those that hold anything come first)
+        length = counts.shape[1]
+        while length > 0 and counts[cell, length - 1] == 0:
+            length -= 1
+        if length:
+            if cell != filled:
+                counts[filled] = counts[cell]
+            table[cell], lengths[filled] = filled, length
             filled += 1
     tables, chain = 1, np.zeros(max(filled, 1), np.int64)
     if filled:
         firsts, final = np.zeros(filled, np.int64), np.zeros(filled, np.int64)
-        links, now = joined(counts, filled, firsts, SETS), 0
-        tables = _merged(counts, links, final)
+        links, now = joined(counts, lengths, filled, firsts, SETS), 0
+        tables = _merged(counts, lengths, links, final)
         for at in range(filled):
             while now + 1 < links and at >= firsts[now + 1]:
                 now += 1
             chain[at] = final[now]
-    for cell in range(cells):
+    for cell in range(count):
         if table[cell] >= 0:
             table[cell] = chain[table[cell]]
     for kind in range(CLASSES * BINS):
         for group in range(GROUPS):
-            places[kind // BINS, group, kind % BINS] = table[kind * most + merged[group]]
-    for k in range(kinds.size):
-        kinds[k] = table[np.uint64(kinds[k])]
+            places[kind // BINS, group, kind % BINS] = table[kind * groups + merged[group]]
+    for k in range(cells.size):
+        cells[k] = table[np.uint64(cells[k])]
     return tables
 
 
@@ -157,25 +186,26 @@ def _write_map(out, at, places):
 
 
 @kernel
-def _in_steps(values, tables, depths, direct, skips):
+def _in_steps(values, tables, depths, direct, lines):
     """Values and codes (a table's number times ``SYMBOLS``, plus the symbol) in the order of steps, flat, sixteen in
     each, -1 where a lane has nothing; and of each step whether it has ranges."""
-    rows, cols = skips.shape
-    steps, n = steps_of(rows, cols), 0
+    rows, cols = lines.shape
+    steps, n, every, marks = steps_of(rows, cols), 0, 2 if lines.split else 1, lines.marks
     ordered, codes = np.zeros(steps * LANES32, np.uint32), np.full(steps * LANES32, -1, np.int32)
     ranges = np.zeros(steps, np.bool_)
     for row in range(rows):
-        begin, skip = begin_of(row, cols), skips[row]
+        begin, (first, end) = begin_of(row, cols), parities_of(lines, row)
         at = begin * LANES32 + row % LANES32
-        for col in range(cols):
-            if skip[np.uint64(col)]:
-                continue
-            here, c, value = np.uint64(at + col * LANES32), np.uint64(tables[np.uint64(n)]), values[np.uint64(n)]
-            symbol = symbol_of(np.int64(value) >> depths[c], direct[c])
-            if symbol >= direct[c]:
-                ranges[np.uint64(begin + col)] = True
-            ordered[here], codes[here] = value, np.int64(c) * SYMBOLS + symbol
-            n += 1
+        for parity in range(first, end):
+            for col in range(parity, cols, every):
+                if marks.size and marks[row, col]:
+                    continue
+                here, c, value = np.uint64(at + col * LANES32), np.uint64(tables[np.uint64(n)]), values[np.uint64(n)]
+                symbol = symbol_of(np.int64(value) >> depths[c], direct[c])
+                if symbol >= direct[c]:
+                    ranges[np.uint64(begin + col)] = True
+                ordered[here], codes[here] = value, np.int64(c) * SYMBOLS + symbol
+                n += 1
     return ordered, codes, ranges
 
 
@@ -248,21 +278,18 @@ def _first_of(numbers):
 
 
 @kernel
-def _fitted(whole, skips, classes, weights, shares, given, held):
-    """Fit the weights and shares of all classes; (CLASSES, …), as used and as written."""
-    rows, cols = skips.shape
+def _fitted(lines, classes, given, held):
+    """Fit the weights (CLASSES, NEIGHBOURS) and shares (CLASSES, SIGNS) of all classes, as they are written; both as
+    they are used (``factors_of``)."""
+    weights, shares = np.zeros((CLASSES, WEIGHTS), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
     for k in range(classes == CLASSES, classes):
-        row0, col0, spread = (k >> 1, k & 1, 2) if classes == CLASSES else (0, 0, 1)
-        fitted_weights(whole, skips, row0, col0, spread, given[k])
+        fitted_weights(lines, k >> 1, k & 1, given[k])
         full_weights(given[k], weights[k])
-    step = 2 * max(rows * cols // (SAMPLED * (1 if classes == 1 else 2)), 2)
-    seen, counts = np.empty((CLASSES, SAMPLED, SIGNS + 1), np.int32), np.zeros(CLASSES, np.int64)
-    none = np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.int32)
-    look(whole, skips, classes, weights, shares, step, seen, counts, none[0], none[1], none[2])
+    fitted_shares(lines, factors_of(classes, weights, shares)[0], held)
     for k in range(classes == CLASSES, classes):
-        fitted_shares(seen[k], counts[k], held[k])
         for i in range(SIGNS):
             shares[k, i] = held[k, i]
+    return factors_of(classes, weights, shares)
 
 
 @kernel
@@ -273,25 +300,20 @@ def encode(numbers, classes):
         numbers: (rows, cols) int32, C order, at least one sample.
         classes: 1, or ``CLASSES``: samples of even row and column hold nothing.
     """
-    rows, cols = numbers.shape
-    whole, skips = np.empty((rows + 2, cols + 4), np.int32), np.empty((rows, cols), np.uint8)
-    first, missing = _first_of(numbers), (numbers == MISSING).any()
-    surrounded(numbers, classes, first, whole, skips)
-    given, weights = np.zeros((CLASSES, NEIGHBOURS), np.int64), np.zeros((CLASSES, WEIGHTS), np.int32)
-    held, shares = np.zeros((CLASSES, SIGNS), np.int64), np.zeros((CLASSES, SIGNS), np.int32)
-    _fitted(whole, skips, classes, weights, shares, given, held)
-    size = rows * cols
-    values, groups, kinds = np.empty(size, np.uint32), np.empty(size, np.int32), np.empty(size, np.int32)
-    seen, counts = np.empty((CLASSES, 0, SIGNS + 1), np.int32), np.zeros(CLASSES, np.int64)
-    used = look(whole, skips, classes, weights, shares, 1, seen, counts, values, groups, kinds)
-    values, groups, kinds = values[:used], groups[:used], kinds[:used]
+    rows, first, missing = numbers.shape[0], _first_of(numbers), (numbers == MISSING).any()
+    lines = lines_of(numbers, classes, first, missing)
+    given, held = np.zeros((CLASSES, NEIGHBOURS), np.int64), np.zeros((CLASSES, SIGNS), np.int64)
+    weights, shares = _fitted(lines, classes, given, held)
+    signed, kinds = np.empty(numbers.size + LANES32, np.int32), np.empty(numbers.size + LANES32, np.int32)
+    used = look(lines, weights, shares, signed, kinds)
+    values, kinds = signed.view(np.uint32)[:used], kinds[:used]
     places = np.empty((CLASSES, GROUPS, BINS), np.int64)
-    number = _divided(values, groups, kinds, WHOLE_GROUPS if classes == 1 else NESTED_GROUPS, places)
+    number = _divided(values, kinds, WHOLE_GROUPS if classes == 1 else NESTED_GROUPS, places)
     depths, direct = np.zeros(number, np.int64), np.zeros(number, np.int64)
     codes, found = np.zeros((number, SYMBOLS), np.int64), np.zeros((number, SYMBOLS), np.int64)
-    sizes = decided_tables(values, kinds, number, RARE, depths, direct, found, codes)
+    sizes = decided_tables(values, kinds, number, RARE, COARSE, depths, direct, found, codes)
     words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
-    ordered, steps, ranges = _in_steps(values, kinds, depths, direct, skips)
+    ordered, steps, ranges = _in_steps(values, kinds, depths, direct, lines)
     p = _stream(ordered, steps, ranges, depths, direct, found, words, states)
     most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)

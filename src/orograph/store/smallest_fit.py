@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from orograph._lanes import LANES32
+from orograph._lanes32 import load32, store32
 from orograph._numba import kernel
 from orograph.store.codec_fit import (
     AROUND,
@@ -22,27 +24,31 @@ from orograph.store.codec_fit import (
     weights_of,
 )
 from orograph.store.codec_head import NEIGHBOURS
-from orograph.store.smallest_rows import SIGNS
+from orograph.store.smallest_look import count_of, miss_row, parities_of, places_of, rows_of, signs_of
+from orograph.store.smallest_rows import CLASSES, SIGNS, class_of
 
 SAMPLED = 4096  # samples of a class that are used, approximately
 SWEEPS = 40
 TERMS = -(-(SIGNS + 2) // FOUR) * FOUR  # the signs, a constant, the size of the residual, and zeros
-BLOCK = 256  # samples
 
 
 @kernel
-def _add_row(whole, skip, row, col0, stride, before, features, shares, counted, sums):
+def _add_row(lines, row, parity, before, features, shares, counted, sums):
     """Add a row to the sums of the prediction; return the number of samples.
 
     Args:
-        whole: (rows + 2, cols + 4) int32, the samples with their surroundings. skip: (cols,) uint8.
-        col0, stride: which columns. before: weights of a first round, and whether there are any.
+        parity: of the columns. before: weights of a first round, and whether there are any.
     """
-    first, count = col0 if col0 >= 2 else col0 + 2, 0
-    for col in range(first, skip.size - 2, stride):
-        counted[count] = skip[col] == 0
+    skip = 1 if lines.split else 2  # (those less than two samples from an end do not count)
+    ww, w, own, e, ee = places_of(lines, parity)
+    at, pitch = (ww + skip, w + skip, own + skip, e + skip, ee + skip), lines.pitch
+    every = 2 if lines.split else 1
+    first, count = parity + every * skip, 0
+    for col in range(first, lines.shape[1] - 2, every):
+        counted[count] = not (lines.marks.size and lines.marks[row, col])
         count += 1
-    put_surroundings(whole[row], whole[row + 1], whole[row + 2], first + 2, stride, count, features)
+    around = lines.samples[row * pitch : (row + 3) * pitch].reshape(3, pitch)
+    put_surroundings(around[0], around[1], around[2], at, count, features)
     used = put_shares(features, counted, shares)
     if before[NEIGHBOURS]:  # what is predicted badly must not outvote what is predicted well
         said = np.zeros(shares.size)
@@ -59,45 +65,81 @@ def _add_row(whole, skip, row, col0, stride, before, features, shares, counted, 
 
 
 @kernel
-def fitted_weights(whole, skips, row0, col0, spread, weights):
-    """Fit the weights (NEIGHBOURS,) int64, in 1/4096, for samples whose rows and columns are ``spread`` apart."""
-    rows, cols = skips.shape
+def fitted_weights(lines, row0, parity, weights):
+    """Fit the weights (NEIGHBOURS,) int64, in 1/4096, of a class: of all columns of a parity in every row from the
+    ``row0``-th on, or in every other one if the lines are split."""
+    (rows, cols), spread = lines.shape, 2 if lines.split else 1
     step = spread * max(rows * cols // (spread * SAMPLED), 1)  # (classes of a nested chunk share the samples)
-    features, before = features_of(AROUND, cols // spread), np.zeros(NEIGHBOURS + 1)
+    features, before = features_of(AROUND, count_of(lines, parity)), np.zeros(NEIGHBOURS + 1)
     width = features.shape[1]
     shares, counted = np.zeros(width), np.zeros(width, np.int32)
     for _ in range(2):
         sums, used = sums_of(AROUND), 0
         for row in range(row0 if row0 >= 2 else row0 + 2, rows, step):
-            used += _add_row(whole, skips[row], row, col0, spread, before, features, shares, counted, sums)
+            used += _add_row(lines, row, parity, before, features, shares, counted, sums)
         before[:NEIGHBOURS], before[NEIGHBOURS] = weights_of(sums, used, 1e-6), 1.0
     rounded_weights(before, weights)
 
 
 @kernel
-def fitted_shares(signs, used, shares):
-    """Fit each sign's share in the size of residuals: least squares without negative shares.
+def _add_signs(lines, row, parity, noted, features, weighed, sums):
+    """Add the samples of a parity of a row to the sums of their class.
 
     Args:
-        signs: (n, SIGNS + 1) int32, last the sizes of residuals. used: how many to use.
-        shares: become (SIGNS,) int64, in 1/256.
+        noted: flat, scratch: the signs, and the sizes of residuals. features: (``TERMS``, …), a constant in one.
     """
-    sums, features, found = sums_of(TERMS), features_of(TERMS, BLOCK), np.zeros(SIGNS + 1)
-    weighed, scratch = np.zeros(BLOCK), np.empty(BLOCK)
+    rows, at, count = rows_of(lines, row), places_of(lines, parity), count_of(lines, parity)
+    begin, width, every = parity * (lines.pitch // 2), features.shape[1], 2 if lines.split else 1
+    for t in range(0, count, LANES32):
+        signs = signs_of(lines, rows, at, load32(lines.sums, begin + t), t)
+        for k in range(SIGNS):
+            store32(noted, k * width + t, signs[k])
+        store32(noted, SIGNS * width + t, load32(lines.sizes, rows[5] + at[2] + t))
+    total = np.zeros(width, np.int32)
+    for k in range(SIGNS + 1):
+        own, sizes = features[k if k < SIGNS else SIGNS + 1], noted[k * width : (k + 1) * width]
+        for i in range(width):
+            own[i] = float(sizes[i])
+        for i in range(width if k < SIGNS else 0):
+            total[i] += sizes[i]
+    for i in range(width):
+        share = 1.0 / (1.0 + total[i] / SIGNS)
+        weighed[i] = share * share if i < count else 0.0
+    if lines.marks.size:
+        for i in range(count):
+            weighed[i] = 0.0 if lines.marks[row, parity + every * i] else weighed[i]
+    add_products(features, weighed, np.empty(width), sums)
+
+
+@kernel
+def fitted_shares(lines, weights, shares):
+    """Fit each sign's share in the size of residuals: least squares without negative shares, over some rows.
+
+    Args:
+        weights: from ``factors_of``. shares: become (CLASSES, SIGNS) int64, in 1/256.
+    """
+    (rows, cols), classes = lines.shape, CLASSES if lines.split else 1
+    step = 2 * max(rows * cols // (SAMPLED * (2 if lines.split else 1)), 2)
+    features = features_of(TERMS, -(-count_of(lines, 0) // LANES32) * LANES32)
+    noted, weighed = np.zeros(features.size, np.int32), np.zeros(features.shape[1])
+    sums = [sums_of(TERMS) for _ in range(classes)]
     features[SIGNS] = 1.0
-    for first in range(0, used, BLOCK):
-        count = min(BLOCK, used - first)
-        total = np.zeros(BLOCK, np.int32)
-        for k in range(SIGNS + 1):
-            own, sizes = features[k if k < SIGNS else SIGNS + 1], signs[first : first + count, k]
-            for i in range(count):
-                own[i] = float(sizes[i])
-                total[i] += sizes[i] if k < SIGNS else 0
-        for i in range(BLOCK):
-            share = 1.0 / (1.0 + total[i] / SIGNS)
-            weighed[i] = share * share if i < count else 0.0
-        add_products(features, weighed, scratch, sums)
-    matrix = totals(sums, TERMS)
+    for row in range(rows):
+        if (row + 2) % step >= 4:  # (two rows of each ``step``; they need the sizes of the two before them)
+            continue
+        miss_row(lines, row, weights)
+        first, end = parities_of(lines, row)
+        for parity in range(first, end if row > 0 and row % step < 2 else first):
+            k = class_of(row, parity, classes)
+            _add_signs(lines, row, parity, noted, features, weighed, sums[k])
+    for k in range(classes == CLASSES, classes):
+        _solve_shares(totals(sums[k], TERMS), shares[k])
+
+
+@kernel
+def _solve_shares(matrix, shares):
+    """Shares in 1/256 from the sums of all products."""
+    found = np.zeros(SIGNS + 1)
     for _ in range(SWEEPS):
         for k in range(SIGNS + 1):
             off = matrix[SIGNS + 1, k]

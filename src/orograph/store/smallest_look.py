@@ -1,6 +1,7 @@
 """What the encoder of *smallest* computes from samples: residuals, activities, cells (``smallest_encode``).
 
-All samples are known, so whole rows are computed at once, by plain loops that LLVM turns into vector instructions.
+All samples are known, so sixteen samples of a row are computed side by side. Where classes alternate along rows, the
+even and the odd columns of a row are kept apart, so that the samples of a class are neighbours.
 """
 
 from __future__ import annotations
@@ -10,196 +11,249 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel, shared
-from orograph.store.codec_head import MISSING, TOTAL
+from orograph._lanes import LANES32
+from orograph._lanes32 import load32, store32
+from orograph._numba import inlined, kernel, shared
+from orograph.store.codec_head import BITS, MISSING
 from orograph.store.smallest_rows import (
     BINS,
-    CAP,
     CLASSES,
     GROUPS,
-    LOWEST,
     SIGNS,
-    SMALL,
     WEIGHTS,
+    cell_of,
     class_of,
     own_factors,
+    size_of,
 )
 
-Row = NDArray[np.int32]
+Flat = NDArray[np.int32]
 
 
-class Rows(NamedTuple):
-    """A row of samples (n + 4,) and the two above it, and the sizes of their residuals, at most ``CAP``."""
+class Lines(NamedTuple):
+    """A chunk in the surroundings that decoders assume: two rows above it, two samples at both ends of rows.
 
-    far: Row
-    near: Row
-    line: Row
-    further: Row
-    above: Row
-    left: Row
+    Attributes:
+        samples: flat, rows of ``pitch`` samples; if ``split``, the even columns of a row are before its odd ones.
+        sizes: flat, of the last three rows: the sizes of residuals.
+        sums, residuals: flat, of a row: weighted sums and residuals, from ``pitch`` / 2 on those of odd columns.
+        marks: (rows, cols), which samples are missing; without rows if none is.
+        shape: rows, cols.
+        split: whether classes alternate along rows.
+        pitch: a multiple of 32.
+    """
+
+    samples: Flat
+    sizes: Flat
+    sums: Flat
+    residuals: Flat
+    marks: NDArray[np.bool_]
+    shape: tuple[int, int]
+    split: bool
+    pitch: int
 
 
-class Found(NamedTuple):
-    """For each sample of a row (n,): its weighted sum, residual, activity, group, bin and value."""
+@kernel
+def lines_of(numbers, classes, first, missing):
+    """A chunk's lines.
 
-    sums: Row
-    residuals: Row
-    active: Row
-    groups: Row
-    bins: Row
-    values: Row
+    Args:
+        first: the value above the first row. missing: whether samples are missing.
+    """
+    (rows, cols), split = numbers.shape, classes == CLASSES
+    pitch = 2 * (-(-cols // (2 * LANES32)) + 1) * LANES32
+    marks = numbers == MISSING if missing else np.empty((0, cols), np.bool_)
+    room = np.zeros(5 * pitch, np.int32)
+    samples, line = np.empty((rows + 2) * pitch, np.int32), np.empty(cols + 4, np.int32)
+    samples[: 2 * pitch] = line[2] = first
+    for row in range(rows):
+        own, left = numbers[row], line[2]
+        line[0] = line[1] = left
+        if split and row & 1 == 0:  # (even columns hold nothing)
+            line[2] = left
+            for col in range(1, cols, 2):
+                left = own[col] if own[col] != MISSING else left
+                line[col + 2] = line[col + 3] = left
+        else:
+            for col in range(cols):
+                line[col + 2] = own[col]
+            for col in range(cols if missing else 0):
+                left = own[col] if own[col] != MISSING else left
+                line[col + 2] = left
+        line[cols + 2] = line[cols + 3] = line[cols + 1]
+        _put_line(line, split, samples[(row + 2) * pitch : (row + 3) * pitch])
+    return Lines(samples, room[: 3 * pitch], room[3 * pitch : 4 * pitch], room[4 * pitch :], marks, (rows, cols), split,
+                 pitch)  # fmt: skip
+
+
+@kernel
+def _put_line(line, split, out):
+    """Copy a row, even columns first if it is split."""
+    if split:
+        even, odd = out[: (line.size + 1) // 2], out[out.size // 2 :]
+        for t in range(line.size // 2):
+            even[t], odd[t] = line[np.uint64(2 * t)], line[np.uint64(2 * t + 1)]
+        if line.size & 1:
+            even[line.size // 2] = line[line.size - 1]
+    else:
+        for x in range(line.size):
+            out[x] = line[x]
 
 
 @shared
-def size_of(difference):
-    """The absolute value of a difference of two samples, which wraps, clamped to 0 … ``CAP``."""
-    wrapped = np.int32(difference)
-    return np.int32(min(np.uint32(wrapped if wrapped >= 0 else -wrapped), np.uint32(CAP)))
+def places_of(lines, parity):
+    """Where in a row the first sample of the columns of a parity and the two on both sides of it are; with lines that
+    are not split, all columns count as even."""
+    x, half = parity, lines.pitch // 2
+    if not lines.split:
+        return x, x + 1, x + 2, x + 3, x + 4
+    even, odd = (x >> 1) + (x & 1) * half, (x + 1 >> 1) + (x + 1 & 1) * half
+    return even, odd, even + 1, odd + 1, even + 2
+
+
+@shared
+def parities_of(lines, row):
+    """The parities of columns that are coded in a row, as a range: (the first, one more than the last)."""
+    return (1 - (row & 1), 2) if lines.split else (0, 1)
+
+
+@shared
+def count_of(lines, parity):
+    """The number of columns of a parity."""
+    return (lines.shape[1] - parity + 1) // 2 if lines.split else lines.shape[1]
+
+
+@shared
+def rows_of(lines, row):
+    """Where a row's samples begin, and the sizes of residuals: two rows above it, above it, its own, of both."""
+    pitch = lines.pitch
+    own = (row + 1) % 3 * pitch, (row + 2) % 3 * pitch, row % 3 * pitch
+    return row * pitch, (row + 1) * pitch, (row + 2) * pitch, own[0], own[1], own[2]
 
 
 @kernel
-def surrounded(numbers, classes, first, whole, skips):
-    """Copy a chunk into the surroundings that decoders assume, and mark the samples that are not coded.
+def factors_of(classes, weights, shares):
+    """Weights and shares of the first row, the second, and all others, by class."""
+    all_weights, all_shares = np.zeros((3, CLASSES, WEIGHTS), np.int32), np.zeros((3, CLASSES, SIGNS), np.int32)
+    for row in range(3):
+        for k in range(classes == CLASSES, classes):
+            own_factors(row, weights[k], shares[k], all_weights[row, k], all_shares[row, k])
+    return all_weights, all_shares
+
+
+@kernel
+def _miss(lines, rows, at, begin, count, w):
+    """Find the weighted sums, including the half that rounds them, and the residuals of the samples of a parity.
 
     Args:
-        whole: (rows + 2, cols + 4) int32. skips: (rows, cols) uint8, 1 where a sample is missing or holds nothing.
+        at: from ``places_of``. begin: where sums and residuals go. w: (WEIGHTS,).
     """
-    rows, cols = numbers.shape
-    whole[:2] = first
-    for row in range(rows):
-        line = whole[row + 2]
-        line[0] = line[1] = whole[row + 1, 2]
-        for col in range(cols):
-            skip = numbers[row, col] == MISSING or (classes == CLASSES and (row | col) & 1 == 0)
-            line[col + 2] = line[col + 1] if skip else numbers[row, col]
-            skips[row, col] = skip
-        line[cols + 2] = line[cols + 3] = line[cols + 1]
-
-
-@kernel
-def _sum(w, rows, out):
-    """The weighted sums, including the half that rounds them."""
-    far, near, line = rows.far, rows.near, rows.line
+    samples, sizes, (far, near, line, _, _, left), (a, b, c, d, e) = lines.samples, lines.sizes, rows, at
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10, w11 = (
         w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], w[10], w[11],
     )  # fmt: skip
-    for j in range(out.size):
-        upper = w6 * far[j] + w7 * far[j + 1] + w8 * far[j + 2] + w9 * far[j + 3] + w10 * far[j + 4]
-        lower = w2 * near[j] + w3 * near[j + 1] + w11 * near[j + 2] + w4 * near[j + 3] + w5 * near[j + 4]
-        out[j] = np.int32(upper + lower + w0 * line[j + 1] + w1 * line[j] + 2048)
+    for t in range(0, count, LANES32):
+        north = load32(samples, near + c + t)
+        upper = load32(samples, far + a + t) * w6 + load32(samples, far + b + t) * w7
+        upper += load32(samples, far + c + t) * w8 + load32(samples, far + d + t) * w9
+        upper += load32(samples, far + e + t) * w10 + north * w11
+        lower = load32(samples, near + a + t) * w2 + load32(samples, near + b + t) * w3
+        lower += load32(samples, near + d + t) * w4 + load32(samples, near + e + t) * w5
+        sums = upper + lower + load32(samples, line + b + t) * w0 + load32(samples, line + a + t) * w1 + 2048
+        off = load32(samples, line + c + t) - north - (sums >> BITS)
+        store32(lines.sums, begin + t, sums)
+        store32(lines.residuals, begin + t, off)
+        store32(sizes, left + c + t, size_of(off))
+    for t in range(count, -(-count // LANES32) * LANES32):
+        sizes[left + c + t] = 0
 
 
 @kernel
-def _miss(rows, sums, skips, residuals):
-    """The residual of each sample, and its size; 0 where the sample is not coded."""
-    near, line, left = rows.near, rows.line, rows.left
-    for j in range(residuals.size):
-        residuals[j] = np.int32(line[j + 2] - near[j + 2] - (sums[j] >> np.int32(12)))
-        left[j + 2] = size_of(residuals[j]) * (skips[j] == 0)
+def miss_row(lines, row, weights):
+    """Find the weighted sums and residuals of a row. Args: weights: from ``factors_of``."""
+    rows, (first, end), own = rows_of(lines, row), parities_of(lines, row), weights[min(row, 2)]
+    left, half = rows[5], lines.pitch // 2
+    if first:  # (even columns hold nothing)
+        lines.sizes[left : left + half] = 0
+    for parity in range(first, end):
+        at, count = places_of(lines, parity), count_of(lines, parity)
+        k = class_of(row, parity, CLASSES if lines.split else 1)
+        _miss(lines, rows, at, parity * half, count, own[k])
+        if lines.marks.size:
+            marks = lines.marks[row, parity :: 2 if lines.split else 1]
+            for t in range(count):
+                if marks[t]:
+                    lines.sizes[left + at[2] + t] = 0
 
 
-@kernel
-def _activate(s, rows, sums, out):
-    """The activities, in 1/256."""
-    far, near, line, further, above, left = rows
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
-    s9, s10, s11, s12, s13, s14, s15, s16 = s[9], s[10], s[11], s[12], s[13], s[14], s[15], s[16]
-    for j in range(out.size):
-        n, ne, nw, west = near[j + 2], near[j + 3], near[j + 1], line[j + 1]
-        total = s0 * above[j + 2] + s1 * above[j + 1] + s2 * above[j + 3] + s3 * above[j] + s4 * above[j + 4]
-        total += s5 * further[j + 2] + s6 * size_of(n - nw) + s7 * size_of(n - ne)
-        total += s8 * size_of(n - far[j + 2]) + s9 * size_of(ne - far[j + 3])
-        total += s10 * size_of(nw - far[j + 1]) + s11 * size_of(ne - near[j + 4])
-        said = sums[j] >> np.int32(12)
-        total += s12 * left[j + 1] + s13 * size_of(west - nw) + s14 * size_of(west - line[j])
-        out[j] = np.int32(total + s15 * size_of(said) + s16 * size_of(west - n - said))
-
-
-@kernel
-def _place(found, real):
-    """The groups, bins and values of a row. ``real``: (n,) float32, scratch."""
-    sums, residuals, active, groups, bins, values = found
-    for j in range(real.size):
-        real[j] = np.float32(active[j])
-    bits = real.view(np.int32)
-    for j in range(real.size):
-        groups[j] = min(max((bits[j] >> np.int32(21)) - np.int32(LOWEST), np.int32(0)), np.int32(GROUPS - 1))
-    for j in range(real.size):
-        a, beyond = active[j], np.int32((sums[j] & np.int32(TOTAL - 1)) - np.int32(TOTAL // 2))
-        lean = np.int32(sums[j] - np.int32(TOTAL // 2))
-        far = np.int32(np.uint32(lean if lean >= 0 else -lean) >> np.uint32(4))
-        steps = np.int32(2 * far > a) + np.int32(far > a) + np.int32(far > 2 * a) + np.int32(far > 4 * a)
-        small = a < SMALL
-        bins[j] = min(abs(beyond) >> 9, 3) if small else steps
-        turned = np.int32((beyond if small else lean) >> np.int32(31))
-        told = np.int32((residuals[j] ^ turned) - turned)
-        values[j] = np.int32(np.int32(told << np.int32(1)) ^ np.int32(told >> np.int32(31)))
-
-
-@kernel
-def _note(rows, sums, j, seen):
-    """Record the signs of a sample, and the size of its residual: (SIGNS + 1,) int32."""
-    far, near, line, further, above, left = rows
-    for k, at in enumerate((2, 1, 3, 0, 4)):
-        seen[k] = above[j + at]
-    n, ne, nw, west, said = near[j + 2], near[j + 3], near[j + 1], line[j + 1], sums[j] >> np.int32(12)
-    seen[5], seen[6], seen[7] = further[j + 2], size_of(n - nw), size_of(n - ne)
-    seen[8], seen[9] = size_of(n - far[j + 2]), size_of(ne - far[j + 3])
-    seen[10], seen[11] = size_of(nw - far[j + 1]), size_of(ne - near[j + 4])
-    seen[12], seen[13], seen[14] = left[j + 1], size_of(west - nw), size_of(west - line[j])
-    seen[15], seen[16], seen[17] = size_of(said), size_of(west - n - said), left[j + 2]
-
-
-@kernel
-def look(whole, skips, classes, weights, shares, step, seen, counts, values, groups, kinds):
-    """Examine all samples, or the signs of some.
+@inlined
+def signs_of(lines, rows, at, sums, t):
+    """The signs of sixteen samples of a parity from the ``t``-th on, as docs/codec.md lists them.
 
     Args:
-        whole, skips: from ``surrounded``. weights, shares: (CLASSES, …) int32.
-        step: unless ``seen`` is empty, only the signs of two rows in each ``step`` rows are recorded.
-        seen: (CLASSES, n, SIGNS + 1) int32. counts: (CLASSES,) int64, how many are recorded.
-        values, groups, kinds: (n,), become those of the coded samples: the value, the group of activity, and
-            ``BINS`` times the class plus the bin.
+        rows: from ``rows_of``. at: from ``places_of``. sums: their weighted sums.
+    """
+    samples, sizes, (far, near, line, further, above, left), (a, b, c, d, e) = lines.samples, lines.sizes, rows, at
+    n, nw, ne = load32(samples, near + c + t), load32(samples, near + b + t), load32(samples, near + d + t)
+    west, said = load32(samples, line + b + t), sums >> BITS
+    return (
+        load32(sizes, above + c + t), load32(sizes, above + b + t), load32(sizes, above + d + t),
+        load32(sizes, above + a + t), load32(sizes, above + e + t), load32(sizes, further + c + t),
+        size_of(n - nw), size_of(n - ne), size_of(n - load32(samples, far + c + t)),
+        size_of(ne - load32(samples, far + d + t)), size_of(nw - load32(samples, far + b + t)),
+        size_of(ne - load32(samples, near + e + t)),
+        load32(sizes, left + b + t), size_of(west - nw), size_of(west - load32(samples, line + a + t)),
+        size_of(said), size_of(west - n - said),
+    )  # fmt: skip
+
+
+@kernel
+def _place(lines, rows, at, begin, count, s, kind, room, values, cells):
+    """Find the values and cells of the samples of a parity.
+
+    Args:
+        at, begin, count: as in ``_miss``. s: (SIGNS,). kind: the first cell of their class.
+        room: where values and cells go; there is room for fifteen more.
+    """
+    s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
+    s9, s10, s11, s12, s13, s14, s15, s16 = s[9], s[10], s[11], s[12], s[13], s[14], s[15], s[16]
+    for t in range(0, count, LANES32):
+        sums = load32(lines.sums, begin + t)
+        e = signs_of(lines, rows, at, sums, t)
+        active = e[0] * s0 + e[1] * s1 + e[2] * s2 + e[3] * s3 + e[4] * s4 + e[5] * s5 + e[6] * s6 + e[7] * s7
+        active += e[8] * s8 + e[9] * s9 + e[10] * s10 + e[11] * s11 + e[12] * s12 + e[13] * s13 + e[14] * s14
+        cell, turned = cell_of(active + e[15] * s15 + e[16] * s16, sums)
+        told = (load32(lines.residuals, begin + t) ^ turned) - turned
+        store32(values, room + t, (told << 1) ^ (told >> 31))
+        store32(cells, room + t, cell + kind)
+
+
+@kernel
+def look(lines, weights, shares, values, cells):
+    """Examine all samples, in the order of rows and, within these, of classes.
+
+    Args:
+        weights, shares: from ``factors_of``.
+        values, cells: (n + ``LANES32``,) int32, become those of the coded samples: zigzag-coded values, and cells:
+            (class · ``GROUPS`` + group) · ``BINS`` + bin.
 
     Returns:
         the number of coded samples.
     """
-    rows, cols = skips.shape
-    sizes, odd = np.zeros((3, cols + 4), np.int32), np.empty(cols, np.int32)
-    own_weights, own_shares = np.empty((2, WEIGHTS), np.int32), np.empty((2, SIGNS), np.int32)
-    table = np.empty((6, cols), np.int32)
-    found, real = Found(table[0], table[1], table[2], table[3], table[4], table[5]), np.empty(cols, np.float32)
-    at, noting, two = 0, seen.shape[1] > 0, classes == CLASSES
-    for row in range(rows):
-        if noting and (row + 2) % step >= 4:  # (recorded rows need the sizes of the two before them)
-            continue
-        further, above, left = sizes[(row + 1) % 3], sizes[(row + 2) % 3], sizes[row % 3]
-        around = Rows(whole[row], whole[row + 1], whole[row + 2], further, above, left)
-        for c in range(1 + two):
-            k = class_of(row, c, classes)
-            own_factors(row, weights[k], shares[k], own_weights[c], own_shares[c])
-        one = two and row & 1 == 0  # (only samples of odd columns are coded)
-        _sum(own_weights[np.int64(one)], around, found.sums)
-        if two and not one:
-            _sum(own_weights[1], around, odd)
-            found.sums[1::2] = odd[1::2]
-        _miss(around, found.sums, skips[row], found.residuals)
-        if noting:
-            for j in range(cols if row > 0 and row % step < 2 else 0):
-                k = class_of(row, j, classes)
-                if skips[row, j] == 0 and counts[k] < seen.shape[1]:
-                    _note(around, found.sums, j, seen[k, counts[k]])
-                    counts[k] += 1
-            continue
-        _activate(own_shares[np.int64(one)], around, found.sums, found.active)
-        if two and not one:
-            _activate(own_shares[1], around, found.sums, odd)
-            found.active[1::2] = odd[1::2]
-        _place(found, real)
-        skip, of_even, of_odd = skips[row], BINS * class_of(row, 0, classes), BINS * class_of(row, 1, classes)
-        for j in range(cols):  # (without a branch: what is skipped is written over)
-            here = np.uint64(at)
-            values[here], groups[here] = np.uint32(found.values[j]), found.groups[j]
-            kinds[here] = (of_odd if j & 1 else of_even) + found.bins[j]
-            at += 0 if skip[j] else 1
-    return at
+    room, classes = 0, CLASSES if lines.split else 1
+    for row in range(lines.shape[0]):
+        miss_row(lines, row, weights)
+        rows, (first, end), own = rows_of(lines, row), parities_of(lines, row), shares[min(row, 2)]
+        for parity in range(first, end):
+            at, count, k = places_of(lines, parity), count_of(lines, parity), class_of(row, parity, classes)
+            begin = parity * (lines.pitch // 2)
+            _place(lines, rows, at, begin, count, own[k], k * GROUPS * BINS, room, values, cells)
+            if lines.marks.size:
+                kept, marks = room, lines.marks[row, parity :: 2 if lines.split else 1]
+                for t in range(count):
+                    values[kept], cells[kept] = values[room + t], cells[room + t]
+                    kept += not marks[t]
+                room = kept
+            else:
+                room += count
+    return room

@@ -6,9 +6,10 @@ prediction needs is already known. When a row ends, its lane continues with the 
 
 from __future__ import annotations
 
-from orograph._lanes import LANES32
-from orograph._numba import kernel, shared
-from orograph.store.codec_head import NEIGHBOURS
+from orograph._lanes import LANES32, least, most, where
+from orograph._lanes32 import float_bits, least_unsigned, shifted_right
+from orograph._numba import inlined, kernel, shared
+from orograph.store.codec_head import NEIGHBOURS, TOTAL
 
 VERSION = 3
 LAG = 3  # samples that a row is behind the one above it
@@ -71,3 +72,23 @@ def own_factors(row, weights, shares, own_weights, own_shares):
         own_weights[NEIGHBOURS] += weights[8]
         own_weights[6:NEIGHBOURS] = 0
         own_shares[5], own_shares[8], own_shares[9], own_shares[10] = 0, 0, 0, 0
+
+
+@inlined
+def size_of(difference):
+    """The absolute values of differences, at most ``CAP``: lanes of int32."""
+    return least_unsigned(most(difference, 0 - difference), CAP)
+
+
+@inlined
+def cell_of(active, t):
+    """The cells within a class, from activities and weighted sums; -1 where the sign is reversed, else 0: lanes."""
+    beyond = (t & (TOTAL - 1)) - TOTAL // 2
+    lean = t - TOTAL // 2
+    far = shifted_right(most(lean, 0 - lean), 4)
+    steps = where(far + far > active, 1, 0) + where(far > active, 1, 0)
+    steps += where(far > active + active, 1, 0) + where(far > (active << 2), 1, 0)
+    small = active < SMALL
+    bin_ = where(small, least(most(beyond, 0 - beyond) >> 9, 3), steps)
+    group = least(most((float_bits(active) >> 21) - LOWEST, 0), GROUPS - 1)
+    return group * BINS + bin_, where(small, beyond, lean) >> 31

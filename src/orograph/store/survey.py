@@ -40,6 +40,9 @@ Codes = dict[tuple[int, str], NDArray[np.uint8]]
 """Codes by octave and name (a kind of errors, or "radius")."""
 
 
+CACHE = 64 << 20
+"""Bytes of decoded chunks that tasks share: areas overlap, and in *progressive* stores a chunk needs coarser ones."""
+
 Surveyed = tuple[Codes, list[Rest]]
 
 
@@ -78,7 +81,7 @@ class Errors(ShardStage[Surveyed]):
         coding: Coding | None = None,
     ) -> None:
         self.coding = coding
-        self.shape, self.writer, self.sizes = grid.shape, writer, (shard, chunk)
+        self.shape, self.writer, self.sizes, self.cache = grid.shape, writer, (shard, chunk), ChunkCache(CACHE)
         self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
         self.area = area_of(shard)
         low, high = _range(first)
@@ -250,7 +253,8 @@ class Errors(ShardStage[Surveyed]):
 
     def _heights(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         spec = heights_spec(self.shape, level, *self.sizes, self.coding)
-        array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
+        most = CACHE // (4 * spec.chunk * spec.chunk)
+        array = ShardedArray(spec, self.writer.storage, self.writer.digests, self.cache, 1, kept=most)
         heights: Heights = array.read(row0, row1, col0, col1)
         return heights
 
@@ -275,4 +279,5 @@ def memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     block = min(BLOCK + 2 * ALIGNED, shape[0]) * min(BLOCK + 2 * ALIGNED, shape[1])
     task = window * (5 + 2 * (kinds + 1)) + block * (24 + 14 * kinds)
     shards = sum(min(4 * shard * shard, shape[0] * shape[1] >> 2 * level) for level in range(1, SMALL))
-    return jobs * task + shards * (kinds + 1) + (shape[0] * shape[1] >> 2 * NESTED) * (16 + 8 * kinds)
+    kept = min(CACHE, 6 * shape[0] * shape[1])
+    return jobs * task + kept + shards * (kinds + 1) + (shape[0] * shape[1] >> 2 * NESTED) * (16 + 8 * kinds)
