@@ -42,7 +42,7 @@ TUNING = np.dtype(
     [
         ("planes", "<f4", (6, 4)), ("focal", "<f4"), ("tolerance", "<f4"), ("lean", "<f4"), ("stretch", "<f4"),
         ("isotropic", "<u4"), ("cull", "<u4"), ("n", "<u4"), ("top", "<u4"), ("near", "<f4"), ("slots", "<u4"),
-        ("pad", "<u4", 2), ("levels", "<u4", (32, 4)),
+        ("texel", "<f4"), ("pad", "<u4"), ("levels", "<u4", (32, 4)),
     ]
 )  # fmt: skip
 """The uniform ``Tuning`` of ``shaders/cbt.wgsl``."""
@@ -209,7 +209,7 @@ class Tree:
         for k, plane in enumerate(view.frustum(exaggeration)):
             u["planes"][k] = *plane[:3], plane[:3] @ eye + plane[3]
         u["focal"], u["tolerance"], u["lean"] = lens.focal, tolerance, lens.largest_lean
-        u["stretch"], u["near"] = lens.stretch, lens.near
+        u["stretch"], u["near"], u["texel"] = lens.stretch, lens.near, lens.texel
         u["isotropic"], u["cull"] = self.isotropic, self.cull
         u["n"], u["top"], u["slots"] = self.terrain.n, self.terrain.levels - 1, self.slots
         u["levels"] = self.pages.levels
