@@ -206,6 +206,20 @@ def test_colours_split_where_the_cpu_splits_for_them(device: Device, tolerance: 
     assert same >= 3 and more >= 3
 
 
+def test_triangles_squeezed_to_a_line_are_not_drawn(device: Device) -> None:
+    """Beyond the raster's end vertices have no ground: such triangles would stand on it as spikes."""
+    rng = np.random.default_rng(10)
+    t = plain.terrain(500 + plain.rough(rng, (40, 51), amplitude=90))
+    x, y = t.grid.xy(25, 20)
+    tree = tree_of(device, t)
+    settled(tree, View((x, y - 1500, 1200.0), (x, y, 500.0), width=320, height=200), 1e-3)
+    pool, shown = tree.pool()
+    keys = pool.corners(np.flatnonzero(shown))
+    row, col = np.minimum(keys >> 32, 39), np.minimum(keys & 0xFFFFFFFF, 50)
+    assert len(keys) > 3800
+    assert (np.ptp(row, axis=1) > 0).all() and (np.ptp(col, axis=1) > 0).all()
+
+
 def test_a_pool_that_is_full_and_pages_that_are_not_there_leave_a_conforming_mesh(device: Device) -> None:
     rng = np.random.default_rng(6)
     t = plain.terrain(plain.rough(rng, (900, 700), amplitude=900))

@@ -169,6 +169,14 @@ fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   return Verdict(select(LEAF, INACCURATE, error > 1e37 || colored || exceeds(p, error, radius)), height);
 }
 
+// Whether a triangle has an area on the raster, and is not squeezed to a line at its end.
+fn has_area(node: Node) -> bool {
+  let a = min(corner_of(node, tuning.n, 2u), camera.last);
+  let b = min(corner_of(node, tuning.n, 6u), camera.last);
+  let c = min(corner_of(node, tuning.n, 4u), camera.last);
+  return all((a != b) | (a != c));
+}
+
 fn octave_of(level: u32) -> u32 {
   return tuning.n - 1u - (level >> 1u);
 }
@@ -183,7 +191,7 @@ fn judge(@builtin(global_invocation_id) id: vec3<u32>) {
   let node = nodes[slot];
   let level = node.shape >> 3u;
   var marks = 0u;
-  var shown = max(max(node.heights.x, node.heights.y), node.heights.z) < 0.5 * MISSING_HEIGHT;
+  var shown = max(max(node.heights.x, node.heights.y), node.heights.z) < 0.5 * MISSING_HEIGHT && has_area(node);
   if (level < 2u * tuning.n) {
     let own = judged(node.l, octave_of(level));
     nodes[slot].heights.w = own.height;

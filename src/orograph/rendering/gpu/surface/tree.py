@@ -252,13 +252,8 @@ class Tree:
         pool, shown = self.pool()
         slots = np.flatnonzero(shown)
         keys = pool.corners(slots)
-        rows, cols = self.terrain.grid.shape
-        row, col = np.minimum(keys >> 32, rows - 1).T, np.minimum(keys & 0xFFFFFFFF, cols - 1).T
-        flat = (col[1] - col[0]) * (row[2] - row[0]) == (col[2] - col[0]) * (row[1] - row[0])
         heights = pool.heights[slots, :3]
-        made = Tessellation.from_triangles(
-            self.terrain.grid, keys[~flat], heights[~flat], clockwise=False, stats=stats
-        )  # fmt: skip
+        made = Tessellation.from_triangles(self.terrain.grid, keys, heights, clockwise=False, stats=stats)
         stats["triangles"] = len(made.triangles)
         return made
 
