@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from affine import Affine
 
 from orograph.geo.grid import Grid
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.raycast.caster import Caster
-from orograph.raycast.select import load, rectangles
+from orograph.raycast.select import distances, in_frustum, load, moved, rectangles, tile_boxes
 from orograph.store.memory import MemoryTerrain
+from orograph.store.prepare import prepare
+from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 
 ROWS, COLS, SPACING = 1100, 1500, 10.0
@@ -101,3 +105,77 @@ def test_the_picture_by_windows_is_the_picture(terrain: MemoryTerrain) -> None:
     assert (np.isfinite(t) == np.isfinite(full)).mean() > 0.997
     both = np.isfinite(t) & np.isfinite(full)
     assert (np.abs(t - full)[both] < 0.01 * full[both]).mean() > 0.98
+
+
+def plain_rectangles(terrain: Terrain, view: View, exaggeration: float, tolerance: float, by: str) -> ClipStack:
+    """What ``rectangles`` finds, level by level in NumPy."""
+    found = [Rectangle.whole(terrain.levels - 1, terrain.shape(terrain.levels - 1))]
+    for level in range(terrain.levels - 1, 0, -1):
+        table, boxes = terrain.tiles(level), tile_boxes(terrain, level)
+        spacing = max(terrain.grid.spacing) * 2.0**level
+        if view.projection == "plan":
+            size = np.full(boxes.low.shape, spacing / view.pixel_metres)
+            rim = size
+        else:
+            far = np.maximum(distances(terrain, view, exaggeration, boxes), max(view.near, 1e-9))
+            size = spacing / view.pixel_slope / far
+            rim = size * 0.5
+        off = size
+        if by == "error":
+            error = moved(terrain, view, exaggeration, table.error.astype(np.float64), boxes)
+            off = np.maximum(error, np.where(table.valid == 1, rim, 0.0))
+        need, outer = np.zeros(off.shape, bool), found[-1]
+        part = tuple(
+            slice(first // TILE, -(-(end - 1) // TILE))
+            for first, end in ((outer.row0, outer.row1), (outer.col0, outer.col1))
+        )
+        need[part] = (in_frustum(terrain, view, exaggeration, boxes) & (off > tolerance))[part]
+        if not need.any():
+            break
+        rows, cols = np.flatnonzero(need.any(1)), np.flatnonzero(need.any(0))
+        sides = [2 * TILE * int(n) for n in (rows[0], rows[-1] + 1, cols[0], cols[-1] + 1)]
+        found.append(Rectangle(level - 1, sides[0], sides[1] + 1, sides[2], sides[3] + 1).cut(terrain.shape(level - 1)))
+    return ClipStack(found).visible(terrain.shape)
+
+
+def one_row() -> Terrain:
+    heights = np.random.default_rng(1).normal(size=(1, 6000)).cumsum(1).astype(np.float32)
+    return MemoryTerrain(heights, Grid((1, 6000), Affine(10, 0, 5e5, 0, -10, 4e6)), "row")
+
+
+def turned() -> Terrain:
+    rng = np.random.default_rng(2)
+    heights = rng.normal(size=(700, 1900)).cumsum(0).cumsum(1).astype(np.float32)
+    heights[200:320, 500:1300] = np.nan
+    transform = Affine.translation(5e5, 4e6) @ Affine.rotation(25) @ Affine.scale(40, -10)
+    return MemoryTerrain(heights, Grid(heights.shape, transform), "turned, with a hole")
+
+
+GROUNDS = {
+    "oblong": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
+    "voids": "osgearth-srtm90m-volcano-voids/mt_everest_90m.tif",
+    "one row": one_row,
+    "turned": turned,
+}
+
+
+@pytest.mark.parametrize("name", GROUNDS)
+def test_windows_are_those_found_in_numpy(name: str, shared_data: Path) -> None:
+    given = GROUNDS[name]
+    terrain = prepare([shared_data / given]) if isinstance(given, str) else given()
+    rng, (rows, cols) = np.random.default_rng(5), terrain.grid.shape
+    low, high = terrain.height_range
+    many = 0
+    for k in range(120):
+        (x, u), (y, v) = terrain.grid.xy(rng.uniform(-0.2, 1.2, 2) * cols, rng.uniform(-0.2, 1.2, 2) * rows)
+        above = float(rng.uniform(low, high)) + (high - low) * float(rng.exponential())
+        view = View(
+            (float(x), float(y), above), (float(u), float(v), low), fov_y=float(rng.uniform(5, 100)),
+            width=int(rng.integers(1, 2000)), height=int(rng.integers(1, 1200)), near=float(rng.choice([0.0, 700.0])),
+            far=float(rng.choice([np.inf, 2e4])), projection="plan" if k % 6 == 0 else "perspective",
+        )  # fmt: skip
+        what = float(rng.choice([1.0, 3.0])), float(10 ** rng.uniform(-1.5, 1.5)), "spacing" if k % 3 == 0 else "error"
+        found = rectangles(terrain, view, what[0], what[1], by=what[2])
+        assert found == plain_rectangles(terrain, view, *what)
+        many += found[-1].level < terrain.levels - 1
+    assert (many > 12) == (rows > 1)  # (one row has no surface)

@@ -20,8 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import read_only
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.parallel import map_ordered
+from orograph.raycast.finer import Eye, needed
 from orograph.raycast.stack import HeightWindow
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -41,21 +43,14 @@ class Boxes:
     high: Array
 
 
-Part = tuple[slice, slice]
-"""Rows and columns of tiles."""
-
-ALL: Part = slice(None), slice(None)
-
-
-def tile_boxes(terrain: Terrain, level: int, part: Part = ALL) -> Boxes:
-    """Bounding boxes of a level's tiles, or of a part of them."""
+def tile_boxes(terrain: Terrain, level: int) -> Boxes:
+    """Bounding boxes of a level's tiles."""
     table = terrain.tiles(level)
     (ty, tx), step = table.minimum.shape, float(TILE << level)
-    west, north = np.meshgrid(np.arange(tx)[part[1]] * step, np.arange(ty)[part[0]] * step)
+    west, north = np.meshgrid(np.arange(tx) * step, np.arange(ty) * step)
     last_col, last_row = terrain.grid.cols - 1.0, terrain.grid.rows - 1.0
     east, south = np.minimum(west + step, last_col), np.minimum(north + step, last_row)
-    low, high = (a[part].astype(np.float64) for a in (table.minimum, table.maximum))
-    return Boxes(west, east, north, south, low, high)
+    return Boxes(west, east, north, south, table.minimum.astype(np.float64), table.maximum.astype(np.float64))
 
 
 Planes = Sequence[tuple[float, ...]]
@@ -67,19 +62,14 @@ def frustum_planes(terrain: Terrain, view: View, exaggeration: float) -> Planes:
     return terrain.chart.planes(view.frustum(exaggeration).tolist(), exaggeration)
 
 
-def within(planes: Planes, boxes: Boxes) -> NDArray[np.bool_]:
-    """Tiles whose box is not wholly outside one plane (conservative)."""
+def in_frustum(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> NDArray[np.bool_]:
+    """Tiles whose box is not wholly outside one plane of the view's frustum (conservative)."""
     inside = np.isfinite(boxes.high)
-    for px, py, pz, p0 in planes:
+    for px, py, pz, p0 in frustum_planes(terrain, view, exaggeration):
         # The box's most positive corner decides.
         reach = p0 + px * (boxes.east if px > 0 else boxes.west) + py * (boxes.south if py > 0 else boxes.north)
         inside &= reach + pz * (boxes.high if pz > 0 else boxes.low) >= 0
     return inside
-
-
-def in_frustum(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> NDArray[np.bool_]:
-    """Tiles whose box is not wholly outside one plane of the view's frustum (conservative)."""
-    return within(frustum_planes(terrain, view, exaggeration), boxes)
 
 
 def distances(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> Array:
@@ -99,22 +89,6 @@ def off_axis(view: View) -> float:
     return 1.0 / (1.0 + half * half * (1.0 + (width / height) ** 2))
 
 
-def pixel_error(
-    terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes, part: Part = ALL
-) -> Array:  # fmt: skip
-    """An upper bound, in pixels, of what drawing each tile of a part at ``level`` displaces on the screen."""
-    table = terrain.tiles(level)
-    rims = table.valid[part] == 1
-    if view.projection == "plan":
-        spacing = max(terrain.grid.spacing) * 2.0**level
-        return np.where(rims, spacing / view.pixel_metres, 0.0)
-    displaced = moved(terrain, view, exaggeration, table.error[part].astype(np.float64), boxes)
-    if not rims.any():
-        return displaced
-    rim = spacing_error(terrain, view, exaggeration, level, boxes)
-    return np.maximum(displaced, np.where(rims, rim * 0.5, 0.0))
-
-
 def moved(terrain: Terrain, view: View, exaggeration: float, error: Array, boxes: Boxes) -> Array:
     """An upper bound, in pixels, of what vertical distances (metres) within boxes displace on the screen.
 
@@ -129,15 +103,6 @@ def moved(terrain: Terrain, view: View, exaggeration: float, error: Array, boxes
     return np.where(error > 0, found, 0.0)
 
 
-def spacing_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
-    """Samples of ``level`` in pixels (at most): above 1 the light on them can be drawn finer."""
-    spacing = max(terrain.grid.spacing) * 2.0**level
-    if view.projection == "plan":
-        return np.full(boxes.low.shape, spacing / view.pixel_metres)
-    d = np.maximum(distances(terrain, view, exaggeration, boxes), max(view.near, 1e-9))
-    return spacing / view.pixel_slope / d
-
-
 def rectangles(terrain: Terrain, view: View, exaggeration: float, tolerance: float, *, by: str = "error") -> ClipStack:
     """The windows a view needs, outermost first; the outermost covers the whole terrain at its coarsest level.
 
@@ -145,26 +110,32 @@ def rectangles(terrain: Terrain, view: View, exaggeration: float, tolerance: flo
         tolerance: pixels.
         by: "error": displacement on the screen (the surface), or "spacing": size of samples (its light).
     """
-    top, planes = terrain.levels - 1, frustum_planes(terrain, view, exaggeration)
+    top, eye = terrain.levels - 1, _eye(terrain, view, exaggeration, tolerance, by)
     found = [Rectangle.whole(top, terrain.shape(top))]
+    last, spacing = (terrain.grid.rows - 1.0, terrain.grid.cols - 1.0), max(terrain.grid.spacing)
     for level in range(top, 0, -1):
         # Only tiles within the window above count: what it left out was fine enough there already.
-        outer = found[-1]
-        rows, cols = outer.row0 // TILE, outer.col0 // TILE
-        part = slice(rows, -(-(outer.row1 - 1) // TILE)), slice(cols, -(-(outer.col1 - 1) // TILE))
-        boxes = tile_boxes(terrain, level, part)
-        need = within(planes, boxes)
-        if by == "error":
-            need &= pixel_error(terrain, view, exaggeration, level, boxes, part) > tolerance
-        else:
-            need &= spacing_error(terrain, view, exaggeration, level, boxes) > tolerance
-        if not need.any():
+        outer, table = found[-1], terrain.tiles(level)
+        part = outer.row0 // TILE, -(-(outer.row1 - 1) // TILE), outer.col0 // TILE, -(-(outer.col1 - 1) // TILE)
+        tables = (read_only(np.ascontiguousarray(a)) for a in (table.minimum, table.maximum, table.error, table.valid))
+        row0, row1, col0, col1 = needed(*tables, part, float(TILE << level), spacing * 2.0**level, last, eye)
+        if row0 < 0:
             break
-        rs, cs = rows + np.flatnonzero(need.any(1)), cols + np.flatnonzero(need.any(0))
-        row0, row1, col0, col1 = (2 * TILE * int(n) for n in (rs[0], rs[-1] + 1, cs[0], cs[-1] + 1))
-        window = Rectangle(level - 1, row0, row1 + 1, col0, col1 + 1)
+        window = Rectangle(
+            level - 1, 2 * TILE * row0, 2 * TILE * (row1 + 1) + 1, 2 * TILE * col0, 2 * TILE * (col1 + 1) + 1
+        )
         found.append(window.cut(terrain.shape(level - 1)))
     return ClipStack(found).visible(terrain.shape)
+
+
+def _eye(terrain: Terrain, view: View, exaggeration: float, tolerance: float, by: str) -> Eye:
+    col, row = terrain.grid.index(view.eye[0], view.eye[1])
+    plan = view.projection == "plan"
+    return Eye(
+        np.array(frustum_planes(terrain, view, exaggeration)), (float(col), float(row), view.eye[2]),
+        (*terrain.chart.least_steps, float(exaggeration)), view.pixel_metres if plan else view.pixel_slope,
+        off_axis(view), float(view.near), plan, by == "error", float(tolerance),
+    )  # fmt: skip
 
 
 def load(terrain: Terrain, found: Sequence[Rectangle], jobs: int | None = None) -> list[HeightWindow]:

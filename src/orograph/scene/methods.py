@@ -79,6 +79,13 @@ def made(
     Raises:
         UsageError, StoreError: as ``Choice.make``. ReadError: the image cannot be read.
     """
+    return choice.make(terrain, colored(choice, terrain, resources, drape))
+
+
+def colored(
+    choice: Choice, terrain: Terrain, resources: Resources, drape: str | os.PathLike[str] | None = None
+) -> Resources:  # fmt: skip
+    """Resources with color errors if a method's options ask for them; arguments and errors as for ``made``."""
     if getattr(choice.options, "color_tolerance", None) is not None and resources.color is None:
         from orograph.geovis.color_errors import ColorErrors, Colors
         from orograph.geovis.color_store import stored
@@ -94,4 +101,4 @@ def made(
                     terrain, drape=drape, max_memory=resources.max_memory, jobs=resources.jobs, progress=progress
                 )
         resources = replace(resources, color=color)
-    return choice.make(terrain, resources)
+    return resources

@@ -76,6 +76,7 @@ class Detailed(Terrain):
                 residual = _fractal(self._lattices[known], n - known, n, seed, device)
             self._lattices.append(Doubled(self._lattices[-1], residual))
         self._largest = _largest(terrain)
+        self._tables: dict[int, TileTable] = {}
 
     @property
     def height_range(self) -> tuple[float, float]:
@@ -140,6 +141,11 @@ class Detailed(Terrain):
 
     def tiles(self, level: int) -> TileTable:
         """Estimates: the terrain's own tables, and what detail may add."""
+        if level not in self._tables:
+            self._tables[level] = self._estimated(level)
+        return self._tables[level]
+
+    def _estimated(self, level: int) -> TileTable:
         own = max(level - self.doublings, 0)
         table, more = self.data.tiles(own), self._largest * FALL / (1 - FALL)
         if level >= self.doublings:

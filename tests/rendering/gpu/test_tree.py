@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from orograph import verify
+from orograph.geovis.color_errors import ColorErrors
 from orograph.gpu.device import Device
 from orograph.hierarchy import fronts
 from orograph.lod.cbt import Cbt
@@ -72,8 +73,9 @@ def unpacked(words: NDArray[np.uint32]) -> NDArray[np.float32]:
         code = (words[..., 1] >> (15 * k) & 0x7FFF).astype(np.int64)
         value = least * 2.0 ** (code >> 10) * (1 + (code & 1023) / 1024)
         out[..., 1 + k] = np.where(code == 0, 0.0, np.where(code == 0x7FFF, np.inf, value))
-    out[..., 2] = np.where(words[..., 1] >> 30 & 1, -1.0, out[..., 2])
-    out[..., 3] = np.where(words[..., 1] >> 31, -1.0, 0.0)
+    out[..., 2] = np.where(words[..., 1] & 0x3FFFFFFF == 0x7FFF, -1.0, out[..., 2])
+    color = np.where(words[..., 1] >> 30 & 1, 1e3, 0.0)
+    out[..., 3] = np.where(words[..., 1] >> 31, -1.0 - color, color)
     return out
 
 
@@ -95,13 +97,16 @@ def test_vertices_are_packed_a_little_too_large(device: Device) -> None:
         assert (found[usual, k] <= np.maximum(given[usual], least) * (1 + 2.0**-10)).all()
 
 
+GAMMA = 12.0
+
+
 @pytest.fixture
 def rounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """The CPU has the GPU's errors and radii: those that are packed and unpacked again."""
     real = Vertices.page
 
     def page(self: Vertices, *args: int) -> NDArray[np.float32]:
-        return unpacked(packed(real(self, *args)))
+        return unpacked(packed(real(self, *args), GAMMA))
 
     monkeypatch.setattr(Vertices, "page", page)
 
@@ -181,6 +186,40 @@ def test_the_promise_holds_and_the_cpu_makes_the_same_mesh(device: Device, metri
     assert same >= 2
 
 
+@pytest.mark.parametrize("tolerance", [1.5, 1e6])
+@pytest.mark.usefixtures("rounded")
+def test_colours_split_where_the_cpu_splits_for_them(device: Device, tolerance: float) -> None:
+    rng = np.random.default_rng(8)
+    t = plain.terrain(plain.rough(rng, (180, 257), amplitude=300, gaps=0.04), stretch=0.7)
+    colors = ColorErrors(t)
+    method = plain.refiner(Cbt, t, color=colors, color_tolerance=GAMMA)
+    vertices = Vertices(t, color=colors)
+    tree = Tree(device, t, vertices.corners, DiamondPages(device, vertices, 64 << 20, gamma=GAMMA), LEAST)
+    same = more = 0
+    for _ in range(4):
+        view = plain.random_view(rng, t)
+        settled(tree, view, tolerance)
+        found, expected = tree.tessellation({}), method.refine(view, tolerance=tolerance)
+        same += plain.triangles_of(found) == plain.triangles_of(expected)
+        assert abs(len(found.triangles) - len(expected.triangles)) <= 1 + 1e-3 * len(expected.triangles)
+        more += len(expected.triangles) > len(plain.refiner(Cbt, t).refine(view, tolerance=tolerance).triangles)
+    assert same >= 3 and more >= 3
+
+
+def test_triangles_squeezed_to_a_line_are_not_drawn(device: Device) -> None:
+    """Beyond the raster's end vertices have no ground: such triangles would stand on it as spikes."""
+    rng = np.random.default_rng(10)
+    t = plain.terrain(500 + plain.rough(rng, (40, 51), amplitude=90))
+    x, y = t.grid.xy(25, 20)
+    tree = tree_of(device, t)
+    settled(tree, View((x, y - 1500, 1200.0), (x, y, 500.0), width=320, height=200), 1e-3)
+    pool, shown = tree.pool()
+    keys = pool.corners(np.flatnonzero(shown))
+    row, col = np.minimum(keys >> 32, 39), np.minimum(keys & 0xFFFFFFFF, 50)
+    assert len(keys) > 3800
+    assert (np.ptp(row, axis=1) > 0).all() and (np.ptp(col, axis=1) > 0).all()
+
+
 def test_a_pool_that_is_full_and_pages_that_are_not_there_leave_a_conforming_mesh(device: Device) -> None:
     rng = np.random.default_rng(6)
     t = plain.terrain(plain.rough(rng, (900, 700), amplitude=900))
@@ -220,14 +259,15 @@ def test_a_picture_says_when_the_tree_is_full(device: Device) -> None:
     assert verify.judge_depth(whole.depth, t, view).largest <= 0.12
 
 
+@pytest.mark.parametrize("method", ["cbt", pytest.param("cbt,color-tolerance=4", marks=pytest.mark.stress)])
 def test_frames_come_to_rest_at_the_same_tree_and_nothing_is_read_back(
-    device: Device, monkeypatch: pytest.MonkeyPatch
+    device: Device, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
     rng = np.random.default_rng(9)
     t = plain.terrain(plain.rough(rng, (700, 800), amplitude=600))
     x, y = t.grid.xy(400, 350)
     views = [View((x + 200 * k, y - 9000, 4000.0), (x + 200 * k, y, 0.0), width=160, height=90) for k in range(6)]
-    scene = Scene.of(t, views[0], method="cbt", tolerance=0.7, light="none")
+    scene = Scene.of(t, views[0], method=method, tolerance=0.7, light="none")
     target = device.texture((160, 90), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC").create_view()
     renderer = Renderer(device, t, gpu_memory=64 << 20)
     growing = renderer._ground.growing

@@ -15,7 +15,8 @@ struct Tuning {
   top: u32,                       // the coarsest level of its pages
   near: f32,
   slots: u32,
-  pad: vec2<u32>,
+  texel: f32,                     // pixels at unit depth: where a sphere looks larger, its colours count
+  pad: u32,
   levels: array<vec4<u32>, 32>,   // of pages: offset in the table, rows, columns
 };
 
@@ -105,6 +106,12 @@ fn exceeds(p: vec3<f32>, error: f32, radius: f32) -> bool {
   return tuning.focal * error * lean > 0.99999 * tuning.tolerance * moved;
 }
 
+// Whether a sphere is so large on the screen that its colours are seen (error/screen.py: color_exceeds).
+fn seen(p: vec3<f32>, radius: f32) -> bool {
+  let depth = dot(camera.forward.xyz, p) - radius;
+  return radius > tuning.texel * (depth - ROUNDING * (length(p) + radius));
+}
+
 fn outside(p: vec3<f32>, radius: f32) -> bool {
   let reach = radius + ROUNDING * (length(p) + radius);
   for (var k = 0u; k < 6u; k++) {
@@ -149,8 +156,8 @@ fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   let found = textureLoad(diamonds, origin + at - page * PAGE, slot / (PAGES_PER_SIDE * PAGES_PER_SIDE), 0);
   let ground = bitcast<f32>(found.x);
   let height = select(ground, MISSING_HEIGHT, (found.y >> 31u) != 0u);
-  if (((found.y >> 30u) & 1u) != 0u) {
-    return Verdict(DROP, height);
+  if ((found.y & 0x3FFFFFFFu) == 0x7FFFu) {
+    return Verdict(DROP, height);   // empty
   }
   let error = unpacked(found.y & 0x7FFFu, 0x37800000u);
   let p = vec3<f32>(from_eye(vec2<f32>(min(l, camera.last) - camera.eye_cell)), above_eye(ground));
@@ -158,7 +165,16 @@ fn judged(l: vec2<i32>, octave: u32) -> Verdict {
   if (tuning.cull == 1u && outside(p, radius)) {
     return Verdict(DROP, height);
   }
-  return Verdict(select(LEAF, INACCURATE, error > 1e37 || exceeds(p, error, radius)), height);
+  let colored = ((found.y >> 30u) & 1u) != 0u && seen(p, radius);
+  return Verdict(select(LEAF, INACCURATE, error > 1e37 || colored || exceeds(p, error, radius)), height);
+}
+
+// Whether a triangle has an area on the raster, and is not squeezed to a line at its end.
+fn has_area(node: Node) -> bool {
+  let a = min(corner_of(node, tuning.n, 2u), camera.last);
+  let b = min(corner_of(node, tuning.n, 6u), camera.last);
+  let c = min(corner_of(node, tuning.n, 4u), camera.last);
+  return all((a != b) | (a != c));
 }
 
 fn octave_of(level: u32) -> u32 {
@@ -175,7 +191,7 @@ fn judge(@builtin(global_invocation_id) id: vec3<u32>) {
   let node = nodes[slot];
   let level = node.shape >> 3u;
   var marks = 0u;
-  var shown = max(max(node.heights.x, node.heights.y), node.heights.z) < 0.5 * MISSING_HEIGHT;
+  var shown = max(max(node.heights.x, node.heights.y), node.heights.z) < 0.5 * MISSING_HEIGHT && has_area(node);
   if (level < 2u * tuning.n) {
     let own = judged(node.l, octave_of(level));
     nodes[slot].heights.w = own.height;

@@ -21,7 +21,7 @@ from orograph.lod.cbt.pool import Pool, Slots
 from orograph.lod.criterion import DROP, NOTHING, SPLIT, Criterion
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
-from orograph.lod.right_triangles import Mesh, RightTriangleMeshes, RightTriangleOptions
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes
 from orograph.viewpoint import Camera
 
 METRICS = ("anisotropic", "isotropic")
@@ -29,8 +29,8 @@ METRICS = ("anisotropic", "isotropic")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CbtOptions(RightTriangleOptions):
-    """Options of ``cbt``. See ``RightTriangleOptions``."""
+class CbtOptions(MeshOptions):
+    """Options of ``cbt``. See ``MeshOptions``."""
 
     metric: str | None = option(None, "How errors are converted to pixels; none: anisotropic.", choices=METRICS)
     updates: int = option(2, "On the GPU: updates of the tree in a frame.", unit="updates", least=1, most=32)

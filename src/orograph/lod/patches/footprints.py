@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._numba import inlined, kernel, read_only
 from orograph.error.screen import camera_parameters
 from orograph.geo.grid import Grid
 from orograph.lod.patches.shape import STEPS
@@ -65,28 +66,61 @@ def footprints(
         instances: (k,) of ``shape.INSTANCE``. spans: (k, 2), metres between which their heights lie.
         legs: segments along a leg. last: the raster's last row and column.
     """
-    omega, step = instances["omega"], instances["step"].astype(np.int64)
-    places = []  # rows and columns of four corners, the last two the same unless squeezed: (4, k)
-    for axis, name in enumerate(("row", "col")):
-        apex = instances[name].astype(np.int64)
-        ends = [apex + (legs * STEPS[omega, e, axis].astype(np.int64) << step) for e in range(2)]
-        places.append(np.stack([apex, *ends, ends[1]]))
-    squeezed = (places[0].max(0) > last[0]) | (places[1].max(0) > last[1])
-    if squeezed.any():
-        for place, end, which in zip(places, last, ([0, 0, 1, 1], [0, 1, 0, 1]), strict=True):
-            some = np.minimum(place[:, squeezed], end)
-            place[:, squeezed] = np.stack([some.min(0), some.max(0)])[which]
-    m, flat, up = screen.rows, [], spans.astype(np.float64).T[:, None]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for n in range(3):
-            ground = m[n, 0] * places[1] + m[n, 1] * places[0] + m[n, 3]
-            flat.append((ground + m[n, 2] * up).reshape(8, -1))
-        x, y, w = flat
-        anywhere = ~(w.min(0) > screen.nearest) | ~np.isfinite(spans).all(1)
-        x, y = x / w, y / w
-        edges = np.stack([x.min(0) - MARGIN, y.min(0) - MARGIN, x.max(0) + MARGIN, y.max(0) + MARGIN]) / screen.side
-        most = np.array([*screen.shape[::-1], *screen.shape[::-1]])[:, None]
-        ends = np.floor(edges) + np.array([[0], [0], [1], [1]])
-        found: NDArray[np.int64] = np.clip(np.nan_to_num(ends), 0, most).astype(np.int64).T
-    found[anywhere] = 0, 0, *screen.shape[::-1]
+    found = np.empty((len(instances), 4), np.int64)
+    fields = (read_only(np.ascontiguousarray(instances[name])) for name in ("row", "col", "omega", "step"))
+    _find(*fields, read_only(np.ascontiguousarray(spans)), STEPS.astype(np.int64) * legs, last, screen.rows,
+          screen.nearest, screen.side, screen.shape, found)  # fmt: skip
     return found
+
+
+@inlined
+def _clipped(edge, most):
+    """A number of blocks, of at most so many; 0 if it is none."""
+    return np.int64(min(edge, np.float64(most))) if edge > 0.0 else np.int64(0)
+
+
+@inlined
+def _corner(row, col, ways, s, n, last):
+    """(row, column) of a patch's corner n of 4, float64: of its triangle, or of what is left where it is squeezed."""
+    r1, c1, r2, c2 = row + (ways[0] << s), col + (ways[1] << s), row + (ways[2] << s), col + (ways[3] << s)
+    bottom, right = max(row, r1, r2), max(col, c1, c2)
+    if bottom > last[0] or right > last[1]:
+        r = min(row, r1, r2) if n < 2 else bottom
+        c = min(col, c1, c2) if n % 2 == 0 else right
+        return np.float64(min(r, last[0])), np.float64(min(c, last[1]))
+    r = row if n == 0 else r1 if n == 1 else r2
+    c = col if n == 0 else c1 if n == 1 else c2
+    return np.float64(r), np.float64(c)
+
+
+@kernel
+def _find(rows, cols, omegas, steps, spans, legs, last, m, nearest, side, shape, found):
+    """``footprints``, patch by patch.
+
+    Args:
+        legs: int64 (8, 2, 2), by omega, the legs as (row, col), for s = 0. m, nearest, side, shape: of the screen.
+        found: (k, 4), to be filled.
+    """
+    for k in range(len(rows)):
+        row, col, s, o = np.int64(rows[k]), np.int64(cols[k]), np.int64(steps[k]), omegas[k]
+        ways = legs[o, 0, 0], legs[o, 0, 1], legs[o, 1, 0], legs[o, 1, 1]
+        x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+        anywhere = not (np.isfinite(spans[k, 0]) and np.isfinite(spans[k, 1]))
+        for n in range(4):
+            r, c = _corner(row, col, ways, s, n, last)
+            for end in range(2):
+                up = np.float64(spans[k, end])
+                w = m[2, 0] * c + m[2, 1] * r + m[2, 3] + m[2, 2] * up
+                if not w > nearest:
+                    anywhere = True
+                    break
+                x = (m[0, 0] * c + m[0, 1] * r + m[0, 3] + m[0, 2] * up) / w
+                y = (m[1, 0] * c + m[1, 1] * r + m[1, 3] + m[1, 2] * up) / w
+                x0, y0, x1, y1 = min(x0, x), min(y0, y), max(x1, x), max(y1, y)
+        if anywhere:
+            found[k, 0], found[k, 1], found[k, 2], found[k, 3] = 0, 0, shape[1], shape[0]
+            continue
+        found[k, 0] = _clipped(np.floor((x0 - MARGIN) / side), shape[1])
+        found[k, 1] = _clipped(np.floor((y0 - MARGIN) / side), shape[0])
+        found[k, 2] = _clipped(np.floor((x1 + MARGIN) / side) + 1.0, shape[1])
+        found[k, 3] = _clipped(np.floor((y1 + MARGIN) / side) + 1.0, shape[0])

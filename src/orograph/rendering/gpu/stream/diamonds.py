@@ -1,12 +1,14 @@
 """Pages of diamonds on the GPU: what a tree that lives there needs of a vertex, in an atlas filled by threads.
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
-height, an error, the radius of its sphere, and whether its sample is missing, in 8 bytes (``packed``). Wanted are the
+height, an error, the radius of its sphere, whether its sample is missing, and whether its colours are off by more than
+a color tolerance γ (then a page is made for one γ), in 8 bytes (``packed``). Wanted are the
 pages of all tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do
 not, and those of coarser levels there; in motion only of tiles that take away more than the tolerance, for patches,
 which grow, begin at smaller errors. Where ground and missing ground share a tile, whose edge a tree follows to the
-sample, wanted are those whose samples are larger than the tolerance. A picture that waits asks the tree itself, too
-(``take_asked``): then it follows such edges to the end. The coarsest pages never leave. Pixels.
+sample, wanted are those whose samples are larger than the tolerance; with γ, which counts where a sphere looks larger
+than a pixel, also all whose samples are larger than half a pixel, last. A picture that waits asks the tree itself, too
+(``take_asked``): then it follows edges and colours to the end. The coarsest pages never leave. Pixels.
 """
 
 from __future__ import annotations
@@ -34,8 +36,9 @@ from orograph.viewpoint import View
 LEAST, BITS = (0x37800000, 0x3B800000), 13
 """Errors and radii are 15 bits: a float32's exponent and upper 10 bits of its fraction, counted from 2⁻¹⁶ and 2⁻⁸ m."""
 
-INFINITE, EMPTY, MISSING = 0x7FFF, 1 << 30, 1 << 31
-"""The code of a mixed diamond's error; what marks empty diamonds, and samples that are missing."""
+INFINITE, COLORED, MISSING = 0x7FFF, 1 << 30, 1 << 31
+"""The code of a mixed diamond's error, and of an empty one's, which has no radius; what marks diamonds whose colours
+are off by more than γ, and samples that are missing."""
 
 UNKNOWN = 1e6
 """Pixels: larger errors are not distinguished."""
@@ -45,7 +48,7 @@ class DiamondPages:
     """The pages of a terrain on a device.
 
     Args:
-        vertices: the terrain's. budget: bytes of the atlas. jobs: threads that read.
+        vertices: the terrain's. budget: bytes of the atlas. jobs: threads that read. gamma: γ, ΔE.
 
     Attributes:
         atlas: the pages. levels: uint32 (32, 4), the offset of each level's pages, and their rows and columns.
@@ -53,9 +56,11 @@ class DiamondPages:
         moved: bytes uploaded to the GPU so far.
     """
 
-    def __init__(self, device: Device, vertices: Vertices, budget: int, jobs: int | None = None) -> None:
+    def __init__(
+        self, device: Device, vertices: Vertices, budget: int, jobs: int | None = None, gamma: float = math.inf
+    ) -> None:
         terrain = self.terrain = vertices.terrain
-        self.vertices, self.jobs = vertices, jobs
+        self.vertices, self.jobs, self.gamma = vertices, jobs, gamma
         shapes = [(max(1, -(-(r - 1) // TILE)), max(1, -(-(c - 1) // TILE))) for r, c in vertices.shapes]
         offsets = np.concatenate([[0], np.cumsum([rows * cols for rows, cols in shapes])])
         self.tables = Tables(offsets[:-1].tolist(), shapes, int(offsets[-1]))
@@ -65,7 +70,11 @@ class DiamondPages:
         for k, (rows, cols) in enumerate(shapes):
             self.levels[k, :3] = offsets[k], rows, cols
         self._offsets, self._across = offsets[:-1].astype(np.int64), np.array([cols for _, cols in shapes], np.int64)
-        self._edges = _edges(vertices, self.tables)
+        self._edges = self._colored = None
+        if any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
+            self._edges = _by_samples(vertices, self.tables, (1,))
+        if gamma < math.inf:
+            self._colored = _by_samples(vertices, self.tables, (1, 2))
         self._streamer: Streamer[Literal["diamonds"], Key, Tile] = Streamer(
             lambda kind, key: landing.land(self._page(key)), jobs or (REMOTE_READERS if terrain.remote else READERS)
         )
@@ -174,6 +183,10 @@ class DiamondPages:
             tree, places = self._edges
             which, samples = tree.of(view, exaggeration, pixels=tolerance)
             np.maximum.at(pixels, places[which], samples)
+        if self._colored is not None:
+            tree, places = self._colored
+            which, samples = tree.of(view, exaggeration)
+            np.maximum.at(pixels, places[which], 1e-9 * samples)  # (no error in pixels)
         for k, (down, across) in enumerate(tables.shapes[:-1]):
             begin, above = tables.offsets[k], tables.offsets[k + 1]
             here = np.flatnonzero(pixels[begin : begin + down * across])
@@ -196,33 +209,34 @@ class DiamondPages:
         return count
 
     def _page(self, key: Key) -> NDArray[np.uint32]:
-        return packed(self.vertices.page(*key, TILE + 1))
+        return packed(self.vertices.page(*key, TILE + 1), self.gamma)
 
 
-def packed(page: NDArray[np.float32]) -> NDArray[np.uint32]:
+def packed(page: NDArray[np.float32], gamma: float = math.inf) -> NDArray[np.uint32]:
     """Vertices (…, 4) of ``lod.field`` as shaders read them: (…, 2) uint32.
 
     The first number is the height's float32. The second has the error in its lower 15 bits and the radius in the next
-    15, both rounded up by less than a part in 1024; then ``EMPTY`` and ``MISSING``.
+    15, both rounded up by less than a part in 1024; then ``COLORED`` and ``MISSING``.
     """
-    bits = page.view(np.int32)
+    bits, (error, radius, color) = page.view(np.int32), (page[..., k] for k in (1, 2, 3))
     out = np.empty((*page.shape[:-1], 2), np.uint32)
     out[..., 0], code = page[..., 0].view(np.uint32), np.zeros(page.shape[:-1], np.int32)
+    some = error > 0, (radius > 0) | (error == np.inf)  # (a mixed diamond has a radius)
     for k, least in enumerate(LEAST):
         part = np.clip((bits[..., 1 + k] - least + (1 << BITS) - 1) >> BITS, 1, INFINITE)
-        code |= np.where(page[..., 1 + k] > 0, part, 0) << 15 * k  # (0 is for none)
+        code |= np.where(some[k], part, 0) << 15 * k  # (0 is for none)
+    code[radius < 0] = INFINITE
     out[..., 1] = code.view(np.uint32)
-    out[..., 1] |= np.where(page[..., 2] < 0, EMPTY, 0).astype(np.uint32)
-    out[..., 1] |= np.where(page[..., 3] < 0, MISSING, 0).astype(np.uint32)
+    if gamma < math.inf:
+        out[..., 1] |= np.where(np.where(color < 0, -1.0 - color, color) > gamma, COLORED, 0).astype(np.uint32)
+    out[..., 1] |= np.where(color < 0, MISSING, 0).astype(np.uint32)
     return out
 
 
-def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]] | None:
-    """The pages of all levels, coarsest first, that are too coarse where ground and missing ground share one, because
-    their samples are too far apart; and their places in the table. None where nothing is missing."""
+def _by_samples(vertices: Vertices, tables: Tables, kinds: tuple[int, ...]) -> tuple[Tree, NDArray[np.int64]]:
+    """The pages of all levels, coarsest first, that are too coarse where their samples are too far apart, of tiles that
+    are ``valid`` in one of some ways (``TileTable``); and their places in the table."""
     terrain, parts = vertices.terrain, list[tuple[Any, ...]]()
-    if not any((terrain.tiles(level).valid == 1).any() for level in range(terrain.levels)):
-        return None
     above = begin = 0
     for level in range(vertices.top, -1, -1):
         rows, cols = tables.shapes[level]
@@ -234,7 +248,9 @@ def _edges(vertices: Vertices, tables: Tables) -> tuple[Tree, NDArray[np.int64]]
             parents = above + (i >> 1) * tables.shapes[level + 1][1] + (j >> 1)
         boxes = np.stack([a[at] for a in (box.west, box.east, box.north, box.south, box.low, box.high)], 1)
         apart = max(terrain.grid.spacing) * 2.0**level
-        parts.append((boxes, parents, np.where(valid == 1, apart, 0.0)[at], tables.offsets[level] + i * cols + j))
+        parts.append(
+            (boxes, parents, np.where(np.isin(valid, kinds), apart, 0.0)[at], tables.offsets[level] + i * cols + j)
+        )
         above, begin = begin, begin + len(i)
     boxes, parents, sizes, places = (np.concatenate(some) for some in zip(*parts, strict=True))
     return Tree(terrain, boxes, parents.astype(np.int64), sizes), places.astype(np.int64)

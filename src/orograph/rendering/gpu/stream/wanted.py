@@ -1,7 +1,7 @@
 """The tiles of shading that a view wants: for each place in view, those of the level whose samples are a pixel large.
 
 A tile is wanted if it is in the frustum and the tile above it is too coarse: its samples are larger than a pixel at
-the nearest point (``raycast.select.spacing_error``, tile by tile). So the tiles of all coarser levels are wanted as
+the nearest point. So the tiles of all coarser levels are wanted as
 well, as the blend between levels needs them, and coarser ones come first. The boxes of all tiles are laid out once,
 coarsest level first; a view is one pass over them.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.raycast.finer import distance, in_view
 from orograph.raycast.select import tile_boxes
 from orograph.rendering.gpu.stream.tiles import Tables
 from orograph.store.terrain import Terrain
@@ -45,22 +46,12 @@ def _wanted(tiles, planes, eye, scale, per_metre, plan, most, grow, priority, ou
         low, high = boxes[i, 4], boxes[i, 5]
         if low != low:
             continue
-        inside = True
-        for k in range(planes.shape[0]):
-            a, b, c, d = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
-            reach = d + a * (east if a > 0 else west) + b * (south if b > 0 else north) + c * (high if c > 0 else low)
-            if reach < 0.0:
-                inside = False
-                break
-        if not inside:
+        if not in_view(planes, west, east, north, south, low, high):
             continue
         if plan:
             pixels = sizes[i] * per_metre
         else:
-            dx = max(max(west - eye[0], eye[0] - east), 0.0) * scale[0]
-            dy = max(max(north - eye[1], eye[1] - south), 0.0) * scale[1]
-            dz = max(max(low - eye[2], eye[2] - high), 0.0) * scale[2]
-            pixels = sizes[i] * per_metre / max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+            pixels = sizes[i] * per_metre / max(distance(eye, scale, west, east, north, south, low, high), 1e-9)
         grow[i] = 1 if pixels > most else 0
         priority[i] = 2.0 * pixels if p >= 0 else 1e9
         out[count] = i

@@ -23,7 +23,7 @@ from orograph.lod.registry import Choice
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.diamonds import DiamondPages
 from orograph.rendering.gpu.surface.tree import Counts, Tree, TreeFrame
-from orograph.scene.methods import MEMORY, TOLERANCE, mesh_choice
+from orograph.scene.methods import MEMORY, TOLERANCE, colored, mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -212,9 +212,10 @@ class Growing:
             return str(error)
 
     def _plant(self, choice: Choice) -> Planted:
-        supply(self.terrain, choice.method.needs(choice.options), Resources(MEMORY, self.jobs))
-        vertices = Vertices(self.terrain, choice.options.error)
-        pages = DiamondPages(self.device, vertices, self.most, self.jobs)
+        resources, gamma = Resources(MEMORY, self.jobs), choice.options.color_tolerance
+        supply(self.terrain, choice.method.needs(choice.options), resources)
+        vertices = Vertices(self.terrain, choice.options.error, colored(choice, self.terrain, resources).color)
+        pages = DiamondPages(self.device, vertices, self.most, self.jobs, math.inf if gamma is None else gamma)
         tree = Tree(
             self.device, self.terrain, vertices.corners, pages, choice.options.slots,
             isotropic=choice.options.metric_used.name == "isotropic", cull=choice.options.cull,

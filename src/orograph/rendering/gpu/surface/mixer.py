@@ -50,6 +50,10 @@ SMALL = 4
 """Factor by which the picture is reduced to measure what rays cost whatever their number."""
 
 
+_Seen = tuple[View, float, int]
+"""A view, its exaggeration, and pixels along a block."""
+
+
 class _Decided(NamedTuple):
     """Who draws which blocks.
 
@@ -79,6 +83,7 @@ class Mixer:
         self._camera = camera
         self._last: _Decided | None = None
         self._drawn: tuple[View, int, Mixed, Patches] | None = None  # (patches: so that nothing else has their id)
+        self._screen: tuple[_Seen | None, Screen | None] = None, None
         self._seen: tuple[Patches | None, Screen | None, NDArray[np.int64]] = None, None, np.empty((0, 4), np.int64)
         self._idle = 0
 
@@ -111,29 +116,38 @@ class Mixer:
             *drawn, before, _ = self._drawn
             if drawn == [view, id(patches)] and before.cast is last.cast:
                 return before
-        screen = Screen.of(view, self.terrain.grid, exaggeration, windows.block)
+        seen = view, exaggeration, windows.block
         if last is None or not checked:
             fine = self._fine(windows, view, exaggeration, tolerance)
             if last is not None and last.fine == fine and _within(FAR, last.windows, last.view, windows, view):
                 last = last._replace(windows=windows, checked=view)
             else:
-                by_rays, shares = self._decided(patches, windows, view, exaggeration, screen, last, fine, wait=wait)
+                by_rays, shares = self._decided(patches, windows, seen, last, fine, wait=wait)
                 cast = Cast(windows.rays, by_rays, windows.block)
                 if self._last is not None and _same(self._last.cast, cast):
                     cast = self._last.cast
                 last = _Decided(key, view, cast, shares, windows, view, fine)
             self._last = last
-        found = Mixed(self._left(patches, last.cast.by_rays, screen), last.cast)
+        found = Mixed(self._left(patches, last.cast.by_rays, seen), last.cast)
         self._drawn = view, id(patches), found, patches
         return found
 
-    def _left(self, patches: Patches, by_rays: Labels, screen: Screen) -> NDArray[Any]:
+    def _left(self, patches: Patches, by_rays: Labels, seen: _Seen) -> NDArray[Any]:
         """The patches that lie over blocks that rays do not draw."""
         if by_rays.all():
             return patches.instances[:0]
         if not by_rays.any():
             return patches.instances
-        return patches.instances[kept(self._boxes(patches, screen), by_rays)]
+        return patches.instances[kept(self._boxes(patches, self._screen_of(seen)), by_rays)]
+
+    def _screen_of(self, seen: _Seen) -> Screen:
+        """The picture in blocks; the same object as long as the view stays."""
+        found = self._screen[1] if self._screen[0] == seen else None
+        if found is None:
+            view, exaggeration, side = seen
+            found = Screen.of(view, self.terrain.grid, exaggeration, side)
+            self._screen = seen, found
+        return found
 
     def _boxes(self, patches: Patches, screen: Screen) -> NDArray[np.int64]:
         """The blocks under the patches of a frame."""
@@ -144,10 +158,10 @@ class Mixer:
         return self._seen[2]
 
     def _decided(
-        self, patches: Patches, windows: MixableWindows, view: View, exaggeration: float, screen: Screen,
-        last: _Decided | None, fine: bool, *, wait: bool,
-    ) -> tuple[Labels, Shares | None]:  # fmt: skip
+        self, patches: Patches, windows: MixableWindows, seen: _Seen, last: _Decided | None, fine: bool, *, wait: bool
+    ) -> tuple[Labels, Shares | None]:
         """Decide which blocks rays draw, with reasons."""
+        (view, exaggeration, _), screen = seen, self._screen_of(seen)
         if not fine:
             return np.zeros(screen.shape, bool), None
         if windows.shares == "turns":

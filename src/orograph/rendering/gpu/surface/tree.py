@@ -42,7 +42,7 @@ TUNING = np.dtype(
     [
         ("planes", "<f4", (6, 4)), ("focal", "<f4"), ("tolerance", "<f4"), ("lean", "<f4"), ("stretch", "<f4"),
         ("isotropic", "<u4"), ("cull", "<u4"), ("n", "<u4"), ("top", "<u4"), ("near", "<f4"), ("slots", "<u4"),
-        ("pad", "<u4", 2), ("levels", "<u4", (32, 4)),
+        ("texel", "<f4"), ("pad", "<u4"), ("levels", "<u4", (32, 4)),
     ]
 )  # fmt: skip
 """The uniform ``Tuning`` of ``shaders/cbt.wgsl``."""
@@ -209,7 +209,7 @@ class Tree:
         for k, plane in enumerate(view.frustum(exaggeration)):
             u["planes"][k] = *plane[:3], plane[:3] @ eye + plane[3]
         u["focal"], u["tolerance"], u["lean"] = lens.focal, tolerance, lens.largest_lean
-        u["stretch"], u["near"] = lens.stretch, lens.near
+        u["stretch"], u["near"], u["texel"] = lens.stretch, lens.near, lens.texel
         u["isotropic"], u["cull"] = self.isotropic, self.cull
         u["n"], u["top"], u["slots"] = self.terrain.n, self.terrain.levels - 1, self.slots
         u["levels"] = self.pages.levels
@@ -252,13 +252,8 @@ class Tree:
         pool, shown = self.pool()
         slots = np.flatnonzero(shown)
         keys = pool.corners(slots)
-        rows, cols = self.terrain.grid.shape
-        row, col = np.minimum(keys >> 32, rows - 1).T, np.minimum(keys & 0xFFFFFFFF, cols - 1).T
-        flat = (col[1] - col[0]) * (row[2] - row[0]) == (col[2] - col[0]) * (row[1] - row[0])
         heights = pool.heights[slots, :3]
-        made = Tessellation.from_triangles(
-            self.terrain.grid, keys[~flat], heights[~flat], clockwise=False, stats=stats
-        )  # fmt: skip
+        made = Tessellation.from_triangles(self.terrain.grid, keys, heights, clockwise=False, stats=stats)
         stats["triangles"] = len(made.triangles)
         return made
 
