@@ -156,7 +156,7 @@ def profile(m: Maker) -> None:
     m.look(309_500.0, 4_889_500.0, 11_500.0, 24.0, -30.0)
     m.measure("profile", (309_600.0, 4_901_700.0), WASHINGTON, ADAMS, (325_000.0, 4_912_500.0))
     m.frames(3)
-    m.point(430, 260)
+    m.point(345, 260)
     m.frames(4)
 
 
