@@ -59,7 +59,7 @@ class Maker:
 
     def evening(self) -> None:
         """The real sun, low in the west."""
-        light = self.session.settings.light
+        light = self.session.settings.sun
         light.mode, light.when = "moment", EVENING
 
     def point(self, x: float, y: float) -> None:
@@ -131,7 +131,7 @@ def method(m: Maker) -> None:
 
 
 def plan(m: Maker) -> None:
-    m.session.settings.light.altitude = 35.0
+    m.session.settings.sun.altitude = 35.0
     m.session.settings.contours = Contours()
     m.window.plan.cycle()
     m.look(319_321.8, 4_888_000.0, 7_200.0, 350.0, -19.0)
@@ -152,16 +152,16 @@ def tour(m: Maker) -> None:
 
 
 def profile(m: Maker) -> None:
-    m.session.settings.light.altitude = 35.0
+    m.session.settings.sun.altitude = 35.0
     m.look(309_500.0, 4_889_500.0, 11_500.0, 24.0, -30.0)
     m.measure("profile", (309_600.0, 4_901_700.0), WASHINGTON, ADAMS, (325_000.0, 4_912_500.0))
     m.frames(3)
-    m.point(430, 200)
+    m.point(345, 260)
     m.frames(4)
 
 
 def viewshed(m: Maker) -> None:
-    m.session.settings.light.altitude = 35.0
+    m.session.settings.sun.altitude = 35.0
     m.look(316_250.0, 4_872_500.0, 36_000.0, 0.0, -48.0)
     m.window.tools.radius = 25_000.0
     m.measure("viewshed", WASHINGTON)

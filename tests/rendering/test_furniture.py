@@ -15,6 +15,7 @@ from orograph.geovis.keys import Legend, Scale
 from orograph.rendering.furniture import furnish as furniture
 from orograph.rendering.furniture import lettering
 from orograph.rendering.furniture.furnish import furnish
+from orograph.rendering.furniture.key import WIDEST, key
 from orograph.rendering.furniture.pieces import bar_length, number, ticks
 
 RAMP = np.linspace([0.1, 0.4, 0.2], [1.0, 0.9, 0.9], 256)
@@ -258,6 +259,20 @@ def test_a_long_legend_keeps_its_classes() -> None:
         words = [text[2] for piece, _ in layout.placed for text in piece.texts]
         assert "land cover" in words and all(str(k) in words for k in range(shown))
     assert any(word.startswith("and ") and word.endswith(" more") for word in words)
+
+
+def test_long_titles_take_two_lines_and_are_whole_in_words() -> None:
+    long = "Mean 2 metre temperature of the month's days at noon, as the model has it"
+    for scale, whole in ((long[:30], True), (long, False), ("Potentialtemperaturunterschied" * 2, False)):
+        legend = Legend((Scale(0.0, 1.0, np.zeros((2, 3)), "°C", scale),))
+        piece = key(legend, style := lettering.Style(14.0, None), 9.0)
+        lines = [text[2] for text in piece.texts if not text[2].replace(".", "").isdigit()]
+        assert len(lines) <= 2 and lines[-1].endswith("(°C)")
+        assert (" ".join(lines) == f"{scale} (°C)") is whole and (style.text("…") in lines[-1]) is not whole
+        assert piece.width <= (WIDEST + 2) * style.unit
+    one = orograph.terrain(np.zeros((20, 20), np.float32), spacing=10.0, progress=False)
+    data = orograph.Dataset(np.indices((20, 20))[0].astype(float), name=long)
+    assert long in orograph.render(one, "plan", size=(90, 60), data=data, furniture=True, samples=1).describe()
 
 
 def test_a_plan_stands_beside_a_legend_with_a_long_title() -> None:

@@ -72,3 +72,15 @@ def test_where_pixels_cover_samples_heights_are_the_grounds() -> None:
     found = smoothed(relief, points, wide, np.full(len(wide), 2000.0))
     assert (found[wide >= SMALL[1]] == 2000.0).all() and (np.diff(found) >= 0).all() and found[0] < 1500
     assert np.abs(np.diff(found)).max() < 30  # by degrees
+
+
+def test_a_coast_is_one_line() -> None:
+    """The sea is level: the surface dips below it beside the land, and heights say how far away the coast is."""
+    z = np.zeros((9, 12), np.float32)
+    z[:, 6:] = 30.0 * np.arange(1, 7)
+    x = np.linspace(4.01, 4.99, 99)
+    height = interpolated(z, x, np.full(len(x), 4.3))
+    slope = 15.0 * (x - 4)  # the light's
+    away = np.abs(height) / slope
+    assert (height < 0).all() and (away > np.minimum(5 - x, 0.14) - 1e-6).all()
+    assert (interpolated(z, np.linspace(0, 4, 20), np.full(20, 4.3)) == 0).all()

@@ -365,6 +365,16 @@ def test_rasters_stand_on_a_lattice(tmp_path):
     assert (np.diff(things.height[order]) > -2.0).all()
 
 
+@pytest.mark.parametrize("style", ["spheres", "discs"])
+@pytest.mark.parametrize("size", [None, 50.0])
+def test_round_things_of_a_raster_do_not_touch(style, size):
+    terrain = ground()
+    data = Dataset(np.ones((60, 80), np.float32), style=style, size=size)
+    things = Scene.of(terrain, orograph.camera.whole(terrain, (300, 200)), data=data).theme.things
+    apart = np.diff(np.unique(np.round(things.x, 3))).min()
+    assert 0.4 * apart < 2 * things.radius.max() < 0.7 * apart and (size is None or things.radius.max() <= size / 2)
+
+
 @pytest.mark.parametrize("azimuth", [180.0, 0.0])
 @pytest.mark.parametrize("exaggeration", [1.0, 3.0])
 def test_columns_and_sections_reach_from_height_to_height_and_are_seen_from_both_sides(azimuth, exaggeration):

@@ -32,7 +32,8 @@ def describe(scene: Scene) -> str:
         for both in key.squares:
             parts.append(f"Colours show {_span(both.across, both.across_edges)} and {_span(both.up, both.up_edges)}.")
         if key.classes:
-            parts.append(f"Colours show {', '.join(words for words, _ in key.classes)}.")
+            told = f"{key.title}: " if key.title else ""
+            parts.append(f"Colours show {told}{', '.join(words for words, _ in key.classes)}.")
         if key.note:
             parts.append(f"{key.note}.")
         if key.swatches:

@@ -292,7 +292,7 @@ def _on_lattice(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
     dataset = as_shown(dataset)
     if dataset.derived:
         dataset = dataset.but(name=field.name, unit=field.unit)
-    x, y = lattice_points(grid, dataset.size)
+    x, y, dataset = lattice_points(dataset, grid)
     values = values_at(field.shown, field, grid, x, y)
     found = deviations(dataset, field, grid)
     sigma = None if found is None else values_at(found[1], found[0], grid, x, y)

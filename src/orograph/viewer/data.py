@@ -83,7 +83,7 @@ class ShownData:
         self._moving: dict[int, tuple[float, float]] = {}
         for k, one in enumerate(data):
             span = None if grid is None or times_in(one) else span_of(one, grid) or events_span(one, grid)
-            if span is not None:
+            if span is not None and span[0] < span[1]:
                 self._moving[k] = span
         ends = [end for span in self._moving.values() for end in span]
         ends += seconds_of(self.times[:1] + self.times[-1:], "", "").tolist()

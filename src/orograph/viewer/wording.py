@@ -9,7 +9,7 @@ STARTED = {"max_memory": "--memory", "gpu_memory": "--gpu-memory", "adapter": "-
 """Options of opening the window that no panel has."""
 
 PANELS = {
-    "colormap": "colors",
+    "colormap": "colours",
     "fov_y": "field of view",
     "relief": "slope shading",
     "shadows": "cast shadows",

@@ -117,6 +117,7 @@ def test_what_cannot_be_meant_is_refused(ground: orograph.Terrain) -> None:
         (Dataset(bare, variable="value", time="2020"), "Nothing says when"),
         (Dataset(table(ground, [iso(0), iso(1)]), variable="value", time="T12"), "not a time"),
         (Dataset(table(ground, [iso(0), iso(1)]), variable="value", time="2021..2022"), "no span"),
+        (Dataset(table(ground, [iso(1), iso(1)]), variable="value", time=".."), f"all of it is at one time, {iso(1)}"),
         (Dataset(table(ground, ["soon", iso(1)]), variable="value", time=iso(1)), "not a time"),
     ):
         with pytest.raises(OrographError, match=words):
@@ -171,6 +172,7 @@ def test_a_window_plays_them_within_a_span(ground: orograph.Terrain) -> None:
     assert window.limits == window.span
     chosen = ShownData((data.but(time=f"{iso(6)}..{iso(30)}"),), Priority(), ground.grid)
     assert chosen.limits == (START + 6 * HOUR, START + 30 * HOUR) and chosen.play(0.0) == iso(6)
+    assert ShownData((Dataset(table(ground, [iso(1)]), variable="value"),), Priority(), ground.grid).span is None
 
 
 def test_a_thing_tells_its_value_and_its_uncertainty(ground: orograph.Terrain) -> None:

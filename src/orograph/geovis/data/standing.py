@@ -38,6 +38,10 @@ SLENDER = {"bars": 0.07, "cones": 0.13, "flags": 0.42}
 LATTICE = 28
 """Things along the longer side that show a raster's values."""
 
+ROUND = 0.6
+"""Diameter of the largest sphere or disc on that lattice, as a part of the distance to its neighbours: rows do not
+touch in a picture either that looks down by the usual 42°."""
+
 PALER = ("saturation", "whiteness", "palette", "none")
 """Signs of uncertainty that change the colours of things."""
 
@@ -311,14 +315,19 @@ def key_of(
     return Legend((), tuple(swatches), tuple(names), told, title=title)
 
 
-def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
-    """Places, in the terrain's CRS, of things that show a raster's values: a square lattice over the terrain.
+def lattice_points(dataset: Dataset, grid: Grid) -> tuple[Array, Array, Dataset]:
+    """Places, in the terrain's CRS, of things that show a raster's values, and the data with a size that suits them: a
+    square lattice over the terrain.
 
-    Args:
-        size: metres of the largest thing; things then stand at least half as far apart. None: ``LATTICE``.
+    A size that is given sets the distance: half of it for what is upright, for what is round so much that neighbours
+    do not touch (``ROUND``). Else the distance is that of ``LATTICE``, and what is round gets a size that suits it.
     """
     across, down = grid.spacing
-    step = longer(grid) / LATTICE if size is None else max(size / 2, longer(grid) / 200)
+    wide, size = dataset.style in FLOATING, dataset.size
+    step = longer(grid) / LATTICE
+    if size is not None:
+        step = max(size / ROUND if wide else size / 2, longer(grid) / 200)
     cols = np.arange(step / 2 / across, grid.cols - 1, step / across)
     rows = np.arange(step / 2 / down, grid.rows - 1, step / down)
-    return grid.xy(*(v.ravel() for v in np.meshgrid(cols, rows)))
+    x, y = grid.xy(*(v.ravel() for v in np.meshgrid(cols, rows)))
+    return x, y, dataset.but(size=ROUND * step) if wide and size is None else dataset

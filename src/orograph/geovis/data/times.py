@@ -49,13 +49,19 @@ def span_within(times: Sequence[str], asked: str) -> tuple[float, float]:
         times: those known, ISO 8601, in order.
 
     Raises:
-        ReadError: an end is no moment, or lies outside of the times, or the first is not before the last.
+        ReadError: an end is no moment, or lies outside of the times, or the first is not before the last, or there is
+            only one time.
     """
     first, last = _ends(asked)
     begins = next((time for time in times if time.startswith(first)), first)
     ends = next((time for time in reversed(times) if time.startswith(last)), last)
     low, high = (float(value) for value in seconds_of([begins, ends], "", "span of times"))
     known = seconds_of([times[0], times[-1]], "", "")
+    if known[0] == known[1]:
+        raise ReadError(
+            f"time={asked} asks for a span, but all of it is at one time, {times[0]}.",
+            remedy="Omit time= to show everything.",
+        )
     if not known[0] <= low < high <= known[1]:
         raise ReadError(
             f"time={asked} is no span within its times, which go from {times[0]} to {times[-1]}.",

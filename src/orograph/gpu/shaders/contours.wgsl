@@ -13,6 +13,8 @@ fn moved(at: Place, by: vec2<f32>) -> Place {
   return Place(at.whole + vec2<i32>(down), part - down);
 }
 
+const DIP = 4.0 / 27.0;   // of a level cell beside a slope
+
 // The smooth surface at a place: height, slope (in light's units, per sample along columns and rows), and 1 if all
 // four samples are present, else 0.
 fn smooth_surface(at: Place) -> vec4<f32> {
@@ -57,7 +59,12 @@ fn smooth_surface(at: Place) -> vec4<f32> {
   height -= u.y * v.x * (g.x * east + f.y * north) / max(g.x + f.y, 1e-9);
   height -= u.x * v.y * (f.x * west + g.y * south) / max(f.x + g.y, 1e-9);
   height -= u.y * v.y * (g.x * east + g.y * south) / max(g.x + g.y, 1e-9);
-  return vec4<f32>(height, mix(mix(s00, s10, f.x), mix(s01, s11, f.x), f.y), 1.0);
+  let slope = mix(mix(s00, s10, f.x), mix(s01, s11, f.x), f.y);
+  if (all(h == h.xxxx)) {
+    let most = sqrt(max(max(dot(s00, s00), dot(s10, s10)), max(dot(s01, s01), dot(s11, s11))));
+    height = h.x + clamp((height - h.x) * most / max(length(slope), 1e-9), -most * DIP, most * DIP);
+  }
+  return vec4<f32>(height, slope, 1.0);
 }
 
 // The height that lines follow: that of the smooth surface where a pixel covers little of a sample, else the ground's.

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from orograph.geovis.keys import Legend, Scale
 from orograph.geovis.layers import Layer, attributed, drawn
+from orograph.rendering.furniture.key import fewer, key
 from orograph.rendering.furniture.lettering import Color, Style, set_type
 from orograph.rendering.furniture.pieces import (
     INK,
@@ -29,10 +30,8 @@ from orograph.rendering.furniture.pieces import (
     above_map,
     arrow,
     cube,
-    fewer,
     foot,
     heading,
-    key,
 )
 
 Pixels = NDArray[np.uint8]

@@ -1,17 +1,16 @@
-"""The pieces of a map's furniture: what each draws, in pixels, before ``furnish`` places it."""
+"""The pieces of a map's furniture (``key`` is the legend): what each draws, in pixels, before ``furnish`` places it."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.color import linear_to_srgb
-from orograph.geovis.keys import Legend, Scale, Square, minus
+from orograph.geovis.keys import minus
 from orograph.rendering.furniture.lettering import Color, Style, cut, length
 
 PAPER: Color = (246, 244, 239)
@@ -20,8 +19,6 @@ GREY: Color = (92, 96, 102)
 
 MOST_LINES, MOST_NOTES = 5, 2
 """Maximum lines of note and credit, and of the note alone, which is cut if longer."""
-WIDEST, LEAST = 11.0, 3.5
-"""Units: the width of words in a legend, and the height of one of several scales."""
 
 
 @dataclass(slots=True)
@@ -64,107 +61,6 @@ def heading(title: str, subtitle: str | None, style: Style, inner: int) -> Piece
         y += 0.26 * size + 0.25 * style.unit
     piece.height = y - 0.25 * style.unit - 0.1 * style.unit + style.pad
     return piece
-
-
-def fewer(legend: Legend, count: int) -> Legend:
-    """The legend with its first swatches only, and how many are left out."""
-    more = (f"and {len(legend.swatches) - count} more", None)
-    return replace(legend, swatches=(*legend.swatches[:count], more) if count else ())
-
-
-def key(legend: Legend, style: Style, size: float) -> Piece:
-    """The scales with their ticks, ``size`` units high in all; below them the swatches; headings have no colour."""
-    u, pad, small = style.unit, style.pad, style.font(0.9)
-    rows = [(cut(style.text(words), small, WIDEST * u, style), color) for words, color in legend.swatches]
-    bar, tip = round(1.15 * u), 0.8 * u
-    each = max(size / max(len(legend.scales), 1), LEAST)
-    piece = Piece(max([bar + 0.6 * u + length(small, words) for words, _ in rows], default=0.0), float(pad))
-    for i, scale in enumerate(legend.scales):
-        piece.height += 0.9 * u if i else 0.0
-        top = piece.height + 1.35 * u + (tip if scale.above else 0.0)
-        _scale(piece, scale, style, top, round(each * u), bar, tip)
-    for both in legend.squares:
-        _square(piece, both, style)
-    lead = 0.75 * u if legend.scales or legend.squares else 0.15 * u
-    y, high = float(round(piece.height + lead)), round(0.95 * u)  # whole pixels, for patterns
-    piece.height += pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u)
-    piece.width += 2 * pad
-    for words, color in rows:
-        if color is None:
-            piece.texts.append((pad, y + 0.78 * u, words, small, GREY, "ls"))
-            y = round(y + 1.5 * u)
-            continue
-        sample = _bytes(color)
-        piece.framed(pad, y, pad + bar, y + high, _color(sample.reshape(-1, 3)[0]), style.hair / 2)
-        if sample.ndim == 3:
-            piece.patterns.append((pad, y, pad + bar, y + high, sample))
-        piece.texts.append((pad + bar + 0.65 * u, y + 0.78 * u, words, small, INK, "ls"))
-        y = round(y + 1.5 * u)
-    return piece
-
-
-def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, bar: float, tip: float) -> None:
-    """Add a scale whose bar begins at ``top``: words, colours, ends and ticks. The piece grows accordingly."""
-    u, pad, small = style.unit, style.pad, style.font(0.9)
-    unit = f" {style.text(f'({scale.unit})')}" if scale.unit else ""  # (it is never cut off)
-    words = cut(style.text(scale.label), small, WIDEST * u - length(small, unit), style) + unit
-    piece.texts.append((pad, top - (tip if scale.above else 0.0) - 0.63 * u, words, small, GREY, "ls"))
-    table, line = _bytes(scale.colors), style.hair / 2
-    piece.ramps.append((pad, top, pad + bar, top + tall, table))
-    for there, y, way, color in ((scale.above, top, -1, table[-1]), (scale.below, top + tall, 1, table[0])):
-        for grow, ink in ((line, INK), (-line, _color(color))) if there else ():
-            left, right, point = pad - grow, pad + bar + grow, y + way * (tip + 1.6 * grow)
-            piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
-    span = scale.high - scale.low
-    values = ticks(scale.low, scale.high, max(2, int(tall / (1.9 * u))))
-    names = [number(v, values) for v in values]
-    for value, name in zip(values, names):
-        y = top + tall * (1 - (value - scale.low) / span) if span > 0 else top + tall / 2
-        piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
-        _signed(piece, pad + bar + 0.65 * u, y + 0.31 * u, name, small, style)
-    reach = max([length(small, name.replace("−", "+")) for name in names], default=0.0)
-    piece.width = max(piece.width, bar + 0.8 * u + reach, length(small, words))
-    piece.height = top + tall + (tip if scale.below else 0.0)
-
-
-def _signed(piece: Piece, x: float, y: float, name: str, font: Any, style: Style) -> None:
-    """Add a number; a minus sign that the typeface lacks is drawn, as wide as a plus."""
-    if name.startswith("−") and style.text("−") != "−":
-        u, wide = style.unit, length(font, "+")
-        half = max(0.5, 0.035 * u)
-        piece.box(x + 0.12 * wide, y - 0.29 * u - half, x + 0.88 * wide, y - 0.29 * u + half, INK)
-        x, name = x + wide, name[1:]
-    piece.texts.append((x, y, style.text(name), font, INK, "ls"))
-
-
-def _square(piece: Piece, both: Square, style: Style) -> None:
-    """Add a square of colours, labelled above and to the right along its two axes. The piece grows accordingly."""
-    u, pad, small = style.unit, style.pad, style.font(0.9)
-    rows, cols = both.colors.shape[:2]
-    cell, left, top = round(2.4 * u), pad, piece.height + 1.5 * u
-    up, across = (cut(style.text(f"{way} {told}"), small, WIDEST * u, style)
-                  for way, told in (("up:", both.up), ("across:", both.across)))  # fmt: skip
-    piece.texts.append((left, top - 0.63 * u, up, small, GREY, "ls"))
-    piece.framed(left, top, left + cols * cell, top + rows * cell, PAPER, style.hair / 2)
-    table = _bytes(linear_to_srgb(both.colors))
-    for i in range(rows):
-        for j in range(cols):
-            y = top + (rows - 1 - i) * cell
-            piece.box(left + j * cell, y, left + (j + 1) * cell, y + cell, _color(table[i, j]))
-    ends, names = (both.up_edges[1:-1], both.across_edges[1:-1]), []
-    for k, value in enumerate(ends[0]):
-        y = top + (rows - 1 - k) * cell
-        names.append(style.text(minus(f"{value:.3g}")))
-        piece.box(left + cols * cell, y - style.hair / 2, left + cols * cell + 0.35 * u, y + style.hair / 2, INK)
-        piece.texts.append((left + cols * cell + 0.65 * u, y + 0.31 * u, names[-1], small, INK, "ls"))
-    for k, value in enumerate(ends[1]):
-        x = left + (k + 1) * cell
-        piece.box(x - style.hair / 2, top + rows * cell, x + style.hair / 2, top + rows * cell + 0.35 * u, INK)
-        piece.texts.append((x, top + rows * cell + 1.3 * u, style.text(minus(f"{value:.3g}")), small, INK, "ms"))
-    piece.texts.append((left, top + rows * cell + 2.6 * u, across, small, GREY, "ls"))
-    beside = cols * cell + 0.8 * u + max([length(small, one) for one in names], default=0.0)
-    piece.width = max(piece.width, beside, length(small, up), length(small, across))
-    piece.height = top + rows * cell + 2.7 * u
 
 
 def foot(
@@ -371,19 +267,3 @@ def bar_length(most: float) -> tuple[float, int, str]:
     length = digit * 10.0**power
     unit, metres = ("km", 1000.0) if length >= 1000 else ("m", 1.0) if length >= 1 else ("cm", 0.01)
     return length, {1: 4, 2: 4, 5: 5}[digit], f"{length / metres:g} {unit}"
-
-
-# ---- drawing -------------------------------------------------------------------------------------------------------
-
-
-def _bytes(colors: Any) -> NDArray[np.uint8]:
-    a = np.asarray(colors)
-    if a.dtype.kind not in "iu":
-        a = np.round(np.clip(a.astype(np.float64), 0, 1) * 255)
-    out: NDArray[np.uint8] = np.clip(a, 0, 255).astype(np.uint8, copy=False)
-    return out
-
-
-def _color(color: Any) -> Color:
-    r, g, b = (int(v) for v in _bytes(color)[:3])
-    return r, g, b

@@ -6,7 +6,9 @@ has at each the slope that light falls on (central differences, ``lighting.relie
 bicubically blended Coons patch over every cell, with cubic Hermite curves along its edges, across which its slope
 changes linearly, just as the light's does. What the two directions say of the twist in a corner is blended as Gregory
 (1974) has it, so that four heights and four slopes are all a cell needs. Quadratic surfaces are reproduced. Beside
-missing samples lines are the triangles'. Source: Gregory, J. A. (1974). Smooth interpolation without twist constraints.
+missing samples lines are the triangles'. A level cell beside a slope, such as the sea's at a coast, has the surface dip
+there and come back: so that no second line runs where it comes back, the dip is as deep there as its slope has it.
+Source: Gregory, J. A. (1974). Smooth interpolation without twist constraints.
 *Computer Aided Geometric Design*, Academic Press.
 
 Heights in metres, positions and slopes by sample.
@@ -25,6 +27,9 @@ Array = NDArray[np.float64]
 
 SMALL = 0.35, 0.7
 """Samples that a pixel covers up to which heights are the smooth surface's, and from which on they are the ground's."""
+
+DIP = 4 / 27
+"""The deepest dip in a level cell, as a part of the slope beside it, per sample: that of a cubic curve."""
 
 STEPS, FAR = 3, 1.5
 """Steps from where a ray meets triangles to where it meets the smooth surface, and how far that may be, samples."""
@@ -83,6 +88,11 @@ def _cell(pool, base, rows, cols, x, y):
     height = blended((h00, h10, h01, h11), (a00, a10, a01, a11), (b00, b10, b01, b11), f, g)
     across = (1.0 - g) * ((1.0 - f) * a00 + f * a10) + g * ((1.0 - f) * a01 + f * a11)
     down = (1.0 - g) * ((1.0 - f) * b00 + f * b10) + g * ((1.0 - f) * b01 + f * b11)
+    if h00 == h10 and h00 == h01 and h00 == h11:
+        most = np.sqrt(max(max(a00 * a00 + b00 * b00, a10 * a10 + b10 * b10),
+                           max(a01 * a01 + b01 * b01, a11 * a11 + b11 * b11)))  # fmt: skip
+        dip = (height - h00) * most / max(np.sqrt(across * across + down * down), 1e-9)
+        height = h00 + min(max(dip, -DIP * most), DIP * most)
     return height, across, down
 
 

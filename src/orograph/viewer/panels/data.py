@@ -234,7 +234,7 @@ def _key(key: Legend) -> None:
     """Scales and classes of data."""
     pen = imgui.get_window_draw_list()
     for scale in key.scales:
-        imgui.text_unformatted(scale.words)
+        imgui.text_wrapped(scale.words)
         _ramp(pen, scale)
         low, high = f"{scale.low:.4g}", f"{scale.high:.4g}"
         imgui.text_unformatted(low)
@@ -248,8 +248,8 @@ def _key(key: Legend) -> None:
         imgui.set_cursor_screen_pos((at.x + HIGH + 6, at.y))
         imgui.text_unformatted(words)
     for both in key.squares:
-        imgui.text_unformatted(f"across: {both.across}")
-        imgui.text_unformatted(f"up: {both.up}")
+        imgui.text_wrapped(f"across: {both.across}")
+        imgui.text_wrapped(f"up: {both.up}")
     if key.note:
         imgui.text_wrapped(key.note)
 

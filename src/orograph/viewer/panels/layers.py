@@ -45,7 +45,7 @@ def draw(window: Window) -> None:
     at = COLOURS.index(settings.colormap) if settings.colormap in COLOURS else 0
     if settings.colormap not in COLOURS:
         names[0] = str(settings.colormap)
-    moved, at = imgui.combo("colors", at, names)
+    moved, at = imgui.combo("colours", at, names)
     if moved:
         settings.colormap = COLOURS[at]
     _color_by_name(window)

@@ -54,6 +54,8 @@ def draw(window: Window) -> None:
     for name, (low, high) in brush.ranges.items():
         if name not in wanted:
             imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")
+    if window.brush.area:
+        imgui.text_unformatted("within the measured area")
     if imgui.button("Select measured area"):
         select(window, area=[point[:2] for point in window.tools.points])
     tip("The corners clicked while measuring an area (M).")
