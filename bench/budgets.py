@@ -1,12 +1,12 @@
-"""Budgets of time on a smooth flight: how well each method keeps them, and how fine its meshes are for the time.
+"""Time budgets on a smooth flight: how well each method keeps them, and how fine its meshes are for the time.
 
     python bench/budgets.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 100] [--ms 5 …] [--method M …]
 
-The flight is that of ``bench/roam.py``. Every method that can aim at a time is asked for a mesh in each of so many
-milliseconds; told are the median and the 95th percentile of a frame (milliseconds of the thread's own processor time;
-one thread), the triangles, and the tolerance that a frame says it kept, pixels: medians. *At best* is the tolerance
-with which the same method, asked for it outright, takes as long in the median of a flight: found by bisection, to 5 %.
-Frames before the tenth are left out: they compile, and learn what a pass takes.
+The flight is that of ``bench/roam.py``. Every method with a time goal is given each ``--ms`` as its budget. The table
+has the median and the 95th percentile of a frame's time (processor time of its one thread, ms), and the medians of the
+triangles and of the tolerance that a frame reports, pixels. *At best* is the tolerance at which the same method, given
+that tolerance as its goal, takes the same median time on a flight; it is found by bisection, to 5 %. The first ten
+frames are left out, because they compile and learn how long a pass takes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ NEAR = 1.05
 
 
 def frames(method: Method, views: Sequence[View], goal: Goal) -> np.ndarray:
-    """(n, 3): milliseconds, triangles and the tolerance said, of the frames that count."""
+    """Milliseconds, triangles and reported tolerance of the frames that count, (n, 3)."""
     rows = []
     for view in views:
         camera = Camera.over(method.terrain.grid, view)
@@ -57,7 +57,7 @@ def make(text: str, t: MemoryTerrain) -> Method:
 
 
 def at_best(text: str, t: MemoryTerrain, views: Sequence[View], ms: float) -> float:
-    """The finest tolerance that takes at most so many milliseconds in the median."""
+    """The finest tolerance whose median time is at most ``ms``."""
     method = make(text, t)
 
     def takes(tolerance: float) -> float:

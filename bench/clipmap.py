@@ -1,10 +1,10 @@
-"""Clipmaps, measured: the errors that rings as printed reach, what the promise costs, and what a moving eye reads.
+"""Clipmaps measured: the errors of rings as published, what the promise costs, and what a moving eye reads.
 
-Views and terrains are those of ``promise.py``. Of every view the referee judges the mesh of rings as printed and of
-rings with a promise at one of five tolerances in turn; of rings as printed also a picture's depths, pixel by pixel:
-mean, 99.9th percentile and largest error (Losasso & Hoppe 2004 claim less than a pixel for 99.9 % of them, at 640 × 480
-with n = 255). The flight moves an eye at a steady speed over the synthetic terrain and leaps once (the paper's update
-budget of n² samples a frame).
+The views and terrains are those of ``promise.py``. For every view, the referee judges the mesh of rings as published,
+and of rings with a promise at one of five tolerances in turn. For rings as published it also judges the depths of a
+picture, pixel by pixel: mean, 99.9th percentile and largest error (Losasso & Hoppe 2004 claim less than a pixel for
+99.9 % of the pixels, at 640 × 480 with n = 255). The flight moves the eye at a steady speed over the synthetic terrain
+and jumps once (with the paper's update budget of n² samples per frame).
 
 Run: ``python bench/clipmap.py [--views N] [--terrain NAME] [--flight | --gpu] [--data FOLDER]``.
 """
@@ -29,7 +29,7 @@ METHODS = ("clipmap", "clipmap,n=511", "clipmap,rings=promise", "clipmap,rings=p
 
 
 def errors_in_picture(terrain: Terrain, view: View, method: str) -> np.ndarray:
-    """Errors of a picture's pixels, pixels."""
+    """The errors of a picture's pixels, in pixels."""
     from orograph.rendering.cpu.draw import draw as draw_cpu
     from orograph.scene.scene import Scene
 
@@ -39,7 +39,7 @@ def errors_in_picture(terrain: Terrain, view: View, method: str) -> np.ndarray:
 
 
 def measure(name: str, options: argparse.Namespace) -> None:
-    """Judge the views of a terrain, and print a line for each method."""
+    """Judge the views of a terrain, and print a row for each method."""
     terrain = terrain_of(name, options.data)
     if terrain is None:
         print(f"{name}: not at {options.data}")
@@ -70,7 +70,7 @@ def measure(name: str, options: argparse.Namespace) -> None:
 
 
 def fly(options: argparse.Namespace) -> None:
-    """A steady flight and a leap: samples read, levels late, milliseconds."""
+    """A steady flight with a jump: samples read, late levels, milliseconds."""
     terrain = terrain_of("synthetic 4097", options.data)
     assert terrain is not None
     spacing = terrain.grid.spacing[0]
@@ -96,9 +96,9 @@ def fly(options: argparse.Namespace) -> None:
 
 
 def fly_on_gpu(terrain: Terrain) -> None:
-    """A flight drawn on the GPU, by the mesh of every frame and by rings in toroidal textures: bytes, milliseconds.
+    """A flight drawn on the GPU, as a mesh per frame and as rings in toroidal textures: bytes, milliseconds.
 
-    A frame is all from the camera to the depth of its pixels; both draw the same frames, in turns.
+    The time of a frame is from the camera to the depths of its pixels. Both ways draw the same frames, in turns.
     """
     from orograph.gpu.device import open_device
     from orograph.lod.selection import TriangleMesh

@@ -1,11 +1,11 @@
-"""Detail beyond the data beside the truth: 1 m lidar made coarse, refined again, and compared with what it was.
+"""Detail beyond the data compared with the truth: 1 m lidar is coarsened, refined again, and compared with itself.
 
     python bench/detail.py lidar.tif [--coarser 16] [--picture FILE.png]
 
-The northern half of the lidar is the truth, of which every N-th sample is the data; the southern half is the example.
-Of the truth, the data smoothly interpolated, and both kinds of detail it says: the root mean square of the distance
-from the truth (metres); quantiles of slopes; and the power of what is finer than the data by wavelength (radially
-averaged, with a Hann window), as a multiple of the truth's.
+The northern half of the lidar is the truth, and every N-th sample of it is the data; the southern half is the example.
+For the truth, the data smoothly interpolated, and both kinds of detail, the table gives the rms distance from the truth
+(metres); quantiles of slopes; and the power at wavelengths finer than the data (radially averaged, with a Hann window),
+as a multiple of the truth's.
 """
 
 from __future__ import annotations

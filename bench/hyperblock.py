@@ -1,11 +1,11 @@
-"""HyperBlock-QuadTIN beside QuadTIN on a flight: triangles and time up to the strips, by sizes of blocks and levels.
+"""HyperBlock-QuadTIN compared with QuadTIN on a flight: triangles and time up to the strips, by block size and levels.
 
     python bench/hyperblock.py [DEM | --size 1025] [--cell 30] [--frames 60] [--speed 100] [--tolerance 1]
 
-The flight is that of ``bench/roam.py``: 300 m above the ground, 60 frames a second, turning. Times are of a frame from
-the view to its strip, in milliseconds of the processor, without the first ten frames, which compile:
-median and 95th percentile. *Made* is the share of blocks triangulated in a frame, *ready* the size of what is
-triangulated ahead, *build* the seconds to make the method, with the hierarchy that both have.
+The flight is that of ``bench/roam.py``: 300 m above the ground, 60 frames a second, turning. Times are milliseconds of
+processor time per frame, from the view to its strip: median and 95th percentile, without the first ten frames, which
+compile. *Made* is the share of blocks triangulated in a frame, *ready* the size of the blocks triangulated in advance,
+and *build* the seconds to make the method, including the hierarchy that both have.
 """
 
 from __future__ import annotations

@@ -3,11 +3,11 @@
     python bench/imagery.py [TERRAIN] [--side 32768] [--image FILE] [--frames 200] [--size 1280x720] [--gpu-memory 512]
                             [--json]
 
-The image is made (RGB, tiled, deflate, with overviews) where none is given: patches of colour whose detail goes down to
-a pixel, over the terrain's extent; it is kept in the folder of --folder. The camera flies along the terrain's diagonal,
-low, at 60 frames to a screen's width. Printed: MB read of the file (by the kernel's count of what the process read,
-where there is one) and tiles brought to the GPU; milliseconds of frames (median, 95 %, worst) and of Python in them;
-the same flight without layers beside it; the part of frames that wanted more than was there; the atlas.
+Without --image, the image is synthetic (RGB, tiled, deflate, with overviews): patches of colour with detail down to one
+pixel, over the terrain's extent. It is kept in --folder. The camera flies low along the terrain's diagonal and takes 60
+frames for the width of a screen. Printed are the MB read from the file (as the kernel counts the reads of the process,
+where it does) and the tiles uploaded to the GPU; milliseconds per frame (median, 95 %, worst) and of Python in it; the
+same flight without layers; the share of frames that lacked tiles; and the atlas.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def make(path: Path, terrain: Any, side: int) -> None:
 
 
 def bytes_read() -> int:
-    """Bytes that the process has read, 0 where the system does not tell."""
+    """Bytes that the process has read; 0 where the system does not count them."""
     try:
         lines = Path("/proc/self/io").read_text().splitlines()
     except OSError:
