@@ -146,8 +146,8 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
     print("\n| light of a 1280 × 720 picture | command s | beside unlit | in a process, s | | processor s | | stages |")
     print("|---|---|---|---|---|---|---|---|")
     for light in lights:
-        told = (f"{t[light]:.3f} | {t[light] / t['none']:.2f}" for t in (command, wall, cpu))
-        print(f"| {light} | {' | '.join(told)} | {stages[light]} |")
+        cells = (f"{t[light]:.3f} | {t[light] / t['none']:.2f}" for t in (command, wall, cpu))
+        print(f"| {light} | {' | '.join(cells)} | {stages[light]} |")
 
 
 def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 16) -> None:
@@ -212,9 +212,9 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--pictures", type=Path)
-    parser.add_argument("--rounds", type=int, default=7, help="of the pictures, the best of which counts")
-    parser.add_argument("--cost", action="store_true", help="only what a picture costs")
-    parser.add_argument("--gpu", action="store_true", help="only what a frame of the GPU renderer costs")
+    parser.add_argument("--rounds", type=int, default=7, help="of the pictures; the best counts")
+    parser.add_argument("--cost", action="store_true", help="only the cost of a picture")
+    parser.add_argument("--gpu", action="store_true", help="only the cost of a frame of the GPU renderer")
     args = parser.parse_args()
     h, linear = ground(args.dem, args.size)
     print(f"{args.size}² samples, {np.ptp(h):.0f} m of relief; {args.rays} rays to each sun")

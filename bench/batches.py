@@ -72,7 +72,7 @@ def main() -> None:
     given = parser.parse_args()
     terrain = promise.terrain_of(given.terrain, given.data)
     if terrain is None:
-        raise SystemExit(f"{given.terrain} is not there.")
+        raise SystemExit(f"{given.terrain} is missing.")
     device = open_device()
     views = [view.resized(*SIZE) for view in flight(terrain, given.frames, given.speed)]
     target = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")

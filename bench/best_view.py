@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--side", type=int, default=1025)
     parser.add_argument("--pieces", type=int, default=1000)
-    parser.add_argument("--part", type=float, default=0.15, help="the target's side, of the terrain's")
+    parser.add_argument("--part", type=float, default=0.15, help="side of the target, as a fraction of the terrain's")
     given = parser.parse_args()
     dem = given.dem or orograph.synth(size=given.side, seed=7)
     terrain = orograph.terrain(dem, progress=False)

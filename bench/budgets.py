@@ -82,13 +82,13 @@ def at_best(text: str, t: MemoryTerrain, views: Sequence[View], ms: float) -> fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
-    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--size", type=int, default=4097, help="its samples along a side")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--speed", type=float, default=100.0)
     parser.add_argument("--ms", type=float, action="append", help="budgets; default: 5, 10, 20 and 50")
-    parser.add_argument("--method", action="append", help="default: all that can aim at a time")
-    parser.add_argument("--no-best", action="store_true", help="leave out what the time allows at best")
+    parser.add_argument("--method", action="append", help="default: all with a time goal")
+    parser.add_argument("--no-best", action="store_true", help="skip *at best*")
     given = parser.parse_args()
     t = load(given.heights, given.cell) if given.heights else synthetic(given.size, cell=given.cell)
     views = flight(t, FIRST + given.frames, given.speed)
@@ -104,8 +104,8 @@ def main() -> None:
                 break
             found = frames(method, views, Goal(seconds=ms / 1e3))
             taken, count = np.median(found[:, :2], axis=0)
-            said = found[~np.isnan(found[:, 2]), 2]  # (clipmaps promise nothing)
-            reached = np.median(said) if len(said) else math.nan
+            reported = found[~np.isnan(found[:, 2]), 2]  # (clipmaps promise nothing)
+            reached = np.median(reported) if len(reported) else math.nan
             best = "" if given.no_best else f"{at_best(text, t, few, ms):8.2f}"
             print(
                 f"{text:28s} {ms:6.0f} {taken:8.2f} {np.quantile(found[:, 0], 0.95):8.2f} {count:10,.0f} "

@@ -278,7 +278,7 @@ def views_of(device: Device, stores: dict[str, Path], options: argparse.Namespac
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="*", type=Path)
-    parser.add_argument("--synthetic", type=int, metavar="SIDE", help="a synthetic terrain of so many samples a side")
+    parser.add_argument("--synthetic", type=int, metavar="SIDE", help="a synthetic terrain of SIDE × SIDE samples")
     parser.add_argument("--cells", type=int, default=32)
     parser.add_argument("--times", type=int, default=5)
     parser.add_argument("--batch", type=float, default=4.0, help="million triangles")

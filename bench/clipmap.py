@@ -77,7 +77,7 @@ def fly(options: argparse.Namespace) -> None:
     for update in ("none", "1", "2"):
         method = chosen(f"clipmap,update={update}").make(terrain, Resources())
         for speed in (0.5, 4.0, 32.0):  # samples a frame
-            told = []
+            rows = []
             for frame in range(120):
                 col = 600 + speed * frame + (1500 if frame >= 60 else 0)
                 x, y = (float(v) for v in terrain.grid.xy(min(col, 4000), 2048 + 0.3 * speed * frame))
@@ -85,8 +85,8 @@ def fly(options: argparse.Namespace) -> None:
                 view = View((x, y, z), (x + 3000, y, z - 1500), width=1280, height=720)
                 began = time.perf_counter()
                 stats = method.select(Camera.over(terrain.grid, view), Goal(0.0)).stats
-                told.append((stats["samples_read"], stats["late"], 1e3 * (time.perf_counter() - began)))
-            read, late, ms = np.array(told[1:]).T
+                rows.append((stats["samples_read"], stats["late"], 1e3 * (time.perf_counter() - began)))
+            read, late, ms = np.array(rows[1:]).T
             steady = np.delete(read, 59)
             print(
                 f"update {update:5} {speed:5.1f} samples a frame: {steady.mean():9,.0f} samples read "
@@ -116,7 +116,7 @@ def fly_on_gpu(terrain: Terrain) -> None:
     methods = {label: chosen("clipmap").make(terrain, Resources()) for label in ("mesh", "rings")}
     view = View((0, 0, 0), (1, 1, 0), width=1280, height=720)
     for speed in (0.5, 4.0, 32.0):  # samples a frame
-        told: dict[str, list[tuple[float, ...]]] = {"mesh": [], "rings": []}
+        rows: dict[str, list[tuple[float, ...]]] = {"mesh": [], "rings": []}
         for frame in range(22):
             col = 600 + speed * frame
             x, y = (float(v) for v in terrain.grid.xy(col, 2048 + 0.3 * speed * frame))
@@ -139,8 +139,8 @@ def fly_on_gpu(terrain: Terrain) -> None:
                 device.wait()
                 took = time.perf_counter() - began, time.process_time() - worked
                 came = surfaces[HeldRings].sent if label == "rings" else sum(a.nbytes for a in packed(mesh))
-                told[label].append((came, *took))
-        for label, found in told.items():
+                rows[label].append((came, *took))
+        for label, found in rows.items():
             came, took, worked = np.median(np.array(found[2:]), 0)
             print(
                 f"{label:6} {speed:5.1f} samples a frame: {came:12,.0f} bytes, {took * 1e3:6.1f} ms, "
@@ -157,8 +157,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, default=10, help="views whose pictures are judged")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
-    parser.add_argument("--flight", action="store_true", help="the flight and nothing else")
-    parser.add_argument("--gpu", action="store_true", help="a flight drawn on the GPU and nothing else")
+    parser.add_argument("--flight", action="store_true", help="only the flight")
+    parser.add_argument("--gpu", action="store_true", help="only a flight drawn on the GPU")
     options = parser.parse_args()
     if options.gpu:
         terrain = terrain_of("synthetic 4097", options.data)

@@ -44,10 +44,10 @@ OPTIONS: dict[str, Any] = {"jobs": 2, "progress": False}
 
 def digest(folder: Path) -> str:
     """Of all files of a store and their names."""
-    said = hashlib.blake2b()
+    total = hashlib.blake2b()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        said.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
-    return said.hexdigest()
+        total.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+    return total.hexdigest()
 
 
 @contextlib.contextmanager

@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("store")
     parser.add_argument("--azimuths", type=int, default=16)
     parser.add_argument("--products", default="sky-view-factor,aperture")
-    parser.add_argument("--tasks", type=int, default=12, help="tasks that are measured")
+    parser.add_argument("--tasks", type=int, default=12, help="tasks to measure")
     args = parser.parse_args()
     options = Options(azimuths=args.azimuths)
     with tempfile.TemporaryDirectory() as folder:
@@ -85,8 +85,8 @@ def main() -> None:
             ("processor", "heights read", "sums and hulls read", "written", "peak of arrays"), table.T,
             (1.0, 1e6, 1e6, 1e6, 1e6),
         ):  # fmt: skip
-            told = "s" if unit == 1.0 else "MB"
-            print(f"{name:22} mean {column.mean() / unit:8.1f} {told}  most {column.max() / unit:8.1f} {told}")
+            shown = "s" if unit == 1.0 else "MB"
+            print(f"{name:22} mean {column.mean() / unit:8.1f} {shown}  most {column.max() / unit:8.1f} {shown}")
 
 
 if __name__ == "__main__":

@@ -194,7 +194,7 @@ def tell_costs(costs: list[dict[str, Cost]], samples: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--tiles", type=int, default=9, help="of California that are built to measure")
+    parser.add_argument("--tiles", type=int, default=9, help="tiles of California to build")
     given = parser.parse_args()
     files = sorted(map(str, (given.data / "california-3s-tiles").glob("*.tif")))
     if not files:

@@ -110,8 +110,8 @@ def memory(files: list[str], folder: Path, client: Any, least: int) -> None:
     with counted() as done:
         while done[0] < least:
             store.build(files, folder / "small", overwrite=True, dask=client, progress=False, **SMALL).close()
-            told = ", ".join(f"{process.memory_info().rss / 2**20:.0f}" for process in processes)
-            print(f"after {done[0]} tasks, MiB of this process and the workers: {told}", flush=True)
+            sizes = ", ".join(f"{process.memory_info().rss / 2**20:.0f}" for process in processes)
+            print(f"after {done[0]} tasks, MiB of this process and the workers: {sizes}", flush=True)
 
 
 def main() -> None:

@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--chunks", type=int, default=16, help="of each terrain, at most")
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--quick", action="store_true", help="two chunks of each, one round")
+    parser.add_argument("--quick", action="store_true", help="two chunks of each terrain, one round")
     given = parser.parse_args()
     most, rounds = (2, 1) if given.quick else (given.chunks, given.rounds)
     print("| heights | step, m | codec | bits a sample | encode, M samples/s | decode, M samples/s |")

@@ -54,10 +54,10 @@ class Slow(SimpleHTTPRequestHandler):
         if not path.is_file():
             self.send_error(404)
             return
-        data, asked = path.read_bytes(), self.headers.get("Range", "")
+        data, span = path.read_bytes(), self.headers.get("Range", "")
         size = len(data)
-        if asked:
-            first, _, last = asked.removeprefix("bytes=").partition("-")
+        if span:
+            first, _, last = span.removeprefix("bytes=").partition("-")
             start, stop = (int(first), int(last or size - 1) + 1) if first else (size - int(last), size)
             data = data[start:stop]
             self.send_response(206)

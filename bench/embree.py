@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data", help="open data sets"
     )
-    parser.add_argument("--repeat", type=int, default=5, help="the best of so many runs")
+    parser.add_argument("--repeat", type=int, default=5, help="runs; the best counts")
     given = parser.parse_args()
     compare("Fractal", fractal(given.size), 30.0, given.repeat)
     found = real(given.data, given.size) if given.data.is_dir() else None

@@ -170,8 +170,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="write the manual's pictures there")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--times", type=int, default=3, metavar="N")
-    parser.add_argument("--uncertain", action="store_true", help="only what draws of uncertain terrain cost")
-    parser.add_argument("--only", nargs="+", metavar="KIND", help="only rows whose names begin so, or figure")
+    parser.add_argument("--uncertain", action="store_true", help="only the cost of drawing uncertain terrain")
+    parser.add_argument("--only", nargs="+", metavar="KIND", help="only rows whose names begin with KIND, or figure")
     given = parser.parse_args()
     if given.uncertain:
         uncertain()

@@ -22,8 +22,8 @@ COLORS = {"Open water": "#4d7fb5", "Bare rock": "#d9b48f", "Deciduous forest": "
 
 
 def collection(features: list[dict[str, Any]], crs: str | None = None) -> dict[str, Any]:
-    told = {} if crs is None else {"crs": {"type": "name", "properties": {"name": crs}}}
-    return {"type": "FeatureCollection", "features": features, **told}
+    extra = {} if crs is None else {"crs": {"type": "name", "properties": {"name": crs}}}
+    return {"type": "FeatureCollection", "features": features, **extra}
 
 
 def feature(kind: str, coordinates: Any, **properties: Any) -> dict[str, Any]:

@@ -131,15 +131,15 @@ def peers(heights: np.ndarray, python: str) -> None:
         done = subprocess.run(
             [python, script, str(Path(folder) / "heights.npy"), "30", "16", "100"], check=True, capture_output=True
         )
-    told = json.loads(done.stdout)
+    result = json.loads(done.stdout)
     for name, ways in (
         ("topocalc", (("sky-view-slope", None, "unlimited"),)),
         ("rvt-py", (("visible-sky", 3000.0, "within 100 samples too"), ("visible-sky", None, "unlimited"))),
     ):
-        if isinstance(told[name], str):
-            print(f"  {name} is missing: {told[name]}")
+        if isinstance(result[name], str):
+            print(f"  {name} is missing: {result[name]}")
             continue
-        theirs = items / told[name]["seconds"] / 1e6
+        theirs = items / result[name]["seconds"] / 1e6
         for measure, radius, what in ways:
             ours = rate(
                 lambda: sky_view(part, LINEAR, 16, measure=measure, radius=radius, jobs=1),  # type: ignore[arg-type] # noqa: B023
@@ -148,7 +148,7 @@ def peers(heights: np.ndarray, python: str) -> None:
             )
             reach = "unlimited" if name == "topocalc" else "within 100 samples"
             print(
-                f"  1025² × 16: {name} {told[name]['version']} {reach} {theirs:.2f}, orograph {what} {ours:.1f}: "
+                f"  1025² × 16: {name} {result[name]['version']} {reach} {theirs:.2f}, orograph {what} {ours:.1f}: "
                 f"{ours / theirs:.1f} times"
             )
 
@@ -163,11 +163,11 @@ def whole_map(path: str, azimuths: int) -> None:
             [*command, "-o", str(out), "--azimuths", str(azimuths)], check=True, capture_output=True, text=True
         )
         seconds = time.perf_counter() - began
-        told = json.loads(done.stdout)
-        million = told["shape"][0] * told["shape"][1] / 1e6
+        result = json.loads(done.stdout)
+        million = result["shape"][0] * result["shape"][1] / 1e6
         print(
             f"  sky-view-factor of {million:.1f} million samples, {azimuths} azimuths, as a COG: {seconds:.1f} s, "
-            f"{seconds / million:.2f} s per million, peak memory {told['peak_memory_bytes'] / 2**20:.0f} MiB"
+            f"{seconds / million:.2f} s per million, peak memory {result['peak_memory_bytes'] / 2**20:.0f} MiB"
         )
 
 
@@ -175,9 +175,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=2048)
-    parser.add_argument("--map", action="store_true", help="make the whole map, too")
+    parser.add_argument("--map", action="store_true", help="also make the whole map")
     parser.add_argument("--azimuths", type=int, default=32)
-    parser.add_argument("--threads", action="store_true", help="only what a second thread gains")
+    parser.add_argument("--threads", action="store_true", help="only the gain of a second thread")
     parser.add_argument("--priority", action="store_true", help="run before all other programs")
     parser.add_argument("--peer-python", metavar="PYTHON", help="an interpreter that has topocalc and rvt-py")
     options = parser.parse_args()

@@ -59,7 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=1025)
-    parser.add_argument("--cell", type=float, default=30.0, help="metres, of a DEM that is read")
+    parser.add_argument("--cell", type=float, default=30.0, help="metres, of the DEM")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--speed", type=float, default=100.0)
     parser.add_argument("--tolerance", type=float, default=1.0)

@@ -134,7 +134,7 @@ def main() -> None:
     width, height = (int(v) for v in given.size.split("x"))
     target = device.texture((width, height), "rgba8unorm", "RENDER_ATTACHMENT").create_view()
     views = flight(terrain, (width, height), given.frames)
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "adapter": device.adapter.name, "image": image.name, "image_mb": round(image.stat().st_size / 1e6, 1),
         "size": given.size, "frames": given.frames,
     }  # fmt: skip
@@ -142,16 +142,16 @@ def main() -> None:
         renderer = Renderer(device, terrain, gpu_memory=given.gpu_memory << 20)
         try:
             scenes = [Scene.of(terrain, view, layers=layers, sky=True, depths=(1e3, 1e5)) for view in views]
-            told[name] = fly(renderer, target, scenes)
+            report[name] = fly(renderer, target, scenes)
             if layers and renderer.imagery._atlas is not None:
                 atlas = renderer.imagery._atlas
-                told["atlas"] = {"mib": round(atlas.bytes / 2**20, 1), "tiles": atlas.capacity, "held": atlas.count}
+                report["atlas"] = {"mib": round(atlas.bytes / 2**20, 1), "tiles": atlas.capacity, "held": atlas.count}
         finally:
             renderer.close()
     if given.json:
-        print(json.dumps(told))
+        print(json.dumps(report))
         return
-    for key, value in told.items():
+    for key, value in report.items():
         print(f"{key:10} {value}")
 
 

@@ -148,8 +148,8 @@ def main() -> None:
         differ = 0
         for work in set(wanted) - {REST}:
             real = {kernel for kernel, (tags, _) in table.items() if work in tags}
-            told = {kernel for tags, kernel in lines() if work in tags}
-            for sign, kernels in (("+", real - told), ("-", told - real)):
+            listed = {kernel for tags, kernel in lines() if work in tags}
+            for sign, kernels in (("+", real - listed), ("-", listed - real)):
                 for kernel in kernels:
                     print(sign, work, kernel)
                     differ = 1

@@ -116,8 +116,8 @@ terrain = store.open(sys.argv[1], cache_bytes=16 << 20)
 rows, cols = terrain.grid.shape
 began = time.perf_counter()
 shed = measuring.viewshed(terrain, terrain.grid.xy(cols / 2, rows / 2), 100.0, max_memory=256 << 20)
-told = shed.save(sys.argv[2])
-print(json.dumps([time.perf_counter() - began, shed.on_disk, told, peak_memory()]))
+saved = shed.save(sys.argv[2])
+print(json.dumps([time.perf_counter() - began, shed.on_disk, saved, peak_memory()]))
 """
 
 
@@ -125,9 +125,9 @@ def large(path: Path, folder: Path) -> None:
     ran = subprocess.run(
         [sys.executable, "-c", LARGE, str(path), str(folder / "seen.tif")], capture_output=True, text=True, check=True
     )
-    seconds, on_disk, told, peak = json.loads(ran.stdout)
+    seconds, on_disk, saved, peak = json.loads(ran.stdout)
     print(
-        f"  viewshed of all of it, eye 100 m: {seconds:.1f} s for {told['samples']:,} samples, "
+        f"  viewshed of all of it, eye 100 m: {seconds:.1f} s for {saved['samples']:,} samples, "
         f"{'scratch file' if on_disk else 'in memory'}, {peak >> 20} MiB at most (mapped file included)"
     )
 

@@ -86,8 +86,8 @@ def measured(command: list[str], cache: Path, kernels: Path | None) -> Peak:
     """Run one process with its own folder of compiled kernels."""
     began = time.perf_counter()
     own = {"OROGRAPH_CACHE": str(cache)} | ({"NUMBA_CACHE_DIR": str(kernels)} if kernels else {})
-    with tempfile.TemporaryFile() as said:
-        child = subprocess.Popen(command, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=said)
+    with tempfile.TemporaryFile() as errors:
+        child = subprocess.Popen(command, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=errors)
         compilers, ended = 0.0, (0, 0, None)
         while not ended[0]:
             time.sleep(0.1)
@@ -95,8 +95,8 @@ def measured(command: list[str], cache: Path, kernels: Path | None) -> Peak:
             ended = os.wait4(child.pid, os.WNOHANG)
         child.returncode = os.waitstatus_to_exitcode(ended[1])
         if child.returncode:
-            said.seek(0)
-            print(said.read().decode(errors="replace").strip(), file=sys.stderr)
+            errors.seek(0)
+            print(errors.read().decode(errors="replace").strip(), file=sys.stderr)
     assert ended[2] is not None
     return Peak(child.returncode, time.perf_counter() - began, ended[2].ru_maxrss / 1024, compilers)
 
@@ -125,7 +125,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=8193)
     parser.add_argument("--allowed", default="512MiB")
     parser.add_argument("--picture", default="4096x4096")
-    parser.add_argument("--cold", action="store_true", help="each verb compiles its kernels anew")
+    parser.add_argument("--cold", action="store_true", help="each verb compiles all its kernels")
     parser.add_argument("--only", action="append", metavar="VERB")
     given = parser.parse_args()
     allowed = parse_bytes(given.allowed) / 2**20

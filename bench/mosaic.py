@@ -77,7 +77,7 @@ def row(what: str, seconds: float, samples: float) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--tiles", type=int, default=40, help="how many of California")
+    parser.add_argument("--tiles", type=int, default=40, help="tiles of California")
     parser.add_argument("--size", type=int, default=16385, help="side of the synthetic terrain")
     options = parser.parse_args()
     jobs = cpu_count()

@@ -47,7 +47,7 @@ def main() -> None:
     given = parser.parse_args()
     terrain = promise.terrain_of(given.terrain, given.data)
     if terrain is None:
-        raise SystemExit(f"{given.terrain} is not there.")
+        raise SystemExit(f"{given.terrain} is missing.")
     devices.OPTIONAL = (*devices.OPTIONAL, NEEDED)
     device = devices.open_device()
     if NEEDED not in device.features:

@@ -219,9 +219,7 @@ def main() -> None:
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--radius", type=float, default=600.0)
-    parser.add_argument(
-        "--only", default="", help="words, with commas between, one of which is in the rows that are run"
-    )
+    parser.add_argument("--only", default="", help="comma-separated words; only rows that contain one run")
     parser.add_argument("--figures", type=Path, help="a folder: write the manual's pictures instead")
     args = parser.parse_args()
     if args.figures:

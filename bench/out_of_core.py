@@ -36,8 +36,8 @@ NEEDS: dict[str, dict[str, Any]] = {
 
 def memory() -> tuple[int, int]:
     """Anonymous and resident bytes of this process."""
-    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    anonymous, resident = (int(told[name].split()[0]) << 10 for name in ("RssAnon", "VmRSS"))
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    anonymous, resident = (int(status[name].split()[0]) << 10 for name in ("RssAnon", "VmRSS"))
     return anonymous, resident
 
 
@@ -99,12 +99,12 @@ def main() -> None:
     for method in given.methods:
         for jobs in map(int, given.jobs.split(",")):
             with tempfile.TemporaryDirectory(dir=given.folder) as name:
-                took, anonymous, resident, files, told = built(
+                took, anonymous, resident, files, hashed = built(
                     given.size, method, jobs, parse_bytes(given.allowed), Path(name)
                 )
             print(
                 f"| {method} | {jobs} | {took:.0f} | {anonymous >> 20} | {anonymous / samples:.2f} | {resident >> 20} "
-                f"| {files / samples:.2f} | `{told}` |", flush=True,
+                f"| {files / samples:.2f} | `{hashed}` |", flush=True,
             )  # fmt: skip
 
 

@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("data", nargs="?", type=Path, default=DATA)
     parser.add_argument("--size", default="480x300")
     parser.add_argument("--set", action="append", choices=SETS)
-    parser.add_argument("--methods", action="store_true", help="by every method, compared with each other")
+    parser.add_argument("--methods", action="store_true", help="compare all methods with each other")
     parser.add_argument("--tolerance", type=float, default=1.0, help="of methods, pixels")
     given = parser.parse_args()
     size = tuple(int(n) for n in given.size.split("x"))

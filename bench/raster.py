@@ -158,7 +158,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1581, help="samples along a side")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data", help="open data")
-    parser.add_argument("--repeat", type=int, default=5, help="the best of so many runs")
+    parser.add_argument("--repeat", type=int, default=5, help="runs; the best counts")
     parser.add_argument("--jobs", type=int, default=2, help="threads")
     given = parser.parse_args()
     compare("Fractal", fractal(given.size), 30.0, given.repeat, given.jobs)

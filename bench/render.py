@@ -81,10 +81,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--big", type=Path, help="a projected raster of --size samples a side")
-    parser.add_argument(
-        "--size", type=int, default=16385, help="samples along a side of the raster that is made for it"
-    )
-    parser.add_argument("--sides", metavar="STORE", help="time rays at a store from all sides, and nothing else")
+    parser.add_argument("--size", type=int, default=16385, help="side of the raster made without --big, samples")
+    parser.add_argument("--sides", metavar="STORE", help="only time rays at a store, from all sides")
     options = parser.parse_args()
     if options.sides:
         sides(options.sides)

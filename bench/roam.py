@@ -144,11 +144,11 @@ def rate_of_queues() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
-    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--size", type=int, default=4097, help="its samples along a side")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--speed", type=float, default=100.0)
-    parser.add_argument("--queues", action="store_true", help="measure the queues alone")
+    parser.add_argument("--queues", action="store_true", help="only measure the queues")
     given = parser.parse_args()
     if given.queues:
         rate_of_queues()
@@ -179,7 +179,7 @@ def main() -> None:
     print("ablation, as ratios of the time of a frame")
     row("all of it", base, base["ms"])
     row("no deferral", fly(Roam(t, deferral=False), views, tolerance=1.0), base["ms"])
-    row("strips built anew", fly(Roam(t, strips="rebuilt"), views, tolerance=1.0), base["ms"])
+    row("strips rebuilt", fly(Roam(t, strips="rebuilt"), views, tolerance=1.0), base["ms"])
     row("no strips (a list)", fly(Roam(t, strips=None), views, tolerance=1.0), base["ms"])
     row("no incremental splits and merges", fly(whole, views[:8], scratch=True, tolerance=1.0), base["ms"])
 

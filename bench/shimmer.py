@@ -169,9 +169,9 @@ def main() -> None:
     parser.add_argument("--terrain", action="append", choices=TERRAINS)
     parser.add_argument("--size", default="480x270")
     parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--method", action="append", help="as --method has it; default: auto, what is streamed")
+    parser.add_argument("--method", action="append", help="as for --method; default: auto (streamed patches)")
     parser.add_argument("--tolerance", type=float, default=1.0)
-    parser.add_argument("--samples", type=int, action="append", help="0: as the window draws while it moves (default)")
+    parser.add_argument("--samples", type=int, action="append", help="0: as the window draws in motion (default)")
     options = parser.parse_args()
     width, height = (int(v) for v in options.size.split("x"))
     device = open_device()
@@ -195,8 +195,8 @@ def main() -> None:
             camera.scene = camera.scene.but(method=method)
             frames = camera.frames(views if samples else led, samples)[-len(views) :]
             cells = ["{:.2f}, {:.2f}".format(*shimmer(frames, reference, mask)) for mask in masks]
-            told = name if method == "auto" else f"{name}, {method}"
-            print(f"{told:14}{samples or 'window':>9}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
+            label = name if method == "auto" else f"{name}, {method}"
+            print(f"{label:14}{samples or 'window':>9}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
         camera.renderer.close()
 
 

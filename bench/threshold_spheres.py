@@ -32,7 +32,7 @@ def turned(view: View, degrees: float) -> View:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
-    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--size", type=int, default=4097, help="its samples along a side")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--tolerance", type=float, default=1.0)

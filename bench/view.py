@@ -264,7 +264,7 @@ def row(name: str, values: list[float], form: str = "{:.1f}") -> str:
     return f"  {name:30} median {form.format(middle):>10}   worst {form.format(worst):>10}"
 
 
-def told(frames: list[Frame]) -> str:
+def table(frames: list[Frame]) -> str:
     """The table of a flight."""
     stats = [f.stats for f in frames]
     worst = max(range(len(frames)), key=lambda k: frames[k].done)
@@ -342,7 +342,7 @@ def flight(
             print(line(name, method, frames, errors, rate), flush=True)
             return
         print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
-        print(told(frames), flush=True)
+        print(table(frames), flush=True)
         if rate:
             print(f"  frames a second, none waited for    {rate:.0f}")
         if renderer.tree is not None:
@@ -360,7 +360,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--terrain", nargs="+", default=["california"])
     parser.add_argument("--flight", action="append", choices=list(FLIGHTS), help="default: orbit")
-    parser.add_argument("--method", action="append", help="auto (default): what is streamed; all")
+    parser.add_argument("--method", action="append", help="auto (default): streamed patches; all: each")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
     parser.add_argument("--tolerance", action="append", type=float, help="pixels; default: 2")
@@ -368,9 +368,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=120)
     parser.add_argument("--judge", type=int, default=0, help="how many frames the referee looks at")
     parser.add_argument("--gpu-memory", type=int, default=512, help="MiB of tiles on the GPU")
-    parser.add_argument("--memory", type=int, default=4096, help="MiB that methods may take for what stores lack")
+    parser.add_argument("--memory", type=int, default=4096, help="MiB for what methods need and stores lack")
     parser.add_argument("--table", action="store_true", help="a row for each flight")
-    parser.add_argument("--rate", type=float, default=RATE, help="frames a second at most; 0: as many as there can be")
+    parser.add_argument("--rate", type=float, default=RATE, help="frames a second at most; 0: unlimited")
     parser.add_argument("--waited", action="store_true", help="wait for all tiles in each frame")
     parser.add_argument("--no-look-ahead", action="store_true", help="read nothing ahead of the camera")
     options = parser.parse_args()

@@ -48,8 +48,8 @@ def screen(width: int, height: int) -> tuple[subprocess.Popen[bytes], str]:
         pass_fds=[write], stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(write)
-    with os.fdopen(read) as told:
-        return server, f":{told.readline().strip()}"
+    with os.fdopen(read) as number:
+        return server, f":{number.readline().strip()}"
 
 
 def look(display: str, size: tuple[int, int]) -> np.ndarray:
