@@ -1,6 +1,6 @@
-"""ILWIS: what a map (.mpr), its place (.grf), its coordinate system (.csy) and its samples (.mp#) say of each other.
+"""ILWIS: consistency of a map (.mpr), its place (.grf), its coordinate system (.csy) and its samples (.mp#).
 
-GDAL's driver takes what it understands, and writes beyond its memory where the kinds of numbers contradict each other.
+GDAL's driver reads as much as it understands, and writes beyond its memory where number types contradict each other.
 
 Source: the object definition files of ILWIS 3.
 """
@@ -31,7 +31,7 @@ _CORNERS = Form(
 
 
 def _header_fault(path: str) -> str | None:
-    """What is wrong with the header (.mpr) of an ILWIS map and its place (.grf), as a sentence; None if nothing is."""
+    """The fault in an ILWIS map's header (.mpr) and place (.grf), as a sentence; None if there is none."""
     said = _said(Path(path))
     if fault := form_fault(_MAP, said):
         return fault
@@ -46,9 +46,9 @@ def _header_fault(path: str) -> str | None:
 
 
 def _system_fault(file: Path) -> str | None:
-    """What is wrong with the coordinate system (.csy) of an ILWIS map, without which GDAL knows no CRS."""
+    """The fault in an ILWIS map's coordinate system (.csy), without which GDAL finds no CRS."""
     if not file.is_file():
-        return None  # one that ILWIS has itself
+        return None  # one that is built into ILWIS
     said = dict(_said(file, keep_type=True))
     if fault := form_fault(_SYSTEM, list(said.items())):
         return fault
@@ -68,7 +68,7 @@ _SPAN = re.compile(r"(-?[\d.]+(?:[eE][+-]?\d+)?):(-?[\d.]+(?:[eE][+-]?\d+)?)(?::
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """ILWIS: the samples lie in a file of their own (.mp#), whose type the header (.mpr) names."""
+    """The fault of an ILWIS map, whose samples are in another file (.mp#) of the type that the header (.mpr) names."""
     if wrong := _header_fault(path):
         return wrong
     said = {(part, key): value for part, key, value in _sections(Path(path).read_text("latin-1"))}

@@ -1,4 +1,4 @@
-"""Labels of planetary rasters (ISIS 3, VICAR, PDS 4): the samples lie where they say, and nothing else does.
+"""Labels of planetary rasters (ISIS 3, VICAR, PDS 4): the samples lie where the label says, with nothing after them.
 
 Sources: the ISIS cube format (USGS), the VICAR file format (JPL), the PDS4 information model (Array).
 """
@@ -19,7 +19,7 @@ _LABEL = 1 << 20
 
 
 def isis(dataset: Any, path: str) -> str | None:
-    """What is wrong with an ISIS cube, as a sentence; None if nothing is."""
+    """The fault of an ISIS cube, as a sentence; None if there is none."""
     with Path(path).open("rb") as file:
         text = file.read(_LABEL).partition(b"\0")[0].decode("latin-1")
     core = re.search(r"^\s*Object = Core\b(.*?)^\s*End_Object", text, re.M | re.S)
@@ -47,7 +47,7 @@ def isis(dataset: Any, path: str) -> str | None:
 
 
 def _parts_fault(path: str, text: str, begin: int, end: int) -> str | None:
-    """What is wrong with where the other parts of a cube lie (its label, history, tables), given its samples' bytes."""
+    """The fault in the places of a cube's other parts (label, history, tables), given its samples' bytes."""
     last = end
     for name, content in re.findall(r"^Object = (\w+)\s*$(.*?)^End_Object", text, re.M | re.S):
         said = dict(re.findall(r"^  (\w+)\s*=\s*(\d+)\s*$", content, re.M))
@@ -61,7 +61,7 @@ def _parts_fault(path: str, text: str, begin: int, end: int) -> str | None:
 
 
 def vicar(dataset: Any, path: str) -> str | None:
-    """What is wrong with the size of a VICAR file, as a sentence; None if nothing is."""
+    """The fault in the size of a VICAR file, as a sentence; None if there is none."""
     with Path(path).open("rb") as file:
         said = dict(re.findall(r"(\w+)=('[^']*'|[^\s']+)", file.read(4096).decode("latin-1")))
     if said.get("COMPRESS", "'NONE'").strip("'") != "NONE" or said.get("EOL", "0") != "0":
@@ -78,7 +78,7 @@ def vicar(dataset: Any, path: str) -> str | None:
 
 
 def pds4(dataset: Any, path: str) -> str | None:
-    """What is wrong with the size of the file of a PDS 4 array that is the last thing in it; None: nothing."""
+    """The fault in the file size of a PDS 4 array at the end of its file; None if there is none."""
     root = ET.fromstring(Path(path).read_bytes())
     begins = [int(element.text or 0) for element in root.iter() if element.tag.endswith("}offset")]
     arrays = [element for element in root.iter() if element.tag.rpartition("}")[2].startswith("Array_")]
@@ -96,7 +96,7 @@ def pds4(dataset: Any, path: str) -> str | None:
 
 
 def _before(file: Path, begin: int) -> bool:
-    """Whether the directory of a TIFF lies before a byte, from which on it has samples alone."""
+    """Whether the directory of a TIFF lies before a byte after which there are only samples."""
     with file.open("rb") as opened:
         head = opened.read(8)
     return head[:4] == b"II*\0" and int.from_bytes(head[4:], "little") < begin

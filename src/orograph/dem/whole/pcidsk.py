@@ -1,4 +1,4 @@
-"""PCIDSK: whether the file, and the files that hold its channels, are as long as the header says."""
+"""PCIDSK: the file, and the files that hold its channels, are as long as the header says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orograph.dem.whole.sizes import exact
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has; channels may lie beside it."""
+    """The fault of a PCIDSK file, whose header states its length in blocks of 512 bytes; channels may be elsewhere."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         blocks = file.read(32)[16:32].decode("latin-1").strip()
@@ -32,7 +32,7 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 def _whole_blocks(dataset: Any, path: str) -> bool:
-    """Whether the samples of a PCIDSK file lie in tiles that are not compressed and of whole blocks of 512 bytes."""
+    """Whether a PCIDSK file's samples lie in uncompressed tiles of whole blocks of 512 bytes."""
     rows, cols = dataset.block_shapes[0]
     whole = all(rows * cols * np.dtype(kind).itemsize % 512 == 0 for kind in dataset.dtypes)
     with Path(path).open("rb") as file:
@@ -41,7 +41,7 @@ def _whole_blocks(dataset: Any, path: str) -> bool:
 
 
 def _channels_fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with the files that hold a PCIDSK file's channels (image headers: name, first byte, steps)."""
+    """The fault in the files of a PCIDSK file's channels (image headers: name, first byte, steps)."""
     with Path(path).open("rb") as file:
         head = file.read(512)
         at = (int(head[336:352]) - 1) * 512
@@ -63,6 +63,6 @@ def _channels_fault(dataset: Any, path: str) -> str | None:
 
 
 def _tiled(path: str) -> bool:
-    """Whether the samples of a PCIDSK file lie in a block system, whose segment is extended ahead of what it holds."""
+    """Whether a PCIDSK file's samples lie in a block system, whose segment is longer than its content."""
     with Path(path).open("rb") as file:
         return b"Block Tile Directory" in file.read(1 << 20)
