@@ -1,6 +1,6 @@
 """One elevation raster in memory: heights in metres with their place, datum and name.
 
-Validity is NaN-ness: a sample that has no height is NaN, and nothing else is. Units: metres, whatever the file had.
+A sample is NaN exactly if it has no height. Units: metres, whatever the file had.
 """
 
 from __future__ import annotations

@@ -94,12 +94,12 @@ def _guarded(dataset: Any) -> bool:
     except OSError:
         return False
     at = 16 if head[2:3] == b"+" or head[3:4] == b"+" else 8
-    said = head[at : at + 512]
+    notes = head[at : at + 512]
     return (
-        said.startswith(b"GDAL_STRUCTURAL_METADATA_SIZE=")
-        and b"BLOCK_LEADER=SIZE_AS_UINT4" in said
-        and b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED" in said
-        and b"KNOWN_INCOMPATIBLE_EDITION=NO" in said
+        notes.startswith(b"GDAL_STRUCTURAL_METADATA_SIZE=")
+        and b"BLOCK_LEADER=SIZE_AS_UINT4" in notes
+        and b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED" in notes
+        and b"KNOWN_INCOMPATIBLE_EDITION=NO" in notes
     )
 
 

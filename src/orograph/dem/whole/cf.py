@@ -43,6 +43,9 @@ def transform_of(dataset: Any) -> Affine:
 
     GDAL recognises axes by their standard names only. Axes that are only named x and y, longitude and latitude… are
     read here; for them GDAL counts rows from the last to the first.
+
+    Raises:
+        ReadError: their unit is neither a length nor degrees.
     """
     transform = Affine(*dataset.transform[:6])
     if dataset.crs is not None and not transform.is_identity:

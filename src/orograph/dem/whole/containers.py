@@ -41,14 +41,14 @@ def database(dataset: Any, path: str) -> str | None:
     try:
         connection = sqlite3.connect(f"file:{quote(str(Path(path).absolute()))}?mode=ro&immutable=1", uri=True)
         try:
-            said = [str(row[0]) for row in connection.execute("PRAGMA integrity_check(1)")]
-            lost = None if said != ["ok"] else _lost_tile(connection)
+            result = [str(row[0]) for row in connection.execute("PRAGMA integrity_check(1)")]
+            lost = None if result != ["ok"] else _lost_tile(connection)
         finally:
             connection.close()
     except sqlite3.Error as error:
         return f"Its database is damaged ({error})."
-    if said != ["ok"]:
-        return f"Its database is damaged ({' '.join(said[0].split())})."
+    if result != ["ok"]:
+        return f"Its database is damaged ({' '.join(result[0].split())})."
     return lost
 
 

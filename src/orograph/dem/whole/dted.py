@@ -24,8 +24,8 @@ def fault(dataset: Any, path: str) -> str | None:
     size = Path(path).stat().st_size
     partial = dataset.tags().get("DTED_PartialCellIndicator", "00").strip() not in ("", "0", "00")
     cut = partial and size < _HEADERS + dataset.width * record and (size - _HEADERS) % record == 0
-    said = None if cut else exact(path, _HEADERS + dataset.width * record)  # a partial cell may omit columns
-    return said or _headers_fault(path) or _order_fault(path, record, (size - _HEADERS) // record)
+    short = None if cut else exact(path, _HEADERS + dataset.width * record)  # a partial cell may omit columns
+    return short or _headers_fault(path) or _order_fault(path, record, (size - _HEADERS) // record)
 
 
 def _headers_fault(path: str) -> str | None:

@@ -200,7 +200,11 @@ def _tar_member(name: str) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def stream(name: str) -> Iterator[IO[bytes]]:
-    """The bytes of a file on this disk or in an archive, best read in order."""
+    """The bytes of a file on this disk or in an archive, best read in order.
+
+    Raises:
+        ReadError: an archive is damaged.
+    """
     try:
         if not archived(name):
             with Path(name).open("rb") as file:
@@ -222,6 +226,9 @@ def check_packed(dataset: Any) -> None:
     """Unpack a dataset's files in an archive up to the end, where the checksums are.
 
     GDAL does not read the checksums where it needs only a part, and continues where they differ.
+
+    Raises:
+        ReadError: an archive is damaged.
     """
     for name in filter(archived, dataset.files):
         if (
@@ -254,6 +261,9 @@ def local_file(dataset: Any) -> Iterator[str | None]:
     """The path on this disk of a dataset's main file, unpacked or fetched if necessary.
 
     None if the file is remote and too large for that, or if there is no file.
+
+    Raises:
+        ReadError: an archive is damaged.@@ src/orograph/dem/synth.py
     """
     name = main_file(dataset)
     if not name.startswith("/vsi"):

@@ -40,8 +40,8 @@ def fault(dataset: Any, path: str) -> str | None:
             number += 1
             if at + length > size:
                 return f"It ends after {size:,} bytes, within message {number}."
-            if said := _message_fault(file, at + 16, at + length, size <= _LARGEST):
-                return f"Message {number}: {said}"
+            if found := _message_fault(file, at + 16, at + length, size <= _LARGEST):
+                return f"Message {number}: {found}"
             at += length
     return None
 
@@ -60,9 +60,9 @@ def _message_fault(file: IO[bytes], at: int, end: int, packed: bool) -> str | No
         elif section == 7 and packed and length > 5 and template in (*_JPEG2000, *_PNG):
             file.seek(at + 5)
             data = file.read(length - 5)
-            said = bytes_fault(data) if template in _PNG else stream_fault(BytesIO(data), 0, len(data))
-            if said is not None:
-                return said
+            broken = bytes_fault(data) if template in _PNG else stream_fault(BytesIO(data), 0, len(data))
+            if broken is not None:
+                return broken
         at += length
     file.seek(end - 4)
     return None if file.read(4) == b"7777" else "it lacks its end marker (7777)."

@@ -202,11 +202,11 @@ def _flat(text: str) -> str:
     return re.sub(r"\{[^}]*\}", "{}", text)
 
 
-def form_fault(form: Form, said: list[tuple[str, str]]) -> str | None:
+def form_fault(form: Form, entries: list[tuple[str, str]]) -> str | None:
     """The fault in a header's content, as a sentence; None if there is none."""
     spelt = {key.lower(): key for key in _keys(form)}
     values: dict[str, str] = {}
-    for written, value in said:
+    for written, value in entries:
         key = spelt.get(re.sub(r"\s+", " ", written).lower())
         if key is None:
             long = (known for known in spelt.values() if len(known) >= form.shortest)
@@ -264,13 +264,13 @@ def _nearly(a: str, b: str) -> bool:
 _ROWS, _PLAUSIBLE, _GREATEST = 16, (1e-6, 1e6), 1e8
 
 
-def kind_fault(dataset: Any, said: dict[str, str]) -> str | None:
+def kind_fault(dataset: Any, header: dict[str, str]) -> str | None:
     """Faults of a header's numbers that GDAL does not notice.
 
     32-bit floats may be declared as integers or with the opposite byte order; or a corner may have no step, for which
     GDAL assumes 1.
     """
-    if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
+    if any(key.startswith(("XLL", "YLL")) for key in header) and not {"CELLSIZE", "XDIM"} & set(header):
         return "Its header lacks 'CELLSIZE'."
     if np.dtype(dataset.dtypes[0]).itemsize != 4:
         return None
@@ -280,7 +280,7 @@ def kind_fault(dataset: Any, said: dict[str, str]) -> str | None:
         turned = not _floating(words) and _floating(words.byteswap())
         return "Its numbers are in the opposite byte order from its header ('BYTEORDER')." if turned else None
     large = words[words > 0]
-    if "PIXELTYPE" in said or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
+    if "PIXELTYPE" in header or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
         return None
     return "Its numbers look like floats, but its header does not declare them so ('PIXELTYPE FLOAT')."
 

@@ -20,9 +20,9 @@ def fault(dataset: Any, path: str) -> str | None:
     if not blocks.isdigit():
         return "Its header does not declare its length."
     if kind == b"FILE":
-        said = _channels_fault(dataset, path)
-        if said is not None:
-            return said
+        broken = _channels_fault(dataset, path)
+        if broken is not None:
+            return broken
     wanted = int(blocks) * 512
     if size % 512 and (size > wanted or _whole_blocks(dataset, path)):
         return f"It has {size:,} bytes where its header promises {wanted:,}: one of the two is damaged."
@@ -47,14 +47,14 @@ def _channels_fault(dataset: Any, path: str) -> str | None:
         at = (int(head[336:352]) - 1) * 512
         for band in range(dataset.count):
             file.seek(at + 1024 * band)
-            said = file.read(1024)
-            name = said[64:128].decode("latin-1").strip()
+            header = file.read(1024)
+            name = header[64:128].decode("latin-1").strip()
             channel = Path(path).with_name(Path(name).name)
             if not name or name.startswith("/SIS=") or not channel.is_file():
                 continue
-            first, pixel, line = int(said[168:184]), int(said[184:192]), int(said[192:200])
+            first, pixel, line = int(header[168:184]), int(header[184:192]), int(header[192:200])
             item = np.dtype(dataset.dtypes[band]).itemsize
-            if pixel < item or line < pixel * dataset.width or said[201:202] not in b"NS":
+            if pixel < item or line < pixel * dataset.width or header[201:202] not in b"NS":
                 return f"Its header contradicts itself about channel {band + 1}."
             short = exact(channel, first + (dataset.height - 1) * line + (dataset.width - 1) * pixel + item)
             if short is not None:

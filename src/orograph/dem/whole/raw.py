@@ -25,9 +25,9 @@ def _samples(dataset: Any) -> int:
 
 def eir(dataset: Any, path: str) -> str | None:
     """EIR: the samples are in a file that the header names, after an offset."""
-    said = {key.upper(): value for key, value in pairs(Path(path).read_text("latin-1"), None)}
-    beside = Path(path).with_name(said.get("PIXEL_FILES", Path(path).stem))
-    return exact(beside, int(said.get("DATA_OFFSET", "0")) + _samples(dataset))
+    header = {key.upper(): value for key, value in pairs(Path(path).read_text("latin-1"), None)}
+    beside = Path(path).with_name(header.get("PIXEL_FILES", Path(path).stem))
+    return exact(beside, int(header.get("DATA_OFFSET", "0")) + _samples(dataset))
 
 
 def roi_pac(dataset: Any, path: str) -> str | None:

@@ -120,30 +120,30 @@ def ehdr(dataset: Any, path: str) -> str | None:
     header = next((p for e in (".hdr", ".HDR") if (p := Path(path).with_suffix(e)).is_file()), None)
     if header is None:
         return None
-    said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
-    if fault := _row_fault(said, dataset.width, dataset.count) or kind_fault(dataset, said):
+    fields = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
+    if fault := _row_fault(fields, dataset.width, dataset.count) or kind_fault(dataset, fields):
         return fault
-    bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
+    bits = int(fields.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
     rows, bands = dataset.height, dataset.count
-    layout = said.get("LAYOUT", "BIL").upper()
+    layout = fields.get("LAYOUT", "BIL").upper()
     line = -(-dataset.width * bits // 8)
-    skip = int(said.get("SKIPBYTES", 0))
+    skip = int(fields.get("SKIPBYTES", 0))
     if layout == "BSQ":
-        return exact(path, skip + bands * rows * line + (bands - 1) * int(said.get("BANDGAPBYTES", 0)))
+        return exact(path, skip + bands * rows * line + (bands - 1) * int(fields.get("BANDGAPBYTES", 0)))
     if layout == "BIP":
         line = -(-dataset.width * bits * bands // 8)
-        return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
-    line = bands * int(said.get("BANDROWBYTES", line))
-    return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+        return exact(path, skip + rows * max(line, int(fields.get("TOTALROWBYTES", line))))
+    line = bands * int(fields.get("BANDROWBYTES", line))
+    return exact(path, skip + rows * max(line, int(fields.get("TOTALROWBYTES", line))))
 
 
-def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
+def _row_fault(fields: dict[str, str], cols: int, bands: int) -> str | None:
     """Rows are as long as their samples: GDAL reads padded rows as if they were not."""
-    needed = -(-cols * int(said.get("NBITS", 8)) // 8)
+    needed = -(-cols * int(fields.get("NBITS", 8)) // 8)
     for key, sizes in (("BANDROWBYTES", (needed,)), ("TOTALROWBYTES", (needed, needed * bands))):
-        if key in said and int(said[key]) not in sizes:
+        if key in fields and int(fields[key]) not in sizes:
             return (
-                f"Its header says {key!r} is {said[key]} where {cols} samples of its 'NBITS' need {needed}: it is "
+                f"Its header says {key!r} is {fields[key]} where {cols} samples of its 'NBITS' need {needed}: it is "
                 "damaged, or its rows are padded, which GDAL misreads."
             )
     return None
@@ -161,8 +161,8 @@ def ers(dataset: Any, path: str) -> str | None:
 
 def saga(dataset: Any, path: str) -> str | None:
     """SAGA: the samples follow an offset in the header (.sgrd)."""
-    said = dict(pairs(Path(path).with_suffix(".sgrd").read_text("latin-1"), "="))
-    return exact(path, int(said.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
+    fields = dict(pairs(Path(path).with_suffix(".sgrd").read_text("latin-1"), "="))
+    return exact(path, int(fields.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
 
 
 _CHANNEL = re.compile(r"(8U|16U|16S|32U|32S|32R|64R|C16U|C16S|C32R)\s+\d+\s+\d+\s+\d+(\s+(Swapped|Unswapped))?\s*")
@@ -268,20 +268,20 @@ def nitf(dataset: Any, path: str) -> str | None:
     with Path(path).open("rb") as file:
         head = file.read(360)
     at = {b"NITF02.10": 342, b"NSIF01.00": 342, b"NITF02.00": 342}.get(head[:9])
-    said = b"" if at is None else head[at : at + 12]
-    if at is None or (head[:9] == b"NITF02.00" and not said.isdigit()) or said == b"9" * 12:
+    length = b"" if at is None else head[at : at + 12]
+    if at is None or (head[:9] == b"NITF02.00" and not length.isdigit()) or length == b"9" * 12:
         return None
-    if not said.isdigit():
+    if not length.isdigit():
         return "Its header does not declare its length."
-    return exact(path, int(said))
+    return exact(path, int(length))
 
 
 def bmp(dataset: Any, path: str) -> str | None:
     """BMP: the header states the length of the file, or 0."""
     with Path(path).open("rb") as file:
         head = file.read(14)
-    (said,) = struct.unpack_from("<I", head, 2)
-    return exact(path, said) if said else None
+    (length,) = struct.unpack_from("<I", head, 2)
+    return exact(path, length) if length else None
 
 
 def elas(dataset: Any, path: str) -> str | None:
@@ -313,17 +313,17 @@ def zarr(dataset: Any, path: str) -> str | None:
     header = next((p for name in dataset.files if (p := Path(str(name))).name == ".zarray" and p.is_file()), None)
     if header is None:
         return _zarr3(dataset)
-    said = json.loads(header.read_bytes())
-    counts = [-(-size // chunk) for size, chunk in zip(said["shape"], said["chunks"], strict=True)]
-    wanted = math.prod(said["chunks"]) * np.dtype(said["dtype"]).itemsize
+    meta = json.loads(header.read_bytes())
+    counts = [-(-size // chunk) for size, chunk in zip(meta["shape"], meta["chunks"], strict=True)]
+    wanted = math.prod(meta["chunks"]) * np.dtype(meta["dtype"]).itemsize
     if math.prod(counts) > _CHUNKS:
         return None
     for index in np.ndindex(*counts):
-        chunk = header.parent / said.get("dimension_separator", ".").join(map(str, index))
+        chunk = header.parent / meta.get("dimension_separator", ".").join(map(str, index))
         if not chunk.is_file():
-            if said.get("fill_value") is None:
+            if meta.get("fill_value") is None:
                 return f"Its chunk {chunk.name} is missing, and no fill value is declared for it."
-        elif said.get("compressor") is None and not said.get("filters") and chunk.stat().st_size != wanted:
+        elif meta.get("compressor") is None and not meta.get("filters") and chunk.stat().st_size != wanted:
             return f"Its chunk {chunk.name} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
     return None
 
@@ -331,11 +331,11 @@ def zarr(dataset: Any, path: str) -> str | None:
 def _zarr3(dataset: Any) -> str | None:
     """Zarr, version 3: chunks of plain bytes have the right size."""
     for header in (Path(str(file)) for file in dataset.files):
-        said = json.loads(header.read_bytes()) if header.name == "zarr.json" and header.is_file() else {}
-        shape = said.get("chunk_grid", {}).get("configuration", {}).get("chunk_shape")
-        if shape is None or [codec.get("name") for codec in said.get("codecs", ())] not in ([], ["bytes"], ["endian"]):
+        meta = json.loads(header.read_bytes()) if header.name == "zarr.json" and header.is_file() else {}
+        shape = meta.get("chunk_grid", {}).get("configuration", {}).get("chunk_shape")
+        if shape is None or [codec.get("name") for codec in meta.get("codecs", ())] not in ([], ["bytes"], ["endian"]):
             continue
-        wanted = math.prod(shape) * np.dtype(said["data_type"]).itemsize
+        wanted = math.prod(shape) * np.dtype(meta["data_type"]).itemsize
         for chunk in sorted((header.parent / "c").rglob("*"))[:_CHUNKS]:
             if chunk.is_file() and chunk.stat().st_size != wanted:
                 return (

@@ -88,8 +88,8 @@ def zmap(dataset: Any, path: str) -> str | None:
         wide = int(found[1])
         file.seek(found.end())
         for number, line in enumerate(file):
-            said = line.rstrip()
-            for field in (said[at : at + wide] for at in range(0, len(said), wide)):
+            row = line.rstrip()
+            for field in (row[at : at + wide] for at in range(0, len(row), wide)):
                 if not _is_number(field):
                     return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is not a number."
                 count += 1
@@ -181,21 +181,21 @@ def _contradiction(path: str, header: re.Pattern[bytes], missing: str) -> str | 
         missing: the key of the nodata value, which need not be a number ("nan", "*").
     """
     with Path(path).open("rb") as file:
-        found = header.match(file.read(_HEADER))
-    said = dict[str, str]()
-    for key, value in re.findall(r"([a-z_]+):?\s*(\S+)", "" if found is None else found[0].decode("latin-1").lower()):
-        if said.setdefault(key, value) != value:
-            return f"Its header says {key!r} twice: {said[key]} and {value}."
+        head = header.match(file.read(_HEADER))
+    found = dict[str, str]()
+    for key, value in re.findall(r"([a-z_]+):?\s*(\S+)", "" if head is None else head[0].decode("latin-1").lower()):
+        if found.setdefault(key, value) != value:
+            return f"Its header says {key!r} twice: {found[key]} and {value}."
         if key in ("north", "south", "east", "west") and ":" in value:
             return f"Its header says {key!r} in degrees and minutes ({value}), which GDAL reads as whole degrees."
         if key != "type" and not _is_number(value.replace(",", ".").encode()) and (key, value) != (missing, "*"):
             return f"Its header says {value!r} for {key!r}, which is not a number."
-    if {"xllcorner", "yllcenter"} <= set(said) or {"xllcenter", "yllcorner"} <= set(said):
+    if {"xllcorner", "yllcenter"} <= set(found) or {"xllcenter", "yllcorner"} <= set(found):
         return "Its header gives a corner along one axis and a centre along the other."
-    if {"xllcorner", "xllcenter"} <= set(said) or {"yllcorner", "yllcenter"} <= set(said):
+    if {"xllcorner", "xllcenter"} <= set(found) or {"yllcorner", "yllcenter"} <= set(found):
         return "Its header gives both a corner and a centre."
-    if float(said.get("multiplier", 1)) != 1:
-        return f"Its header multiplies heights by {said['multiplier']}, which GDAL does not."
+    if float(found.get("multiplier", 1)) != 1:
+        return f"Its header multiplies heights by {found['multiplier']}, which GDAL does not."
     return None
 
 

@@ -240,8 +240,8 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         source, target = (_rect(element.find(tag)) if mapped else None for tag in ("SrcRect", "DstRect"))
         needs = _raw_bytes(element, *shape) if element.tag == "VRTRasterBand" else 0
         number, by_mask = int(band) if band.isdigit() else 1, kind == "mask"
-        said = element.find("SourceProperties") if as_is else None
-        size = None if said is None else (int(said.get("RasterYSize", 0)), int(said.get("RasterXSize", 0)))
+        given = element.find("SourceProperties") if as_is else None
+        size = None if given is None else (int(given.get("RasterYSize", 0)), int(given.get("RasterXSize", 0)))
         size = None if size == (0, 0) else size
         taken = _rect(element.find("SrcRect")) if as_is and element.tag != "VRTRasterBand" else None
         onto, derived = bands.get(element, (0, False))
@@ -263,10 +263,10 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
 def _rect(element: ET.Element | None) -> Rect | None:
     if element is None:
         return None
-    said = [element.get(side) for side in ("xOff", "yOff", "xSize", "ySize")]
-    if None in said:
+    given = [element.get(side) for side in ("xOff", "yOff", "xSize", "ySize")]
+    if None in given:
         raise ValueError(f"a {element.tag} has no position")
-    left, top, width, height = (float(side or 0) for side in said)
+    left, top, width, height = (float(side or 0) for side in given)
     if not (math.isfinite(left + top) and 0 < width < math.inf and 0 < height < math.inf):
         raise ValueError(f"a {element.tag} has an invalid position")
     return left, top, width, height
