@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
-READER = 160 << 20  # what a mosaic may hold while it reads one window
+READER = 160 << 20  # memory of a mosaic while it reads one window
 
 Path_ = str | os.PathLike[str]
 

@@ -174,8 +174,8 @@ def lowest(at, heights, known, line, ends, level, reach, result):
     Args:
         at: (v,) int64, the vertices' positions along the side, rising, in samples from its first corner; they include
             both corners. heights, known: (v,) their heights and levels. line: (s,) float32, full resolution
-            along the side; what is beyond the raster lies on its last sample. ends: (reach, 2) heights of the corners
-            in the meshes of the levels above. level: the chunk's. reach: how many levels above count.
+            along the side; beyond the raster, its last sample is repeated. ends: (reach, 2) heights of the corners
+            in the meshes of the levels above. level: the chunk's. reach: the number of levels above.
         result: (v,) float32, written to; NaN where nothing is known.
     """
     count, last = len(at), len(line) - 1

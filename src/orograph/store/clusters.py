@@ -225,8 +225,8 @@ class _Round:
             raise self._failed()
 
     def _fill(self) -> bool:
-        """Begin tasks as far as there is room; whether any are under way."""
-        if time.monotonic() - self.counted > COUNTING:  # it is asked of the scheduler, which takes some milliseconds
+        """Start tasks while there is room; return whether any are running."""
+        if time.monotonic() - self.counted > COUNTING:  # a request to the scheduler, which takes some milliseconds
             self.threads, self.counted = self._threads(), time.monotonic()
         room = AHEAD * self.threads - len(self.pending)
         if len(self.given_up) < GIVEN_UP:
@@ -278,7 +278,7 @@ class _Round:
                 if done.seconds:
                     self.stage.renewed(spot)
                 self._hear(done)
-        except Exception as failure:  # the scheduler is gone, with all that it knew; or the worker is
+        except Exception as failure:  # the scheduler is gone with its state, or the worker is
             error, why = failure, _said(failure)
         future.release()
         if why is None:

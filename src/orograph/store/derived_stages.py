@@ -144,7 +144,7 @@ class ChunkStage(TerrainStage[Written]):
             storage.put(FINEST, [dumps({"error": error, "vertices": len(levels)})])
 
     def _handed(self) -> Reached | None:
-        """What the building process has handed over."""
+        """The building process's results for this task."""
         storage = self.writer.storage
         if not isinstance(storage, FolderStorage) or (told := storage.get(FINEST)) is None:
             return None

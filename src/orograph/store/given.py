@@ -1,7 +1,6 @@
-"""Heights in all forms that users have, as something that reads windows of them: files, arrays, DataArrays, open
-datasets.
+"""Heights in every form that users have, as a reader of windows: files, arrays, DataArrays, open datasets.
 
-``source_of`` is the one place that distinguishes them; ``store.opening.terrain`` makes a terrain from any of them.
+``source_of`` is the only place that distinguishes them; ``store.opening.terrain`` makes a terrain from any of them.
 """
 
 from __future__ import annotations
@@ -134,7 +133,7 @@ def points_of(
     """The raster of a file of points; None if the files are rasters.
 
     Args:
-        said: options of reading. made: what another process has made of the file (``PointRaster.made``).
+        said: options of reading. made: another process's result for the file (``PointRaster.made``).
 
     Raises:
         ReadError, UsageError: as ``PointRaster.open``; points among other files; an option that does not apply to
@@ -177,7 +176,7 @@ def options_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
 
 
 def options_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
-    """The given options of reading that apply to a file of points, and ``more``.
+    """The given options of reading that apply to a file of points, with ``more``.
 
     Raises:
         UsageError: there are others.
@@ -211,7 +210,7 @@ def check_names(options: Any, called: str) -> None:
     """Raise UsageError for unknown options of reading."""
     for name in options:
         if name not in READING:
-            own = getattr(sys.modules["orograph"], called, None)  # (only where something is wrong)
+            own = getattr(sys.modules["orograph"], called, None)  # (only to report an error)
             known = inspect.signature(own).parameters if callable(own) else ()
             names = [one for one in known if one not in ("options", "reading")]
             raise UsageError(f"{called} has no option {name!r}.", remedy=remedy(name, [*names, *READING]))
@@ -291,13 +290,13 @@ def _is_window(given: Any) -> bool:
 
 
 def is_rows(given: Any) -> bool:
-    """Whether it is a list of rows of numbers."""
+    """Whether something is a list of rows of numbers."""
     rows = isinstance(given, list | tuple) and given and all(isinstance(row, list | tuple) for row in given)
     return bool(rows and not any(_is_window(row) for row in given) and np.asarray(given[0]).dtype.kind in "iufbc")
 
 
 def _is_heights(one: Any) -> bool:
-    """Whether it is a raster of some kind."""
+    """Whether something is a raster of some kind."""
     from orograph.dem.raster import Dem
 
     raster = isinstance(one, str | os.PathLike | Dem | HeightSource) or hasattr(one, "data_vars")
@@ -305,7 +304,7 @@ def _is_heights(one: Any) -> bool:
 
 
 def is_array_like(given: Any) -> bool:
-    """NumPy's array, or one convertible to NumPy's (Dask's, PyTorch's, CuPy's…)."""
+    """Whether something is a NumPy array or convertible to one (Dask's, PyTorch's, CuPy's…)."""
     return hasattr(given, "__array__") and hasattr(given, "dtype") and hasattr(given, "shape")
 
 

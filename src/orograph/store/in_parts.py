@@ -75,7 +75,7 @@ def build_part(
         final: where the store will be. storage: where it is built.
         plan: the build's plan. coding: how heights are encoded. jobs: threads.
         overwrite: whether the finished store may replace an existing one.
-        leave: leaves where the store is built what other parts need not make of the source.
+        leave: stores beside the build what other parts can reuse of the source.
 
     Raises:
         StoreError: a store, or another build, is there; or the sources have changed meanwhile.

@@ -82,7 +82,7 @@ def opened(
     """The source of these files and options (``recipe`` lists them): points, or rasters.
 
     Args:
-        made: what another process has made of points (``PointRaster.made``), or ``LINES``: of a manifest of many files.
+        made: another process's result for points (``PointRaster.made``), or ``LINES`` of a manifest of many files.
 
     Raises:
         ReadError: a file cannot be read.
@@ -113,7 +113,7 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
         now = state_of(file["path"])
         if "etag" in file:
             if (told_now := asked(file["path"])) is None:
-                continue  # (nothing tells)
+                continue  # (unknown)
             now = {"path": file["path"], **told_now._asdict()}
         if now["size"] is None:
             told.append(f"{name} is gone.")

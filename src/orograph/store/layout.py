@@ -112,7 +112,7 @@ class Record:
         lattices: the source lattices that it keeps.
         inputs: the files and options it was built with (``store.inputs``); None if not built from files.
         digests: of all its objects except the root.
-        attribution: whom the makers of its heights want to be credited.
+        attribution: the credits that the makers of its heights ask for.
         coding: how it encodes its heights; None: float32, lossless.
         version: for an updated store in a bucket: which version of it this is (``versions``); None: its objects
             lie under their plain keys.
@@ -233,7 +233,7 @@ def _understood(record: dict[str, Any], url: str) -> None:
 
 
 def rebuild(record: dict[str, Any], url: str) -> str:
-    """The command that rebuilds a store, as far as its record tells."""
+    """The command that rebuilds a store, as far as its record determines it."""
     inputs = record.get("inputs")
     files, options = "dem", ""
     if isinstance(inputs, dict):

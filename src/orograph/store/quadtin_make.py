@@ -257,8 +257,11 @@ def _finished(
 def _put_top(
     making: Making, grown: list[Grown], by_corners: NDArray[np.float64], roots: NDArray[np.float64], summary: Summary
 ) -> None:  # fmt: skip
-    """Fill in the summary of the top. The error of a triangle there is at most the height range of the ground relative
-    to its corners, which are on the ground."""
+    """Fill in the summary of the top.
+
+    The error of a triangle there is at most the height range of the ground relative to its corners, which are on the
+    ground.
+    """
     layout = making.layout
     top = top_of(layout.across)
     row, col = top.order.T

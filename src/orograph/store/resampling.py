@@ -1,5 +1,4 @@
-"""The stage of a build that compares resampled heights with their sources: it keeps the source lattices and measures
-the loss.
+"""The stage of a build that keeps source lattices and measures the loss from resampling.
 
 One task per shard of a lattice: it writes the shard (unless the source is not to be kept) and compares its samples with
 the finished level 0. A sample counts if no finer lattice has a height for it and the terrain has a surface there (it

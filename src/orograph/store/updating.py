@@ -180,7 +180,7 @@ def seeded(
 
 
 def _unlike(record: Record, parts: bool, raster: HeightSource, coding: Coding | None) -> str:
-    """Why nothing of a store with an equal plan can be reused; empty if something can."""
+    """Why nothing can be reused of a store with an equal plan; empty if something can."""
     if not parts:
         return "it was built without `update`, and keeps no parts"
     before = record.coding
