@@ -68,7 +68,7 @@ class Windows(NamedTuple):
 
     @classmethod
     def over(cls, terrain: Terrain, rectangles: Sequence[Rectangle], *channels: int) -> tuple[ClipStack, Windows]:
-        """The windows to read, and room for them: ``rectangles`` (outermost first), and levels between for filtering."""
+        """The windows to read, and room for them: ``rectangles`` (outermost first), and levels between for filters."""
         wanted: list[Rectangle] = []
         # A window that covers the whole terrain hides those around it, which pixels larger than its samples need.
         for level in range(terrain.levels - 1, rectangles[0].level, -1):

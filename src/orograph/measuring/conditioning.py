@@ -4,7 +4,7 @@ An unconditional draw u and simple kriging with its own covariance give
 
     u_c(x) = u(x) + c(x)ᵀ C⁻¹ (e − H u − η)
 
-where e are the errors found at the check points (measured minus the terrain's surface there), H takes the errors of
+where e are the errors at the check points (measured minus the terrain's surface there), H takes the errors of
 samples to the surface at those places (linear within triangles), C = H Σ Hᵀ + τ² the covariance of what is found, and η
 normal noise of the check points' own accuracy τ. Mean and covariance of u_c are those of the errors given e (Chilès &
 Delfiner 2012, 7.3), and where τ is 0 each drawn surface passes through the check points. Σ is that of

@@ -235,7 +235,7 @@ def viewshed(
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Viewshed:
-    """What is visible from a point.
+    """The samples that are visible from a point.
 
     Args:
         point: easting and northing of the eye, anywhere on the terrain.

@@ -50,10 +50,10 @@ NAMES = ("name", "label", "title", "id")
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """What is in a polygon.
+    """The statistics of a polygon.
 
     Attributes:
-        name: its name in the file, else its number, from 1. properties: what the file says of it.
+        name: its name in the file, else its number, from 1. properties: those of the file.
         area: its areas, and volumes; of several parts the sums. None if it cannot be measured: ``problem`` says why.
         samples: how many of them are in it; known: how many have a height.
         lowest, highest, mean, std: of their heights, metres. None without any.

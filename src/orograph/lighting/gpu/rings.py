@@ -92,8 +92,8 @@ class Held:
 
     Attributes:
         buffer: (rows, cols) float32, ``MISSING`` where there is none. low, high: of valid heights, metres; inf and
-            −inf if there are none. blocks: for each block of ``BLOCK``² cells, its lowest and highest sample, and whether
-            any is missing (0 or 1), (3, block rows, block cols).
+            −inf if there are none. blocks: for each block of ``BLOCK``² cells, its lowest and highest sample, and
+            whether any is missing (0 or 1), (3, block rows, block cols).
     """
 
     buffer: Any
