@@ -1,10 +1,9 @@
-"""Buffers read back by a thread while frames go on.
+"""Buffers read back by a thread while frames continue.
 
-wgpu-py waits for a buffer in a thread of its own, inside the native library (``wgpuDevicePoll``), which lets nobody
-submit anything until all that was submitted is done (wgpu 29: https://github.com/gfx-rs/wgpu/issues/9470). A frame that
-is handed over meanwhile waits with it. Here the library is asked again and again whether it is done.
-
-Where wgpu-py is not as expected its own way is taken, as in ``recording``.
+wgpu-py waits for a buffer in its own thread, inside the native library (``wgpuDevicePoll``), which blocks all
+submissions until everything submitted is done (wgpu 29: https://github.com/gfx-rs/wgpu/issues/9470). A frame submitted
+meanwhile waits too. Here, the library is polled until it is done. If wgpu-py is not as expected, its own way is used,
+as in ``recording``.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def read_aside(device: Device, buffer: Any, dtype: Any = np.uint8) -> NDArray[An
         lib.wgpuDevicePoll(handle, False, ffi.NULL)
         if not told:
             time.sleep(AGAIN)
-    if told[0] != lib.WGPUMapAsyncStatus_Success:  # wgpu-py says what is wrong
+    if told[0] != lib.WGPUMapAsyncStatus_Success:  # wgpu-py reports the error
         return device.read_buffer(buffer, dtype)
     found = np.frombuffer(bytes(ffi.buffer(lib.wgpuBufferGetConstMappedRange(read._internal, 0, size), size)), dtype)
     read.destroy()

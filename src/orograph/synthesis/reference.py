@@ -1,5 +1,4 @@
-"""Synthesis by example in plain NumPy: the algorithm of the kernels and the shaders on one page (Lefebvre & Hoppe 2005,
-§3).
+"""Synthesis by example in plain NumPy: the kernels' and shaders' algorithm on a page (Lefebvre & Hoppe 2005, §3).
 
 It uses the prepared exemplar (``exemplar.Exemplar``). Each level is made with a generous margin and cropped at the end,
 so that only ``SURROUND``, which is ample, depends on how far places depend on others.

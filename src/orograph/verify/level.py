@@ -1,4 +1,4 @@
-"""A view for judging meshes that belong to no view, in vertical metres."""
+"""A view for judging meshes without a view, in vertical metres."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAR = 1e9
 
 
 def level_view(terrain: Terrain) -> View:
-    """A horizontal view from so far that a pixel is a metre of height anywhere on the terrain, with all of it in view.
+    """A horizontal view in which a pixel is a metre of height anywhere on the terrain, with all of it in view.
 
     >>> verify.judge_mesh(mesh, terrain, verify.level_view(terrain)).largest  # metres    # doctest: +SKIP
 
